@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain surface as one .npz file: the same surface is the same bytes, on every machine and at any time."""
+
+import io
+import json
+import os
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+# The earliest date that a zip can hold: the file says nothing of when it was written.
+FIXED_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+@contextmanager
+def written_beside(path: Path):
+    """Yield a temporary path beside `path`; when the block ends well it is renamed to `path`, else it is removed.
+
+    Nothing half-written ever stands under the final name. The temporary name ends like the final one, because some
+    writers choose a format by it.
+    """
+    path = Path(path)
+    partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_npz(path: Path, surface, origin, info: dict) -> None:
+    """Write a `Surface` to `path`, atomically.
+
+    Entries: `positions` float32 [V, 3], metres about `origin` float64 [3]; `triangles` int32 [T, 3], counter-clockwise
+    seen from above; `edges` int32 [E, 2]; the attributes `normals` float32 [V, 3], `uv` float32 [V, 2], `level` int32
+    [T]; and `info`, JSON text (no times, so that it is a function of the frame alone).
+    """
+    entries = {
+        "positions": surface.positions,
+        "origin": np.asarray(origin, np.float64),
+        "triangles": surface.corner_verts.reshape(-1, 3),
+        "edges": surface.edges,
+        "normals": surface.normals,
+        "uv": surface.uv,
+        "level": surface.level,
+        "info": np.array(json.dumps(info, sort_keys=True)),
+    }
+    with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in entries.items():
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))
+
+
+def read_npz(path: Path) -> dict:
+    """The entries of a file that `write_npz` wrote, with `info` as a dict."""
+    with np.load(path, allow_pickle=False) as archive:
+        entries = dict(archive)
+    entries["info"] = json.loads(str(entries["info"]))
+    return entries
+
+
+def _npy(array: np.ndarray) -> bytes:
+    """The array as the bytes of an .npy file, in C order and little endian."""
+    buffer = io.BytesIO()
+    array = np.asarray(array, order="C")
+    np.lib.format.write_array(buffer, array.astype(array.dtype.newbyteorder("<"), copy=False), allow_pickle=False)
+    return buffer.getvalue()

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arrays that live as long as a terrain and only ever grow, so that a warm frame allocates nothing."""
+
+import numpy as np
+import warp as wp
+
+_NUMPY = {
+    wp.vec2i: (np.int32, 2),
+    wp.vec3i: (np.int32, 3),
+    wp.vec4i: (np.int32, 4),
+    wp.vec2f: (np.float32, 2),
+    wp.vec3f: (np.float32, 3),
+}
+
+
+def shared(array: np.ndarray, dtype) -> wp.array:
+    """A Warp array over the memory of a numpy array of the same layout."""
+    return wp.array(array, dtype=dtype, device="cpu", copy=False)
+
+
+class Buffers:
+    """Named Warp arrays over uninitialised memory, which the system commits as it is touched."""
+
+    def __init__(self):
+        self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}
+
+    def get(self, name: str, count: int, dtype) -> wp.array:
+        """At least `count` items of a Warp dtype; the contents are kept only if it did not have to grow."""
+        held = self._arrays.get(name)
+        if held is None or len(held[0]) < count:
+            scalar, columns = _NUMPY.get(dtype) or (wp.dtype_to_numpy(dtype), 1)
+            room = count if held is None else max(count, int(1.25 * len(held[0])))
+            array = np.empty((room, columns) if columns > 1 else room, scalar)
+            self._arrays[name] = held = (array, shared(array, dtype))
+        return held[1]
+
+    def numpy(self, name: str) -> np.ndarray:
+        """The memory of a buffer that `get` has made."""
+        return self._arrays[name][0]

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is asked of a refinement, and its packing into the numbers that the kernels read.
+
+Every criterion is a ratio, squared: how much too coarse a diamond is, 1 being exactly what was asked. Criteria combine
+by max. Each ratio is nested: an error saturated from the bottom up over a distance to a box that contains the
+children's boxes (Lindstrom and Pascucci 2002, sections 3 and 4), so a plain walk from the roots gives a conforming
+mesh.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kernels.criterion import (
+    AXIS,
+    DEPTH,
+    DIAGONAL,
+    EYE,
+    KIND,
+    NEAR,
+    OFF_SCREEN,
+    PIXELS,
+    PLANE,
+    PLANES,
+    SECANT,
+    VERTICAL,
+    VIEW_NUMBERS,
+    WEIGHT,
+)
+from .errors import TerrainError
+from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What is asked; 0 switches a criterion off, and those that are on hold together.
+
+    `error_px`: screen-space geometric error, pixels. `edge_px`: longest edge, pixels. `area_px`: triangle area, square
+    pixels. `error_m`: vertical error, metres, independent of any view. `guard_deg`: how far outside the frame still
+    counts as seen, degrees. `off_screen_factor`: how much coarser the rest may be; 1 switches culling off.
+    `max_depth`: bisections of a root square (None: to what float32 holds). `max_triangles`: None is no limit.
+    `meshlet`: each leaf becomes 4**meshlet triangles, 0 .. 4.
+    """
+
+    error_px: float = 1.0
+    edge_px: float = 0.0
+    area_px: float = 0.0
+    error_m: float = 0.0
+    guard_deg: float = 5.0
+    off_screen_factor: float = 16.0
+    max_depth: int | None = None
+    max_triangles: int | None = None
+    meshlet: int = 0
+
+    def __post_init__(self):
+        for name in ("error_px", "edge_px", "area_px", "error_m", "guard_deg"):
+            value = getattr(self, name)
+            if not (0 <= value < math.inf):
+                raise TerrainError(f"The criterion's {name} is {value}; expected a finite number, 0 or more.")
+        if not self.off_screen_factor >= 1:
+            raise TerrainError(f"The off-screen factor is {self.off_screen_factor}; expected 1 (no culling) or more.")
+        if self.meshlet not in range(5):
+            raise TerrainError(f"The meshlet level is {self.meshlet}; expected a whole number from 0 to 4.")
+        if self.max_depth is not None and self.max_depth < 1:
+            raise TerrainError(f"The depth limit is {self.max_depth}; expected 1 or more.")
+        if self.max_triangles is not None and self.max_triangles < 0:
+            raise TerrainError(f"The triangle limit is {self.max_triangles}; expected 0 or more.")
+        if not (self.error_px or self.edge_px or self.area_px or self.error_m):
+            raise TerrainError("Every criterion is 0; ask for an error, an edge length or an area.")
+
+    @property
+    def needs_view(self) -> bool:
+        return bool(self.error_px or self.edge_px or self.area_px)
+
+
+def pack_view(
+    view: View, placement: np.ndarray, steps: tuple[float, float], box: np.ndarray, criterion: Criterion
+) -> np.ndarray:
+    """float64 [VIEW_NUMBERS]: the view seen from the terrain's own space.
+
+    `placement` float64 [4, 4] takes the terrain's space to the world, `steps` are the metres of one lattice unit in x
+    and y, `box` float64 [2, 3] is everything that the terrain may occupy in its own space.
+    """
+    row = np.zeros(VIEW_NUMBERS)
+    to_camera = view.world_to_camera @ placement
+    linear, shift = to_camera[:3, :3], to_camera[:3, 3]
+    row[KIND] = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind)
+    row[EYE : EYE + 3] = -np.linalg.solve(linear, shift)
+    # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
+    # only under shear. The last factor keeps rounding on the safe side.
+    stretch = np.linalg.norm(linear, axis=0)
+    sigma = np.linalg.svd(linear / stretch, compute_uv=False)[-1]
+    row[WEIGHT : WEIGHT + 3] = (sigma * stretch) ** 2 * (1 - 1e-12)
+    row[DEPTH : DEPTH + 3], row[DEPTH + 3] = -linear[2], -shift[2]
+    pixels = view.pixels_per_unit
+    if view.kind == PANORAMIC and criterion.error_px:
+        # A chord e at distance d or more subtends at most 2 asin(e / 2d): exact at the angle that was asked for.
+        angle = min(criterion.error_px / pixels, math.pi)
+        pixels *= angle / (2 * math.sin(angle / 2))
+    row[PIXELS], row[SECANT] = pixels, 1.0
+    if view.kind == PERSPECTIVE:
+        row[SECANT] = math.sqrt(1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds()))
+    # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
+    near = view.clip[0] / 2 if view.clip[0] > 0 else 0.0
+    row[NEAR] = max(near, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-300) ** 2
+    row[VERTICAL] = stretch[2] ** 2
+    east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
+    row[DIAGONAL] = max(np.sum((east + north) ** 2), np.sum((east - north) ** 2))
+    row[AXIS] = max(np.sum(east**2), np.sum(north**2))
+    planes = frustum_planes(view, criterion.guard_deg) @ to_camera
+    row[PLANES] = len(planes)
+    row[PLANE : PLANE + planes.size] = planes.ravel()
+    factor = criterion.off_screen_factor
+    if factor > 1 and _outside(planes, box):
+        factor = math.inf  # nothing of this terrain is in view: the smallest mesh will do
+    row[OFF_SCREEN] = 1.0 / factor**2
+    if not np.isfinite(row).all():
+        raise TerrainError(
+            "The camera or the terrain is so far away or so large that its numbers overflow; check both."
+        )
+    return row
+
+
+def frustum_planes(view: View, guard_deg: float) -> np.ndarray:
+    """float64 [n, 4]: planes in camera space, positive towards what may be seen, n from 0 to 6.
+
+    The guard band turns the side planes of a perspective outward by its angle; of an orthographic view it widens the
+    frame by the angle's tangent. A clip range that is upside down culls nothing.
+    """
+    if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
+        return np.zeros((0, 4))
+    guard = math.radians(min(guard_deg, 89.0))
+    planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]
+    for axis, (low, high) in enumerate(view.bounds()):
+        unit = np.eye(3)[axis]
+        if view.kind == ORTHOGRAPHIC:
+            margin = (high - low) / 2 * math.tan(guard)
+            planes += [[*unit, margin - low], [*-unit, high + margin]]
+            continue
+        for tangent, sign in ((-low, 1.0), (high, -1.0)):
+            angle = math.atan(tangent) + guard
+            if angle < math.pi / 2:
+                # inside: sign * coordinate >= -tan(angle) * depth
+                planes.append([*(sign * math.cos(angle) * unit + [0, 0, -math.sin(angle)]), 0])
+    if view.kind == ORTHOGRAPHIC:
+        planes[0] = [0, 0, -1, -view.clip[0]]
+    return np.array(planes, np.float64)
+
+
+def _outside(planes: np.ndarray, box: np.ndarray) -> bool:
+    """Whether the box lies wholly on the far side of one of the planes."""
+    if not len(planes):
+        return False
+    furthest = np.where(planes[:, :3] > 0, box[1], box[0])
+    return bool((np.einsum("ij,ij->i", planes[:, :3], furthest) + planes[:, 3] < 0).any())

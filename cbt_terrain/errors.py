@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one error for bad input."""
+
+
+class TerrainError(Exception):
+    """Something that came from outside cannot be used.
+
+    The message is one sentence for the user: what is wrong, where (file, value), what was expected, what to do.
+    """

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The height field: a terrain's samples on their lattice, with the error hierarchy and the height ranges."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from . import hierarchy, launch, resample
+from .errors import TerrainError
+from .lattice import Lattice
+
+Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
+
+
+@dataclass
+class HeightField:
+    """A terrain ready for refinement; arrays may be memory-mapped and are never written.
+
+    samples: float32 [height, width] metres, row 0 south, column 0 west.
+    error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py).
+    ranges: uint16 [diamonds above the raster's cells, 2]; a height is range_base + q * range_step metres.
+    resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
+    filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
+    key: identifies the content: equal keys, equal terrains.
+    """
+
+    samples: np.ndarray
+    lattice: Lattice
+    error: np.ndarray
+    ranges: np.ndarray
+    range_base: float
+    range_step: float
+    min_height: float
+    max_height: float
+    key: str
+    resample_max: float = 0.0
+    resample_rms: float = 0.0
+    filled: int = 0
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    crs: str = ""
+    provenance: dict = field(default_factory=dict)
+    path: Path | None = None
+    _expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+
+    def error_for(self, meshlet: int) -> np.ndarray:
+        """float32 [node_count]: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
+
+        Computed once for each `meshlet`, and kept in the store if the field has one.
+        """
+        if meshlet == 0:
+            return self.error
+        if meshlet not in self._expanded:
+            self._expanded[meshlet] = self._load_or_expand(meshlet)
+        return self._expanded[meshlet]
+
+    def _load_or_expand(self, meshlet: int) -> np.ndarray:
+        from . import store
+
+        kept = store.load_expanded(self, meshlet)
+        if kept is not None:
+            return kept
+        errors = np.array(self.error)
+        hierarchy.expand_errors(self.lattice, errors, meshlet, launch.default_threads())
+        store.keep_expanded(self, meshlet, errors)
+        return errors
+
+
+def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
+    return np.zeros(shape, dtype)
+
+
+def content_key(samples: np.ndarray, lattice: Lattice, resample_max: float) -> str:
+    """Hex digest of what determines a terrain's shape."""
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(repr((samples.shape, lattice.step_x, lattice.step_y, lattice.levels, resample_max)).encode())
+    for row in range(0, samples.shape[0], 256):
+        digest.update(np.ascontiguousarray(samples[row : row + 256]))
+    return digest.hexdigest()
+
+
+def build(
+    raster: np.ndarray,
+    step_x: float,
+    step_y: float,
+    *,
+    missing: int,
+    allocate: Allocate = _in_memory,
+    threads: int | None = None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> HeightField:
+    """Everything that is done to a raster once: fill, bring onto a lattice, error hierarchy, ranges.
+
+    raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
+    filled in place. step_x, step_y: metres between samples. allocate(name, shape, dtype) provides the arrays that stay;
+    where the raster fits its lattice, `raster` itself stays.
+    """
+    threads = threads or launch.default_threads()
+    height, width = raster.shape
+    lattice = resample.lattice_for(width, height, step_x, step_y)
+    if missing == raster.size:
+        raise TerrainError(
+            "All samples of the raster are missing (no-data or not a number): there is no terrain in it."
+        )
+    if missing:
+        resample.fill_missing(raster, threads)
+    on_progress(0.1)
+    samples, moved_max, moved_rms = raster, 0.0, 0.0
+    if (lattice.height, lattice.width) != raster.shape:
+        samples = allocate("samples", (lattice.height, lattice.width), np.dtype(np.float32))
+        moved_max, moved_rms = resample.onto_lattice(raster, samples, threads)
+    on_progress(0.2)
+    low, high = float(samples.min()), float(samples.max())
+    base, step = hierarchy.range_scale(low, high)
+    ranges = allocate("ranges", (lattice.node_offset(lattice.cell_depth), 2), np.dtype(np.uint16))
+    hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
+    on_progress(0.4)
+    error = allocate("error", (lattice.node_count,), np.dtype(np.float32))
+    hierarchy.build_errors(samples, lattice, error, threads, lambda done: on_progress(0.4 + 0.6 * done))
+    return HeightField(
+        samples=samples,
+        lattice=lattice,
+        error=error,
+        ranges=ranges,
+        range_base=base,
+        range_step=step,
+        min_height=low,
+        max_height=high,
+        key=content_key(samples, lattice, moved_max),
+        resample_max=moved_max,
+        resample_rms=moved_rms,
+        filled=missing,
+    )
+
+
+def from_array(samples: np.ndarray, step_x: float = 1.0, step_y: float | None = None, **details) -> HeightField:
+    """A height field in memory from a 2-D array of heights in metres, row 0 south.
+
+    Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled.
+    `details` are further fields of HeightField: origin, crs, provenance; `threads` limits the threads used.
+    """
+    step_y = step_x if step_y is None else step_y
+    samples = np.asarray(samples)
+    if samples.ndim != 2 or samples.dtype.kind not in "fiub":
+        raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}: expected a 2-D array of real numbers.")
+    if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
+        raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
+    raster, missing = resample.clean_rows(resample.widen(samples))
+    built = build(np.ascontiguousarray(raster), step_x, step_y, missing=missing, threads=details.pop("threads", None))
+    for name, value in details.items():
+        setattr(built, name, value)
+    return built

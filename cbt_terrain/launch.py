@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that launches Warp kernels: it slices work over threads and times every step.
+
+On the CPU a Warp launch is one serial loop on the calling thread, and ctypes releases the GIL, so two Python threads
+over two slices of one job run side by side. Results do not depend on the number of slices: every kernel writes only
+what belongs to its slice.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import warp as wp
+
+DEVICE = "cpu"
+# Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work (shared/facts.md).
+SLICE_ITEMS = 20_000
+
+_pool: ThreadPoolExecutor | None = None
+_times = threading.local()
+
+
+def default_threads() -> int:
+    """Threads that a job may use: the cores this process may run on, at most eight."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, 8)
+
+
+@contextmanager
+def stopwatch():
+    """Collect the time of every step launched on this thread inside the block: yields a dict of step to
+    milliseconds."""
+    outer = getattr(_times, "steps", None)
+    _times.steps = steps = {}
+    try:
+        yield steps
+    finally:
+        _times.steps = outer
+
+
+@contextmanager
+def timed(step: str):
+    """Add the elapsed time of the block to `step` of the running stopwatch, if there is one."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        steps = getattr(_times, "steps", None)
+        if steps is not None:
+            steps[step] = steps.get(step, 0.0) + (time.perf_counter() - start) * 1e3
+
+
+def together(jobs: Sequence[Callable[[], None]]) -> None:
+    """Run the jobs side by side, the first on the calling thread; the first exception is raised after all have
+    ended."""
+    global _pool
+    if len(jobs) > 1 and _pool is None:
+        _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="adaptive_terrain")
+    futures = [_pool.submit(job) for job in jobs[1:]]
+    try:
+        if jobs:
+            jobs[0]()
+    finally:
+        for future in futures:
+            future.exception()
+    for future in futures:
+        future.result()
+
+
+def once(kernel, inputs: list, *, step: str) -> None:
+    """One launch of one thread: a serial kernel."""
+    slices(kernel, [inputs], step=step)
+
+
+def slices(kernel, inputs: Sequence[list], *, step: str) -> None:
+    """One launch of one thread for each list of inputs, all side by side."""
+    with timed(step):
+        _load(kernel)
+        together([lambda i=i: wp.launch(kernel, 1, inputs=i, device=DEVICE) for i in inputs])
+
+
+def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cost: float = 1.0) -> None:
+    """Launch `kernel` over `count` items, cut into even ranges for `threads`.
+
+    The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is how many times dearer an item
+    is than a lookup and a few operations (about 15 ns); small jobs stay on one thread.
+    """
+    if count <= 0:
+        return
+    with timed(step):
+        _load(kernel)
+        pieces = max(1, min(threads, int(count * cost / SLICE_ITEMS)))
+        cuts = [count * i // pieces for i in range(pieces + 1)]
+
+        def job(lo: int, hi: int) -> Callable[[], None]:
+            return lambda: wp.launch(kernel, hi - lo, inputs=[lo, *inputs], device=DEVICE)
+
+        together([job(lo, hi) for lo, hi in zip(cuts, cuts[1:], strict=False)])
+
+
+_loaded: set = set()
+_loading = threading.Lock()
+
+
+def _load(kernel) -> None:
+    """Compile or load the kernel's module on one thread: Warp's loader is not safe to enter twice."""
+    if kernel not in _loaded:
+        with _loading:
+            wp.load_module(kernel.module.name, device=DEVICE)
+            _loaded.add(kernel)

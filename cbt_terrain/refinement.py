@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The refinement of a terrain for a set of views: drives the walk, keeps to a budget, marks the tree."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..kernels import refine as kernels
+from ..kernels.criterion import Asked, Domain
+from . import launch
+from .buffers import Buffers, shared
+from .heightfield import HeightField
+from .tree import ConcurrentBinaryTree
+
+# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
+PLANE_BITS = 23
+# Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
+MAX_TREE_DEPTH = 34
+# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
+DEPTH_BELOW_CELLS = 8
+MAX_MESHLET = 4
+# Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
+MAX_TRIANGLES = 1 << 26
+# A budget relaxes what was asked in steps of 2^(1/32): finer ones would only cost more counting walks.
+STEPS_PER_OCTAVE = 32
+MAX_STEP = 96 * STEPS_PER_OCTAVE
+
+
+@dataclass
+class Leaves:
+    """The leaves of one refinement, in curve order, slice by slice.
+
+    `counts` int64 [slices, 4]: leaves, vertices, edges, words. `squares` int32 [slices]: where each begins;
+    `starts` bool [slices]: whether with that square's first leaf.
+    `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
+    4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
+    `bounds` float64 [5]: largest squared pixels of error, the same with resampling, squared pixels of an edge, square
+    pixels of a triangle, metres.
+    """
+
+    counts: np.ndarray
+    squares: np.ndarray
+    starts: np.ndarray
+    before: np.ndarray
+    sides: np.ndarray
+    base: np.ndarray
+    bounds: np.ndarray
+    changed_words: int = 0
+
+    @property
+    def total(self) -> int:
+        return int(self.counts[:, 0].sum())
+
+
+def depth_limit(field: HeightField) -> int:
+    """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
+    lattice = field.lattice
+    side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
+    return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
+
+
+def make_domain(field: HeightField, meshlet: int, height_scale: float, height_offset: float) -> Domain:
+    """The height field as the kernels read it; memory is shared, nothing is read."""
+    lattice = field.lattice
+    domain = Domain()
+    domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
+    domain.unit_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
+    domain.width, domain.height = lattice.width, lattice.height
+    unit = 2.0 ** (lattice.levels - domain.unit_bits)
+    domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
+    domain.west = -0.5 * (lattice.width - 1) * lattice.step_x
+    domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
+    domain.height_scale, domain.height_offset = height_scale, height_offset
+    domain.range_base, domain.range_step = field.range_base, field.range_step
+    domain.extra_error = field.resample_max
+    domain.offsets = shared(lattice.offsets(), wp.int64)
+    domain.error = shared(field.error_for(meshlet), wp.float32)
+    domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
+    domain.samples = shared(field.samples.reshape(-1), wp.float32)
+    return domain
+
+
+class Refinement:
+    """Persistent state of the refinement of one height field: the tree and the walk's buffers."""
+
+    def __init__(self, field: HeightField, buffers: Buffers, threads: int):
+        self.lattice = field.lattice
+        self.buffers = buffers
+        self.threads = threads
+        self.tree: ConcurrentBinaryTree | None = None
+        self._cell_bits = 0
+        self._capacity = 4096
+        self._words = np.zeros(0, np.int64)
+        self._step = 0
+
+    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
+        """Refine from the roots to at most `max_leaves` and mark the tree.
+
+        Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
+        functions of the arguments alone. Fewer leaves than two a root square cannot be had.
+        """
+        cell_bits = max(max_depth, 6)  # a square fills whole words of the tree
+        if self.tree is None or cell_bits != self._cell_bits:
+            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
+            self._cell_bits = cell_bits
+            self._words = np.zeros(0, np.int64)
+        with launch.timed("refine"):
+            asked.limit, walks = 1.0, None
+            if self._step == 0:
+                walks, counts = self._walk(domain, asked, max_depth, max_leaves)
+            if walks is None:
+                self._relax(domain, asked, max_depth, max_leaves)
+                walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
+            leaves = self._leaves(walks, counts)
+        with launch.timed("mark"):
+            leaves.changed_words = self._mark(walks, counts)
+        return leaves, math.sqrt(asked.limit)
+
+    def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int):
+        """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
+        cuts = self._cuts()
+        while True:
+            walks = self._walks(cuts, max_depth, max_leaves)
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="walk")
+            counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
+            if counts[:, 0].sum() > max_leaves:
+                return None, None
+            if counts[:, 0].max() <= self._capacity:
+                return walks, counts
+            self._capacity = int(1.25 * counts[:, 0].max()) + 1024
+
+    def _relax(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> None:
+        """Set `asked.limit` to the finest step that gives at most `max_leaves`.
+
+        The leaf count falls as the limit rises, so the answer, the lowest fitting step, does not depend on where the
+        search starts; it starts at the last answer because cameras move little.
+        """
+        walk = self._walks([0, 0], max_depth, max_leaves)[0]
+
+        def fits(step: int) -> bool:
+            asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
+            launch.once(kernels.count, [domain, asked, walk], step="budget")
+            return int(self.buffers.numpy("counts")[0]) <= max_leaves
+
+        self._step = _lowest(fits, self._step)
+        asked.limit = 2.0 ** (2 * self._step / STEPS_PER_OCTAVE) if self._step <= MAX_STEP else np.inf
+
+    def _cuts(self) -> list[int]:
+        """Where the curve is cut for the threads: evenly by the words of the last refinement; any cut gives the
+        same."""
+        end = self.lattice.squares << self._cell_bits
+        words = self._words
+        if self.threads < 2 or len(words) * 2 < launch.SLICE_ITEMS:
+            return [0, end]
+        inner = [int(words[len(words) * i // self.threads]) << 6 for i in range(1, self.threads)]
+        return [0, *sorted(set(inner) - {0}), end]
+
+    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int) -> list[kernels.Walk]:
+        slices, squares = len(cuts) - 1, self.lattice.squares
+        stride = self._capacity + 2 * squares + 8
+        get = self.buffers.get
+        sides = get("sides", slices * 4 * squares, wp.int32)
+        self.buffers.numpy("sides")[: slices * 4 * squares] = 0
+        walks = []
+        for k in range(slices):
+            w = kernels.Walk()
+            w.first_cell, w.end_cell = cuts[k], cuts[k + 1]
+            w.cell_bits, w.max_depth = self._cell_bits, max_depth
+            w.leaf_capacity, w.leaf_limit, w.leaf_base = self._capacity, max_leaves, k * stride
+            w.slot, w.grid = k, int(squares > 1)
+            w.code, w.point = get("code", slices * stride, wp.uint16), get("point", slices * stride, wp.vec2i)
+            w.word_index = get("word_index", slices * stride, wp.int64)
+            w.word_bits = get("word_bits", slices * stride, wp.uint64)
+            w.stack, w.states = get("walk_stack", slices * 64, wp.vec4i), get("walk_states", slices * 64, wp.int32)
+            w.sides = sides[k * 4 * squares : (k + 1) * 4 * squares]
+            w.counts, w.bounds = get("counts", slices * 4, wp.int64), get("bounds", slices * 5, wp.float64)
+            walks.append(w)
+        return walks
+
+    def _leaves(self, walks: list[kernels.Walk], counts: np.ndarray) -> Leaves:
+        """Describe the slices that hold any leaves."""
+        slices, squares = len(walks), self.lattice.squares
+        used = np.flatnonzero(counts[:, 0])
+        sides = self.buffers.numpy("sides")[: slices * 4 * squares].reshape(slices, squares, 4)
+        code = self.buffers.numpy("code")
+        base = np.array([w.leaf_base for w in walks], np.int64)[used]
+        starts = (code[base] >> kernels.FIRST & 1).astype(bool)
+        cells = np.array([w.first_cell for w in walks], np.int64)[used]
+        # A slice whose first cells belong to the last leaf of a square begins with the next square.
+        squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
+        before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
+        bounds = self.buffers.numpy("bounds")[: slices * 5].reshape(slices, 5)[used].max(axis=0)
+        return Leaves(counts[used], squares_of.astype(np.int32), starts, before, sides.sum(axis=0), base, bounds)
+
+    def _mark(self, walks: list[kernels.Walk], counts: np.ndarray) -> int:
+        """Write the leaves into the tree; returns how many of its words changed."""
+        index, bits = self.buffers.numpy("word_index"), self.buffers.numpy("word_bits")
+        parts = [slice(w.leaf_base, w.leaf_base + n) for w, n in zip(walks, counts[:, 3], strict=True)]
+        self._words = np.concatenate([index[p] for p in parts])
+        # Squares that only fill the tree up to a power of two are a leaf each, after all others.
+        spare = np.arange(self.lattice.squares, 1 << self.lattice.square_bits, dtype=np.int64) << (self._cell_bits - 6)
+        words = np.concatenate([*(bits[p] for p in parts), np.ones(len(spare), np.uint64)])
+        return self.tree.mark(np.concatenate([self._words, spare]), words)
+
+
+def _lowest(fits, start: int) -> int:
+    """Smallest step from 0 to MAX_STEP that fits, MAX_STEP + 1 if none does; `fits` is monotone."""
+    low, high = -1, MAX_STEP + 1  # low does not fit, high does
+    step, stride = min(start, MAX_STEP), 1
+    while high - low > 1:
+        if fits(step):
+            high = step
+            step = max(low + 1, min(high - stride, high - 1))
+        else:
+            low = step
+            step = min(high - 1, max(low + stride, low + 1))
+        stride *= 2
+        if low >= 0 and high <= MAX_STEP:
+            step = (low + high) // 2
+    return high

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a raster goes through once, before its hierarchy: missing samples are filled, and it is put onto a lattice."""
+
+import numpy as np
+import warp as wp
+
+from ..kernels import fill as fill_kernels
+from ..kernels import resample as resample_kernels
+from . import launch
+from .errors import TerrainError
+from .lattice import Lattice, fit
+
+COLUMN_BLOCK = 64
+# Distances between heights beyond this leave float32; an undeclared no-data value is the usual cause.
+LARGEST_HEIGHT = 1e30
+
+
+def _flat(array: np.ndarray, dtype) -> wp.array:
+    return wp.array(array.reshape(-1), dtype=dtype, device=launch.DEVICE, copy=False)
+
+
+def clean_rows(rows: np.ndarray) -> tuple[np.ndarray, int]:
+    """Rows as float32 with every missing sample NaN and zeros positive, and the count of missing samples."""
+    with np.errstate(over="ignore"):
+        rows = rows.astype(np.float32) + np.float32(0.0)
+    missing = ~np.isfinite(rows)
+    count = int(np.count_nonzero(missing))
+    if count:
+        rows[missing] = np.nan
+    if count < rows.size and np.nanmax(np.abs(rows)) > LARGEST_HEIGHT:
+        height = float(rows.flat[np.nanargmax(np.abs(rows))])
+        raise TerrainError(
+            f"The raster holds a height of {height:.8g} m, beyond +-1e30 m: if that stands for missing data, give it "
+            "as the no-data value."
+        )
+    return rows, count
+
+
+def fill_missing(samples: np.ndarray, threads: int) -> None:
+    """Give every NaN in `samples` (float32, in place) the height of the nearest valid sample, counted in samples."""
+    height, width = samples.shape
+    nearest = wp.empty(height * width, dtype=wp.int32, device=launch.DEVICE)
+    h = _flat(samples, wp.float32)
+    inputs = [h, width, height, COLUMN_BLOCK, nearest]
+    cost = 0.5 * COLUMN_BLOCK * height
+    blocks = -(-width // COLUMN_BLOCK)
+    launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
+    filled = np.empty_like(samples, shape=samples.shape)
+    out = _flat(filled, wp.float32)
+    cuts = [height * i // threads for i in range(threads + 1)]
+    jobs = [
+        [h, width, lo, hi, nearest, wp.empty(width, dtype=wp.int32, device=launch.DEVICE),
+         wp.empty(width, dtype=wp.float64, device=launch.DEVICE), out]
+        for lo, hi in zip(cuts, cuts[1:], strict=False)
+    ]  # fmt: skip
+    launch.slices(fill_kernels.fill_rows, jobs, step="fill no-data")
+    samples[:] = filled
+
+
+def widen(samples: np.ndarray) -> np.ndarray:
+    """A raster one sample wide or high becomes two wide or high, constant across: one row is a legitimate profile."""
+    height, width = samples.shape
+    if height == 0 or width == 0:
+        raise TerrainError(f"The raster has {width} x {height} samples: a terrain needs at least one.")
+    return np.repeat(np.repeat(samples, 2 if height == 1 else 1, axis=0), 2 if width == 1 else 1, axis=1)
+
+
+def lattice_for(width: int, height: int, step_x: float, step_y: float) -> Lattice:
+    """The lattice over a raster of `width` x `height` samples that are `step_x`, `step_y` metres apart."""
+    columns, rows, levels = fit(width, height)
+    cells_x, cells_y = columns << levels, rows << levels
+    lattice = Lattice(columns, rows, levels, step_x * (width - 1) / cells_x, step_y * (height - 1) / cells_y)
+    if lattice.node_count >= 2**31:
+        raise TerrainError(
+            f"The raster has {width} x {height} samples, more than an index of 31 bits can number (about 27,000 x "
+            "27,000): cut it into tiles or reduce it first."
+        )
+    return lattice
+
+
+def onto_lattice(raster: np.ndarray, samples: np.ndarray, threads: int) -> tuple[float, float]:
+    """Sample `raster` bilinearly into `samples` (both float32, over the same rectangle).
+
+    Returns the largest and the root mean square change in metres at the raster's own samples.
+    """
+    height, width = raster.shape
+    new_height, new_width = samples.shape
+    old, new = _flat(raster, wp.float32), _flat(samples, wp.float32)
+    inputs = [old, width, height, new_width, new_height, new]
+    launch.spread(resample_kernels.resample, new_height, inputs, step="resample", threads=threads, cost=2.0 * new_width)
+    largest, squares = np.empty(height), np.empty(height)
+    inputs = [old, width, height, new, new_width, new_height, _flat(largest, wp.float64), _flat(squares, wp.float64)]
+    launch.spread(resample_kernels.measure_change, height, inputs, step="resample", threads=threads, cost=2.0 * width)
+    return float(largest.max()), float(np.sqrt(squares.sum() / raster.size))

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The store: a folder with one JSON file and, in a folder beside it, the memory-mapped arrays of a height field.
+
+    STORE/store.json            what it holds, and the name of the folder of arrays
+    STORE/data-*/samples.npy    float32 [height, width]
+    STORE/data-*/error.npy      float32 [nodes]
+    STORE/data-*/ranges.npy     uint16 [nodes above the raster's cells, 2]
+    STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
+
+A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
+while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
+"""
+
+import json
+import os
+import shutil
+import time
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from .errors import TerrainError
+from .heightfield import HeightField
+from .lattice import Lattice
+
+VERSION = 1
+JSON_NAME = "store.json"
+# A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
+STALE_SECONDS = 86_400.0
+
+_NUMBERS = ("range_base", "range_step", "min_height", "max_height", "resample_max", "resample_rms", "filled")
+
+
+def read_json(path: Path) -> dict:
+    """The content of a store's JSON file."""
+    try:
+        content = json.loads((path / JSON_NAME).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise TerrainError(f"There is no terrain store at {path}: import a height map into it first.") from None
+    except (OSError, ValueError) as reason:
+        raise TerrainError(f"The store {path / JSON_NAME} cannot be read ({reason}): import it again.") from reason
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        found = content.get("version") if isinstance(content, dict) else None
+        raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
+    return content
+
+
+def open_store(path: str | os.PathLike) -> HeightField:
+    """Open a store: a HeightField over memory-mapped arrays. Raises TerrainError if it is missing or damaged."""
+    path = Path(path)
+    try:
+        return _open(path)
+    except FileNotFoundError:
+        pass  # another process has just replaced the store between its JSON and its arrays
+    try:
+        return _open(path)
+    except FileNotFoundError as reason:
+        raise TerrainError(f"The store {path} lacks {Path(reason.filename).name}: import it again.") from None
+
+
+def _open(path: Path) -> HeightField:
+    content = read_json(path)
+    try:
+        lattice = Lattice(**content["lattice"])
+        folder = path / content["data"]
+        return HeightField(
+            samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
+            lattice=lattice,
+            error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
+            ranges=_map(folder / "ranges.npy", (lattice.node_offset(lattice.cell_depth), 2), np.uint16),
+            **{name: content[name] for name in _NUMBERS},
+            key=content["key"],
+            origin=np.array(content["origin"], np.float64),
+            crs=content["crs"],
+            provenance=content["provenance"],
+            path=path,
+        )
+    except (KeyError, TypeError) as reason:
+        raise TerrainError(f"The store {path / JSON_NAME} is damaged ({reason!r}): import it again.") from reason
+
+
+def _map(file: Path, shape: tuple, dtype) -> np.ndarray:
+    """Map a .npy file copy-on-write: kernels take it as an ordinary array, and nothing can change the file."""
+    try:
+        array = np.load(file, mmap_mode="c", allow_pickle=False) if np.prod(shape) else np.load(file)
+    except (ValueError, EOFError) as reason:
+        raise TerrainError(f"{file} is damaged ({reason}): import the terrain again.") from reason
+    if array.shape != shape or array.dtype != dtype:
+        raise TerrainError(
+            f"{file} holds {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}: import the terrain again."
+        )
+    return array.view(np.ndarray)
+
+
+def data_folder(field: HeightField) -> Path | None:
+    """Where a field's arrays lie now, or None for a field in memory or whose store has been replaced."""
+    if field.path is None:
+        return None
+    try:
+        content = read_json(field.path)
+    except TerrainError:
+        return None
+    return field.path / content["data"] if content["key"] == field.key else None
+
+
+def load_expanded(field: HeightField, meshlet: int) -> np.ndarray | None:
+    """The kept error hierarchy for a meshlet size, if there is one."""
+    folder = data_folder(field)
+    if folder is None:
+        return None
+    try:
+        return _map(folder / f"error_m{meshlet}.npy", (field.lattice.node_count,), np.float32)
+    except (OSError, TerrainError):
+        return None
+
+
+def keep_expanded(field: HeightField, meshlet: int, errors: np.ndarray) -> None:
+    """Keep the error hierarchy for a meshlet size; a store that cannot be written is left as it is."""
+    folder = data_folder(field)
+    if folder is None:
+        return
+    part = folder / f"error_m{meshlet}.{uuid.uuid4().hex}.part"
+    try:
+        with part.open("wb") as file:
+            np.save(file, errors)
+        os.replace(part, folder / f"error_m{meshlet}.npy")
+    except OSError:
+        part.unlink(missing_ok=True)
+
+
+class Draft:
+    """A version of a store while it is written; nothing of it is visible until `publish`."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.made_parent = not path.exists()
+        self.folder = path / f"data-{uuid.uuid4().hex}"
+        self.folder.mkdir(parents=True)
+
+    def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
+        """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
+
+        Raises OSError (ENOSPC) now if the disk is full: a mapped page that finds no room later would kill the process.
+        """
+        file = self.folder / f"{name}.npy"
+        if not np.prod(shape):
+            np.save(file, np.empty(shape, dtype))
+            return np.empty(shape, dtype)
+        array = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
+        if hasattr(os, "posix_fallocate"):
+            with file.open("r+b") as handle:
+                os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
+        return array.view(np.ndarray)
+
+    def remove(self, name: str) -> None:
+        (self.folder / f"{name}.npy").unlink()
+
+    def publish(self, field: HeightField, digest: str, report: dict) -> None:
+        """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
+        lattice = {k: getattr(field.lattice, k) for k in ("columns", "rows", "levels", "step_x", "step_y")}
+        content = {
+            "version": VERSION,
+            "data": self.folder.name,
+            "digest": digest,
+            "key": field.key,
+            "lattice": lattice,
+            **{name: getattr(field, name) for name in _NUMBERS},
+            "origin": [float(c) for c in field.origin],
+            "crs": field.crs,
+            "provenance": field.provenance,
+            "report": report,
+        }
+        part = self.folder / JSON_NAME
+        part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+        previous = _named_folder(self.path)
+        os.replace(part, self.path / JSON_NAME)
+        _discard_old(self.path, previous, self.folder)
+
+    def discard(self) -> None:
+        """Take away what was written; a store that stood there before is untouched."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        if self.made_parent:
+            try:
+                self.path.rmdir()
+            except OSError:
+                pass
+
+
+def _named_folder(path: Path) -> Path | None:
+    try:
+        return path / json.loads((path / JSON_NAME).read_text(encoding="utf-8"))["data"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _discard_old(path: Path, previous: Path | None, current: Path) -> None:
+    for folder in path.glob("data-*"):
+        try:
+            stale = time.time() - folder.stat().st_mtime > STALE_SECONDS
+        except OSError:
+            continue
+        if folder != current and (folder == previous or stale):
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain: one height field and what keeps its mesh up to date with the views."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from ..kernels.criterion import Asked
+from . import launch
+from .buffers import Buffers, shared
+from .criterion import Criterion, pack_view
+from .errors import TerrainError
+from .heightfield import HeightField
+from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from .surface import Surface, build_surface
+from .view import View
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one update did. Bounds are None where nothing was asked of them.
+
+    `bound_px`: no visible point of the reference surface is further than this from its place, in pixels; what
+    resampling at import has moved is included. `bound_m`: the same in metres of height, everywhere. `bound_edge_px`,
+    `bound_area_px`: longest edge, largest triangle. `relaxed`: the factor by which a triangle limit coarsened what was
+    asked. `limited`: "", "max_triangles" or "max_depth": what kept the mesh coarser than asked. `changed`: False if
+    the mesh is the one of the last update.
+    """
+
+    surface: Surface
+    leaves: int
+    changed: bool
+    bound_px: float | None
+    bound_m: float
+    bound_edge_px: float | None
+    bound_area_px: float | None
+    relaxed: float
+    limited: str
+    ms: dict[str, float] = field(compare=False)
+
+    @property
+    def triangles(self) -> int:
+        return len(self.surface.level)
+
+
+class Terrain:
+    """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes."""
+
+    def __init__(self, field: HeightField, threads: int | None = None):
+        self.field = field
+        self.threads = launch.default_threads() if threads is None else max(1, threads)
+        self._buffers = Buffers()
+        self._refinement = Refinement(field, self._buffers, self.threads)
+        self._asked_key = None
+        self._shape_key = None
+        self._last: Update | None = None
+
+    @property
+    def tree(self):
+        """The concurrent binary tree of the last update."""
+        return self._refinement.tree
+
+    def update(
+        self,
+        criterion: Criterion,
+        views: Sequence[View] = (),
+        placement: np.ndarray | None = None,
+        vertical_scale: float = 1.0,
+        vertical_offset: float = 0.0,
+    ) -> Update:
+        """Refine, weld and displace for the views (their union), the terrain standing at `placement` (4 x 4, to world).
+
+        Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError and leaves the last mesh
+        as it is if a number cannot be used.
+        """
+        placement = np.eye(4) if placement is None else np.array(placement, np.float64)
+        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), vertical_scale, vertical_offset)
+        if key == self._asked_key:
+            return Update(**{**self._last.__dict__, "changed": False, "ms": {}})
+        with launch.stopwatch() as ms, launch.timed("total"):
+            update = self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
+        self._asked_key, self._last = key, update
+        return update
+
+    def _update(self, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
+        box = self._box(vertical_scale, vertical_offset)
+        if placement.shape != (4, 4) or not np.isfinite(placement).all():
+            raise TerrainError(
+                "The terrain's matrix has a value that is not finite; check its location and its parents."
+            )
+        if not abs(np.linalg.det(placement[:3, :3])) > 0:
+            raise TerrainError("The terrain is scaled to nothing in some direction; give it a scale other than 0.")
+        if criterion.needs_view and not views:
+            raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
+        domain = make_domain(self.field, criterion.meshlet, vertical_scale, vertical_offset)
+        steps = (domain.unit_x, domain.unit_y)
+        views = views if criterion.needs_view else ()
+        rows = np.stack([pack_view(v, placement, steps, box, criterion) for v in views]) if views else np.zeros((1, 1))
+        asked = _pack(criterion, rows, len(views))
+        depth = self._max_depth(criterion)
+        leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
+        # The same leaves displaced the same way are the same mesh.
+        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset)
+        changed = bool(leaves.changed_words) or shape != self._shape_key
+        surface = self._last.surface if self._last else None
+        if changed:
+            self._shape_key = None
+            surface = build_surface(leaves, domain, criterion.meshlet, self._buffers, self.threads)
+            self._shape_key = shape
+        error_px2, total_px2, edge_px2, area_px2, metres = (float(b) for b in leaves.bounds)
+        excess = max(
+            error_px2 * asked.error, edge_px2 * asked.edge, area_px2 * asked.area, metres * metres * asked.vertical
+        )
+        limited = ""
+        if relaxed > 1:
+            limited = "max_triangles"
+        elif excess > 1:
+            limited = "max_depth"
+        return Update(
+            surface,
+            leaves.total,
+            changed,
+            math.sqrt(total_px2) if views else None,
+            metres + self.field.resample_max * abs(vertical_scale),
+            math.sqrt(edge_px2) if criterion.edge_px or criterion.area_px else None,
+            area_px2 if criterion.edge_px or criterion.area_px else None,
+            relaxed,
+            limited,
+            ms,
+        )
+
+    def _box(self, vertical_scale: float, vertical_offset: float) -> np.ndarray:
+        """float64 [2, 3]: everything that the terrain occupies in its own space, metres."""
+        lattice = self.field.lattice
+        x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+        z = sorted(h * vertical_scale + vertical_offset for h in (self.field.min_height, self.field.max_height))
+        box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
+        if not np.abs(box).max() < np.finfo(np.float32).max:
+            raise TerrainError(
+                f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights beyond what a mesh can "
+                "hold (3e38 metres); make them smaller."
+            )
+        return box
+
+    def _max_depth(self, criterion: Criterion) -> int:
+        """Deepest bisection of a leaf, its meshlet's own bisections taken off."""
+        limit = depth_limit(self.field)
+        depth = min(limit, self.field.lattice.cell_depth + DEPTH_BELOW_CELLS)
+        if criterion.max_depth is not None:
+            depth = min(limit, criterion.max_depth)
+        return max(1, depth - 2 * criterion.meshlet)
+
+
+def _max_leaves(criterion: Criterion) -> int:
+    triangles = MAX_TRIANGLES if criterion.max_triangles is None else min(MAX_TRIANGLES, criterion.max_triangles)
+    return triangles >> (2 * criterion.meshlet)
+
+
+def _pack(criterion: Criterion, rows: np.ndarray, count: int) -> Asked:
+    asked = Asked()
+
+    def inverse(value: float) -> float:
+        return 1.0 / value if value > 0 else 0.0
+
+    asked.view_count = count
+    asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
+    asked.error, asked.edge = inverse(criterion.error_px**2), inverse(criterion.edge_px**2)
+    asked.area, asked.vertical = inverse(criterion.area_px), inverse(criterion.error_m**2)
+    asked.limit = 1.0
+    asked.views = shared(np.ascontiguousarray(rows.reshape(-1)), wp.float64)
+    return asked

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels that give each missing (NaN) sample the height of the nearest valid one: exact Euclidean distance in samples.
+
+Two passes after Felzenszwalb and Huttenlocher (2012), "Distance transforms of sampled functions": the nearest valid row
+in each column, then in each row the lower envelope of the parabolas that those distances stand for.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def nearest_in_columns(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    block: int,
+    nearest: wp.array(dtype=wp.int32),
+):
+    """Block `offset + tid` of columns: the row of the nearest valid sample in each sample's column, -1 for none."""
+    x0 = (offset + wp.tid()) * block
+    x1 = wp.min(x0 + block, width)
+    for y in range(height):
+        for x in range(x0, x1):
+            at = y * width + x
+            row = wp.int32(-1)
+            if not wp.isnan(h[at]):
+                row = y
+            elif y > 0:
+                row = nearest[at - width]
+            nearest[at] = row
+    for i in range(height - 1):
+        y = height - 2 - i
+        for x in range(x0, x1):
+            at = y * width + x
+            above = nearest[at + width]
+            row = nearest[at]
+            if row != y and above > y and (row < 0 or above - y < y - row):
+                nearest[at] = above
+
+
+@wp.kernel
+def fill_rows(
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    first_row: int,
+    end_row: int,
+    nearest: wp.array(dtype=wp.int32),
+    apex: wp.array(dtype=wp.int32),
+    start: wp.array(dtype=wp.float64),
+    filled: wp.array(dtype=wp.float32),
+):
+    """Write rows first_row .. end_row of `filled`; `apex` [width] and `start` [width] are this thread's scratch."""
+    for y in range(first_row, end_row):
+        count = wp.int32(0)
+        for x in range(width):
+            row = nearest[y * width + x]
+            if row >= 0:
+                reach = wp.float64(row - y)
+                level = reach * reach + wp.float64(x) * wp.float64(x)
+                from_x = wp.float64(-1.0e300)
+                searching = wp.int32(1)
+                while searching == 1:
+                    searching = wp.int32(0)
+                    if count > 0:
+                        px = apex[count - 1]
+                        pr = wp.float64(nearest[y * width + px] - y)
+                        other = pr * pr + wp.float64(px) * wp.float64(px)
+                        from_x = (level - other) / (wp.float64(2.0) * wp.float64(x - px))
+                        if from_x <= start[count - 1]:
+                            count = count - 1
+                            searching = wp.int32(1)
+                            from_x = wp.float64(-1.0e300)
+                apex[count] = x
+                start[count] = from_x
+                count = count + 1
+        k = wp.int32(0)
+        for x in range(width):
+            at = y * width + x
+            z = h[at]
+            if wp.isnan(z):
+                while k + 1 < count and start[k + 1] < wp.float64(x):
+                    k = k + 1
+                source = apex[k]
+                z = h[nearest[y * width + source] * width + source]
+            filled[at] = z

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels of the ranges of heights: for every diamond above the raster's cells, two uint16 that enclose its surface.
+
+A height is `base + q * step`; the lower number is rounded down and the upper one up, so the range encloses. `ranges`
+are flat: lower and upper of one diamond lie side by side. Diamonds are indexed as in `cbt_terrain/lattice.py`.
+"""
+
+import warp as wp
+
+from .hierarchy import side_point
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
+    """Largest q in 0 .. 65535 with base + q * step <= z; z is not below base."""
+    q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
+    while q > 0 and base + wp.float64(q) * step > z:
+        q = q - 1
+    return wp.uint16(q)
+
+
+@wp.func
+def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
+    """A small q in 0 .. 65535 with base + q * step >= z; z is not above base + 65535 * step."""
+    q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
+    while q < 65535 and base + wp.float64(q) * step < z:
+        q = q + 1
+    return wp.uint16(q)
+
+
+@wp.func
+def column_range(h: wp.array(dtype=wp.float32), x: int, width: int, y: int, height: int):
+    """Lowest and highest sample of column x in the rows within two of y."""
+    z = h[y * width + x]
+    low = z
+    high = z
+    for k in range(1, 3):
+        south = h[wp.max(y - k, 0) * width + x]
+        north = h[wp.min(y + k, height - 1) * width + x]
+        low = wp.min(low, wp.min(south, north))
+        high = wp.max(high, wp.max(south, north))
+    return wp.vec2(low, high)
+
+
+@wp.kernel
+def finest_ranges(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    base: wp.float64,
+    step: wp.float64,
+    ranges: wp.array(dtype=wp.uint16),
+):
+    """Row `offset + tid` of samples: diamonds about those with x + y odd, from all samples within two of them.
+
+    That is one cell more than the cells that meet there, so that it also encloses the diamonds below the raster, which
+    reach over into the next cell.
+    """
+    y = offset + wp.tid()
+    per_step = wp.float64(1.0) / step
+    first = y * ((width - 1) / 2 + 1)
+    # A window of five columns moves along the row; beyond an end the last column counts again.
+    a = column_range(h, 0, width, y, height)
+    b = a
+    c = a
+    d = a
+    e = column_range(h, 1, width, y, height)
+    for x in range(width):
+        a = b
+        b = c
+        c = d
+        d = e
+        if x + 2 < width:
+            e = column_range(h, x + 2, width, y, height)
+        if ((x + y) & 1) == 1:
+            low = wp.min(wp.min(wp.min(a[0], b[0]), wp.min(c[0], d[0])), e[0])
+            high = wp.max(wp.max(wp.max(a[1], b[1]), wp.max(c[1], d[1])), e[1])
+            at = 2 * (first + x / 2)
+            ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
+            ranges[at + 1] = quantise_up(wp.float64(high), base, step, per_step)
+
+
+@wp.kernel
+def centre_ranges(offset: int, columns: int, finer: wp.array(dtype=wp.uint16), ranges: wp.array(dtype=wp.uint16)):
+    """Cell centres: the union of their four children, the middles of the cell's sides."""
+    t = offset + wp.tid()
+    cy = t / columns
+    cx = t - cy * columns
+    south = 2 * (2 * cy * (columns + 1) + cx)
+    west = south + 2 * (columns + 1)
+    north = south + 4 * (columns + 1)
+    low = wp.min(wp.min(finer[south], finer[north]), wp.min(finer[west], finer[west + 2]))
+    high = wp.max(wp.max(finer[south + 1], finer[north + 1]), wp.max(finer[west + 1], finer[west + 3]))
+    ranges[2 * t] = low
+    ranges[2 * t + 1] = high
+
+
+@wp.kernel
+def side_ranges(
+    offset: int, columns: int, rows: int, finer: wp.array(dtype=wp.uint16), ranges: wp.array(dtype=wp.uint16)
+):
+    """Side middles: the union of their up to four children, the centres of the `columns` x `rows` cells around them."""
+    t = offset + wp.tid()
+    p = side_point(t, columns / 2 + 1)
+    if p[0] > columns:
+        return
+    low = wp.uint16(65535)
+    high = wp.uint16(0)
+    for j in range(2):
+        for i in range(2):
+            cx = p[0] - i
+            cy = p[1] - j
+            if cx >= 0 and cx < columns and cy >= 0 and cy < rows:
+                at = 2 * (cy * columns + cx)
+                low = wp.min(low, finer[at])
+                high = wp.max(high, finer[at + 1])
+    ranges[2 * t] = low
+    ranges[2 * t + 1] = high

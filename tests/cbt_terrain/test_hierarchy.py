@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error hierarchy and the ranges against a recursive bisection in plain Python."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain import hierarchy
+from adaptive_terrain.cbt_terrain.lattice import Lattice
+
+# Vertices are in half samples: the centres of raster cells then have integer coordinates.
+ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))
+
+
+def bilinear(samples, x, y):
+    """Heights of the reference surface at arrays of sample coordinates."""
+    i = np.clip(np.floor(x).astype(int), 0, samples.shape[1] - 2)
+    j = np.clip(np.floor(y).astype(int), 0, samples.shape[0] - 2)
+    u, v, h = x - i, y - j, samples.astype(np.float64)
+    return (1 - v) * ((1 - u) * h[j, i] + u * h[j, i + 1]) + v * ((1 - u) * h[j + 1, i] + u * h[j + 1, i + 1])
+
+
+def triangle_errors(samples, triangle, fine=4):
+    """Error of one triangle by what can be an extremum, and by dense sampling; and the heights that it covers."""
+    left, apex, right = (np.array(p) / 2 for p in triangle)
+    corners = np.array([left, apex, right])
+    plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), bilinear(samples, corners[:, 0], corners[:, 1]))
+
+    def distance(x, y):
+        return bilinear(samples, x, y) - (plane[0] * x + plane[1] * y + plane[2])
+
+    def inside(step):
+        lo, hi = np.floor(corners.min(0)), np.ceil(corners.max(0))
+        x, y = np.meshgrid(np.arange(lo[0], hi[0] + step / 2, step), np.arange(lo[1], hi[1] + step / 2, step))
+        uv = np.linalg.solve(
+            np.column_stack([left - apex, right - apex]), np.array([x.ravel(), y.ravel()]) - apex[:, None]
+        )
+        keep = (uv >= -1e-9).all(0) & (uv.sum(0) <= 1 + 1e-9)
+        return x.ravel()[keep], y.ravel()[keep]
+
+    exact = np.abs(distance(*inside(1.0))).max(initial=0.0)
+    for a, b in ((left, apex), (apex, right), (right, left)):
+        if abs(a[0] - b[0]) == abs(a[1] - b[1]):  # a diagonal: a parabola in each cell
+            cells = int(np.ceil(abs(a[0] - b[0])))
+            ends = a + (b - a) * np.linspace(0, 1, cells + 1)[:, None]
+            middles = (ends[1:] + ends[:-1]) / 2
+            e, m = distance(*ends.T), distance(*middles.T)
+            quadratic = 2 * (e[1:] + e[:-1] - 2 * m)
+            linear = e[1:] - e[:-1] - quadratic
+            with np.errstate(all="ignore"):
+                t = np.nan_to_num(np.clip(-linear / (2 * quadratic), 0, 1))
+            exact = max(exact, np.abs(e[:-1] + linear * t + quadratic * t * t).max())
+    x, y = inside(1.0 / fine)
+    heights = bilinear(samples, x, y)
+    return exact, np.abs(distance(x, y)).max(), heights.min(), heights.max()
+
+
+def brute(samples, columns, rows, levels):
+    """By split vertex (in half samples): own error, dense error, lowest, highest; its children; its depth."""
+    side = 2 << levels
+    nodes, children, depth_of = {}, {}, {}
+
+    def walk(triangle, depth):
+        left, apex, right = triangle
+        middle = ((left[0] + right[0]) // 2, (left[1] + right[1]) // 2)
+        found = triangle_errors(samples, triangle)
+        known = nodes.get(middle, (0.0, 0.0, np.inf, -np.inf))
+        nodes[middle] = (
+            max(known[0], found[0]), max(known[1], found[1]), min(known[2], found[2]), max(known[3], found[3])
+        )  # fmt: skip
+        depth_of[middle] = depth
+        children.setdefault(middle, set())
+        if depth <= 2 * levels:
+            for a, b in ((left, apex), (apex, right)):
+                children[middle].add(((a[0] + b[0]) // 2, (a[1] + b[1]) // 2))
+            walk((left, middle, apex), depth + 1)
+            walk((apex, middle, right), depth + 1)
+
+    for q in range(columns * rows):
+        x0, y0 = q % columns * side, q // columns * side
+        for root in ROOTS:
+            walk(tuple((x0 + x * side, y0 + y * side) for x, y in root), 1)
+    return nodes, children, depth_of
+
+
+def saturated_twists(samples):
+    """T of each cell: the largest of all cells' twists, divided by four for each step of distance."""
+    h = samples.astype(np.float64)
+    twist = np.abs(h[1:, 1:] + h[:-1, :-1] - h[1:, :-1] - h[:-1, 1:])
+    y, x = np.indices(twist.shape)
+    return np.array(
+        [
+            [(twist * 4.0 ** -(np.abs(x - i) + np.abs(y - j))).max() for i in range(twist.shape[1])]
+            for j in range(len(twist))
+        ]
+    )
+
+
+def saturate(own, children, cells):
+    @cache
+    def value(v):
+        return max([own[v][0] if v not in cells else cells[v], *(value(c) for c in children[v])])
+
+    return {v: value(v) for v in own}
+
+
+def index_of(lattice, vertex, depth):
+    """Entry of the node arrays for a split vertex in half samples."""
+    j = (depth - 1) // 2
+    if depth % 2:
+        side = 2 << (lattice.levels - j)
+        return lattice.node_offset(depth) + vertex[1] // side * (lattice.columns << j) + vertex[0] // side
+    half = 2 << (lattice.levels - j - 1)
+    x, y = vertex[0] // half, vertex[1] // half
+    assert (x + y) % 2 == 1
+    return lattice.node_offset(depth) + y * ((lattice.columns << j) + 1) + x // 2
+
+
+def compute(samples, lattice, threads=1):
+    errors = np.zeros(lattice.node_count, np.float32)
+    hierarchy.build_errors(samples, lattice, errors, threads)
+    base, step = hierarchy.range_scale(float(samples.min()), float(samples.max()))
+    ranges = np.zeros((lattice.node_offset(lattice.cell_depth), 2), np.uint16)
+    hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
+    return errors, base + ranges * step, ranges
+
+
+def raster(kind, lattice, seed=1):
+    shape = lattice.height, lattice.width
+    random = np.random.default_rng(seed)
+    y, x = np.indices(shape)
+    samples = {
+        "random": random.standard_normal(shape) * 100,
+        "spike": np.where((x == shape[1] // 3) & (y == shape[0] // 2 + 1), 1000.0, 0.0),
+        "checkerboard": (x + y) % 2 * 10.0,
+        "cliff": np.where(x > 0.4 * shape[1], 1e6, 0.0) + random.standard_normal(shape),
+        "plane": 0.25 * x - 3.5 * y + 100.0,
+        "constant": np.full(shape, -431.1),
+        "saddle": x * y * 0.5,
+        "hill": 500.0 * np.exp(-((x / shape[1] - 0.4) ** 2 + (y / shape[0] - 0.6) ** 2) * 9) - 700.0,
+    }[kind]
+    return np.ascontiguousarray(samples, np.float32)
+
+
+LATTICES = [Lattice(1, 1, 3), Lattice(3, 2, 2), Lattice(5, 1, 1), Lattice(2, 3, 0)]
+KINDS = ["random", "spike", "checkerboard", "cliff", "plane", "constant", "saddle", "hill"]
+
+
+@pytest.mark.parametrize("lattice", LATTICES, ids=lambda k: f"{k.columns}x{k.rows}x2^{k.levels}")
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_and_ranges_equal_brute_force(kind, lattice):
+    samples = raster(kind, lattice)
+    errors, ranges, quantised = compute(samples, lattice)
+    own, children, depth_of = brute(samples, lattice.columns, lattice.rows, lattice.levels)
+    twist = saturated_twists(samples)
+    cells = {v: twist[v[1] // 2, v[0] // 2] / 4 for v, d in depth_of.items() if d == lattice.cell_depth}
+    wanted = saturate(own, children, cells)
+    scale = np.abs(samples).max() * 1e-13
+    for vertex, depth in depth_of.items():
+        index = index_of(lattice, vertex, depth)
+        assert wanted[vertex] - scale <= errors[index] <= wanted[vertex] * (1 + 2.0**-22) + scale
+        assert own[vertex][1] <= errors[index] + scale  # what dense sampling finds is within the bound
+        for child in children[vertex]:
+            inner = index_of(lattice, child, depth_of[child])
+            assert errors[inner] <= errors[index]
+            if depth < lattice.cell_depth - 1:
+                assert quantised[inner, 0] >= quantised[index, 0] and quantised[inner, 1] <= quantised[index, 1]
+        if depth < lattice.cell_depth:
+            assert ranges[index, 0] <= own[vertex][2] and own[vertex][3] <= ranges[index, 1]
+    if kind in ("plane", "constant"):
+        assert not errors.any()
+
+
+@pytest.mark.parametrize("meshlet", [1, 2])
+@pytest.mark.parametrize("kind", ["random", "spike", "hill"])
+def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
+    lattice = Lattice(3, 2, 1)
+    samples = raster(kind, lattice)
+    errors, _, _ = compute(samples, lattice)
+    expanded = errors.copy()
+    hierarchy.expand_errors(lattice, expanded, meshlet, 1)
+
+    finer = 1 << meshlet  # the surface itself does not change when it is sampled finer
+    fine = Lattice(lattice.columns, lattice.rows, lattice.levels + meshlet)
+    y, x = np.indices((fine.height, fine.width)) / finer
+    own, children, depth_of = brute(bilinear(samples, x, y), fine.columns, fine.rows, fine.levels)
+
+    @cache
+    def drawn(vertex, generations):
+        if generations == 0:
+            return own[vertex][0]
+        return max(drawn(c, generations - 1) for c in children[vertex])
+
+    for vertex, depth in depth_of.items():
+        if depth <= lattice.cell_depth:
+            coarse = (vertex[0] // finer, vertex[1] // finer)
+            index = index_of(lattice, coarse, depth)
+            assert drawn(vertex, 2 * meshlet) <= expanded[index] * (1 + 1e-9) + 1e-9
+            assert expanded[index] <= errors[index]
+            for child in children[vertex]:
+                if depth < lattice.cell_depth:
+                    inner = index_of(lattice, (child[0] // finer, child[1] // finer), depth + 1)
+                    assert expanded[inner] <= expanded[index]
+
+
+def test_twists_are_saturated_for_the_sides_below_the_raster():
+    lattice = Lattice(3, 2, 3)
+    errors, _, _ = compute(raster("spike", lattice), lattice)
+    for meshlet in range(4):
+        expanded = errors.copy()
+        hierarchy.expand_errors(lattice, expanded, meshlet, 1)
+        cells = expanded[lattice.node_offset(lattice.cell_depth) :].reshape(lattice.height - 1, lattice.width - 1)
+        for a, b in ((cells[1:], cells[:-1]), (cells[:, 1:], cells[:, :-1])):
+            assert (a >= b / 4).all() and (b >= a / 4).all()
+
+
+def test_a_hierarchy_of_real_size_is_nested():
+    lattice = Lattice(3, 2, 6)
+    errors, _, quantised = compute(raster("random", lattice), lattice, threads=2)
+    for values in (errors, -quantised[:, 0].astype(int), quantised[:, 1].astype(int)):
+        for depth in range(1, lattice.cell_depth if values is errors else lattice.cell_depth - 1):
+            check_nested(values, lattice, depth)
+
+
+def check_nested(values, lattice, depth):
+    """Every diamond of `depth` is not below its children, by array slices."""
+    shape = lattice.level_shape
+    at = lattice.node_offset
+    level = values[at(depth) : at(depth) + np.prod(shape(depth))].reshape(shape(depth))
+    finer = values[at(depth + 1) : at(depth + 1) + np.prod(shape(depth + 1))].reshape(shape(depth + 1))
+    if depth % 2:
+        assert (level >= finer[:-1:2, :-1]).all() and (level >= finer[2::2, :-1]).all()
+        assert (level >= finer[1::2, :-1]).all() and (level >= finer[1::2, 1:]).all()
+        return
+    rows, columns = shape(depth + 1)
+    for y in range(shape(depth)[0]):
+        x = np.arange((y + 1) % 2, columns + 1, 2)
+        own = level[y, x // 2]
+        for cy in (y - 1, y):
+            for dx in (-1, 0):
+                there = (x + dx >= 0) & (x + dx < columns)
+                if 0 <= cy < rows:
+                    assert (own[there] >= finer[cy, (x + dx)[there]]).all()
+
+
+def test_two_threads_give_the_same_bytes_as_one():
+    lattice = Lattice(3, 2, 7)
+    samples = raster("random", lattice)
+    one, two = compute(samples, lattice, 1), compute(samples, lattice, 2)
+    assert one[0].tobytes() == two[0].tobytes() and one[2].tobytes() == two[2].tobytes()
+    hierarchy.expand_errors(lattice, one[0], 2, 1)
+    hierarchy.expand_errors(lattice, two[0], 2, 2)
+    assert one[0].tobytes() == two[0].tobytes()
+
+
+def test_range_scale_covers_both_ends():
+    for low, high in ((0.0, 1.0), (-3.3, 1e30), (5.0, 5.0), (1e8, 1e8 + 8), (0.0, 1e-45)):
+        base, step = hierarchy.range_scale(low, high)
+        assert base <= low and base + 65535 * step >= high and step > 0

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The walk against a forced-split reference that knows nothing of curves and nesting, and the criterion's bounds."""
+
+import math
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.bisection import from_tree_id
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PERSPECTIVE, View
+from fields import extent, random_view, rough
+from reference_bisection import forced_split_leaves
+
+SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
+
+
+def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
+    """(square, heap id) of the leaves of the tree, in curve order, without those that only fill it."""
+    lattice, tree = terrain.field.lattice, terrain.tree
+    spare = (1 << lattice.square_bits) - lattice.squares
+    return [tuple(from_tree_id(lattice, tree.decode(k))) for k in range(tree.leaf_count - spare)]
+
+
+def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
+    """Error and heights of the diamond split at sample coordinates (x, y), in the order that Lattice states."""
+    lattice = field.lattice
+    half, offset = (depth - 1) // 2, lattice.node_offset(depth)
+    if depth % 2:
+        size = 2.0 ** (lattice.levels - half)
+        index = offset + int(y // size) * (lattice.columns << half) + int(x // size)
+    else:
+        size = 2.0 ** (lattice.levels - half - 1)
+        index = offset + int(y // size) * ((lattice.columns << half) + 1) + (int(x // size) >> 1)
+    low, high = field.range_base + field.ranges[index].astype(float) * field.range_step
+    return float(field.error[index]), low, high
+
+
+def reference_pixels(field, view: View, x: float, y: float, depth: int) -> float:
+    """Pixels of screen-space error at a diamond, written anew from its definition, in plain arithmetic."""
+    lattice = field.lattice
+    error, low, high = stored(field, x, y, depth)
+    s = 2.0 ** (lattice.levels - (depth - 1) // 2 - 1)
+    reach = 3 * s if depth % 2 else 2 * s
+    eye = -np.linalg.solve(view.world_to_camera[:3, :3], view.world_to_camera[:3, 3])
+    centre = np.array([(x - (lattice.width - 1) / 2) * lattice.step_x, (y - (lattice.height - 1) / 2) * lattice.step_y])
+    corners = np.array(
+        [
+            [centre[0] + a * reach * lattice.step_x, centre[1] + b * reach * lattice.step_y, z]
+            for a in (-1, 1)
+            for b in (-1, 1)
+            for z in (low, high)
+        ]
+    )
+    if view.kind == ORTHOGRAPHIC:
+        return view.pixels_per_unit * error
+    nearest = np.clip(eye, corners.min(axis=0), corners.max(axis=0))
+    distance = max(np.linalg.norm(nearest - eye), view.clip[0] / 2)
+    if view.kind != PERSPECTIVE:
+        return view.pixels_per_unit * error / distance
+    secant = math.sqrt(1 + sum(max(map(abs, ends)) ** 2 for ends in view.bounds()))
+    depth_m = max(0.0, -(corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]).max())
+    return view.pixels_per_unit * error * secant / max(depth_m, distance / secant)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_leaves_equal_forced_splits(seed):
+    rng = np.random.default_rng(seed)
+    field = rough(*SHAPES[seed % len(SHAPES)], seed=seed, relief=30.0)
+    lattice = field.lattice
+    depth = int(rng.integers(1, lattice.cell_depth + 1))
+    for _ in range(3):
+        view = random_view(rng, field)
+        asked = float(10 ** rng.uniform(0, 2.5))
+        terrain = Terrain(field, 1)
+        update = terrain.update(Criterion(error_px=asked, off_screen_factor=1.0, max_depth=depth), [view])
+        # the reference's units: 2^exponent a side of a root square
+        exponent = lattice.levels + 1
+        per_sample = 2.0 ** (exponent - lattice.levels)
+        angle = view.kind not in (PERSPECTIVE, ORTHOGRAPHIC)
+        correction = 1.0
+        if angle:
+            radians = min(asked * view.radians_per_pixel, math.pi)
+            correction = radians / (2 * math.sin(radians / 2))
+
+        def wants(x, y, d, view=view, asked=asked, correction=correction, per_sample=per_sample):
+            return reference_pixels(field, view, x / per_sample, y / per_sample, d) * correction > asked
+
+        expected = forced_split_leaves(lattice.columns, lattice.rows, depth, wants, exponent)
+        found = tree_leaves(terrain)
+        assert set(found) == expected and len(found) == len(expected) == update.leaves
+
+
+def test_tree_holds_the_leaves_in_curve_order():
+    field = rough(17, 33)
+    terrain = Terrain(field, 1)
+    update = terrain.update(Criterion(error_m=5.0, error_px=0.0))
+    leaves = tree_leaves(terrain)
+    assert [heap.bit_length() - 1 for _, heap in leaves] == update.surface.level.tolist()
+    assert leaves == sorted(leaves, key=lambda leaf: (leaf[0], leaf[1] / (1 << leaf[1].bit_length() - 1)))
+
+
+def test_vertical_error_is_view_independent_and_reaches_what_is_asked():
+    field = rough(33, 33)
+    for asked in (50.0, 5.0, 0.5):
+        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
+        assert update.bound_m <= asked and update.bound_px is None and update.limited == ""
+
+
+def test_caps_hold_together_with_the_error():
+    field = rough(33, 33, relief=20.0)
+    view = View.look((0, -500, 300), (0, 0, 0))
+    alone = Terrain(field, 1).update(Criterion(error_px=4.0), [view])
+    capped = Terrain(field, 1).update(Criterion(error_px=4.0, edge_px=60.0, area_px=900.0), [view])
+    assert capped.bound_px <= 4.0 and capped.bound_edge_px <= 60.0 and capped.bound_area_px <= 900.0
+    assert capped.leaves > alone.leaves
+
+    p = capped.surface.positions.astype(np.float64)
+    camera = p @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
+    device = np.c_[camera, np.ones(len(p))] @ view.projection.T
+    pixels = device[:, :2] / device[:, 3:] * np.array(view.resolution) / 2
+    seen = (np.abs(device[:, :2] / device[:, 3:]) <= 1).all(axis=1)[capped.surface.edges].all(axis=1)
+    ends = pixels[capped.surface.edges[seen]]
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() <= capped.bound_edge_px
+
+
+def test_off_screen_factor_coarsens_only_what_is_outside():
+    field = rough(65, 65)
+    view = View.look((0, -330, 100), (0, 0, 0), fov_deg=30)
+    counts = [
+        Terrain(field, 1).update(Criterion(error_px=0.5, off_screen_factor=factor), [view]).leaves
+        for factor in (1.0, 4.0, 64.0)
+    ]
+    assert counts[0] > counts[1] > counts[2]
+
+
+def test_meshlets_need_fewer_leaves_for_the_same_bound():
+    field = rough(65, 65)
+    view = View.look((0, -500, 300), (0, 0, 0))
+    whole = Terrain(field, 1).update(Criterion(error_px=1.0), [view])
+    for meshlet in (1, 2, 3):
+        update = Terrain(field, 1).update(Criterion(error_px=1.0, meshlet=meshlet), [view])
+        assert update.leaves < whole.leaves and update.triangles == update.leaves << (2 * meshlet)
+        assert update.bound_px <= 1.0
+
+
+def test_an_unusable_criterion_is_one_clear_error():
+    for wrong in ({"error_px": -1}, {"error_px": 0.0}, {"meshlet": 5}, {"off_screen_factor": 0.5}, {"max_depth": 0}):
+        with pytest.raises(TerrainError, match="expected|ask for"):
+            Criterion(**wrong)
+    with pytest.raises(TerrainError, match="no camera"):
+        Terrain(rough(9, 9), 1).update(Criterion())
+
+
+def test_depth_reaches_below_the_raster_where_the_view_asks_for_it():
+    field = rough(17, 17)
+    eye = np.array([0.0, 0.0, field.max_height + 1.0])
+    update = Terrain(field, 1).update(Criterion(error_px=1.0), [View.look(eye, eye + extent(field) * [1, 0, -0.1])])
+    assert update.surface.level.max() > field.lattice.cell_depth

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The concurrent binary tree against a plain set of leaves."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree, pack_cells, unpack_cells
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+
+class ReferenceTree:
+    """The leaves of a binary tree as a set of heap ids."""
+
+    def __init__(self, max_depth):
+        self.max_depth = max_depth
+        self.leaves = {1}
+
+    def cell(self, heap_id):
+        shift = self.max_depth + 1 - heap_id.bit_length()
+        return (heap_id << shift) - (1 << self.max_depth)
+
+    def in_order(self):
+        return sorted(self.leaves, key=self.cell)
+
+    def split(self, heap_id):
+        self.leaves.remove(heap_id)
+        self.leaves |= {2 * heap_id, 2 * heap_id + 1}
+
+    def can_merge(self, heap_id):
+        return {2 * heap_id, 2 * heap_id + 1} <= self.leaves
+
+    def merge(self, heap_id):
+        self.leaves -= {2 * heap_id, 2 * heap_id + 1}
+        self.leaves.add(heap_id)
+
+
+def random_tree(rng, max_depth, leaves):
+    """Leaves of a random tree, deep at one end of most branches."""
+    reference = ReferenceTree(max_depth)
+    while len(reference.leaves) < leaves:
+        candidates = [n for n in reference.leaves if n >> max_depth == 0]
+        if not candidates:
+            break
+        deep = max(candidates) if rng.random() < 0.3 else candidates[rng.integers(len(candidates))]
+        reference.split(int(deep))
+    return reference
+
+
+def stream_of(reference):
+    return pack_cells(np.array([reference.cell(n) for n in reference.in_order()], np.int64))
+
+
+def assert_same(tree, reference):
+    in_order = reference.in_order()
+    assert tree.leaf_count == len(in_order)
+    assert tree.leaves().tolist() == in_order
+    # I4: the leaves partition the domain, in integers.
+    assert sum(1 << tree.max_depth + 1 - n.bit_length() for n in in_order) == tree.cell_count
+
+
+def assert_counters_agree(tree):
+    """Every counter is the sum of what lies below it, though only changed ones were summed again."""
+    fresh = ConcurrentBinaryTree(tree.max_depth)
+    fresh.mark(*tree.words())
+    assert np.array_equal(fresh._upper_counts, tree._upper_counts)
+    assert np.array_equal(fresh._block_counts, tree._block_counts)
+    cells = unpack_cells(*tree.words())
+    assert tree._block_counts.sum(dtype=np.int64) == len(cells)
+    assert np.array_equal(np.bincount(cells >> 12, minlength=len(tree._block_counts)), tree._block_counts)
+    for above, below in zip(tree._levels, tree._levels[1:], strict=False):
+        padded = np.pad(below.astype(np.int64), (0, 64 * len(above) - len(below)))
+        assert np.array_equal(padded.reshape(-1, 64).sum(axis=1), above)
+
+
+def test_a_new_tree_is_its_root():
+    tree = ConcurrentBinaryTree(20)
+    assert (tree.leaf_count, tree.decode(0), tree.encode(1), tree.is_leaf(1)) == (1, 1, 0, True)
+    assert not tree.is_leaf(2) and not tree.is_leaf(3)
+    assert tree.leaf_at(0) == tree.leaf_at((1 << 20) - 1) == 1
+    assert [tree.cell_of_leaf(k) for k in (0, 1)] == [0, 1 << 20]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from([6, 7, 12, 13, 19, 26, 32, 40]), st.integers(0, 2**32), st.lists(st.booleans(), max_size=60))
+def test_random_split_and_merge_equal_the_reference(max_depth, seed, splits):
+    tree, reference = ConcurrentBinaryTree(max_depth), ReferenceTree(max_depth)
+    rng = np.random.default_rng(seed)
+    for split in splits:
+        leaves = reference.in_order()
+        heap_id = leaves[rng.integers(len(leaves))] if rng.random() < 0.5 else max(leaves)
+        if split and heap_id >> max_depth == 0:
+            tree.split(heap_id)
+            reference.split(heap_id)
+        elif reference.can_merge(heap_id // 2):
+            tree.merge(heap_id // 2)
+            reference.merge(heap_id // 2)
+        in_order = reference.in_order()
+        assert [tree.decode(k) for k in range(len(in_order))] == in_order
+    assert_same(tree, reference)
+    in_order = reference.in_order()
+    for rank, heap_id in enumerate(in_order):
+        assert tree.encode(heap_id) == rank
+        assert tree.is_leaf(heap_id)
+        assert tree.cell_of_leaf(rank) == reference.cell(heap_id)
+        assert not (heap_id > 1 and tree.is_leaf(heap_id // 2))
+        assert not (heap_id >> max_depth == 0 and tree.is_leaf(2 * heap_id))
+    for cell in rng.integers(0, 1 << max_depth, 20):
+        covering = tree.leaf_at(int(cell))
+        first = reference.cell(covering)
+        assert covering in reference.leaves
+        assert first <= cell < first + (1 << max_depth + 1 - covering.bit_length())
+    if max_depth <= 32:  # an array of all counters is compared
+        assert_counters_agree(tree)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from([6, 11, 18, 25, 31]), st.integers(0, 2**32))
+def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
+    rng = np.random.default_rng(seed)
+    tree = ConcurrentBinaryTree(max_depth)
+    for _ in range(4):
+        reference = random_tree(rng, max_depth, int(rng.integers(1, 300)))
+        before = dict(zip(*(a.tolist() for a in tree.words()), strict=True))
+        index, bits = stream_of(reference)
+        after = dict(zip(index.tolist(), bits.tolist(), strict=True))
+        changed = sum(before.get(w) != after.get(w) for w in before.keys() | after.keys())
+        assert tree.mark(index, bits) == changed
+        assert_same(tree, reference)
+        assert_counters_agree(tree)
+        if rng.random() < 0.5:
+            heap_id = min(reference.leaves)
+            if heap_id >> max_depth == 0:
+                tree.split(heap_id)
+
+
+def test_mark_joins_a_word_that_two_slices_share():
+    rng = np.random.default_rng(3)
+    reference = random_tree(rng, 14, 400)
+    cells = np.array([reference.cell(n) for n in reference.in_order()], np.int64)
+    for cuts in ([200], [0, 1, 399], [100, 100, 101, 102]):
+        tree = ConcurrentBinaryTree(14)
+        tree.mark_slices([pack_cells(part) for part in np.split(cells, cuts)])
+        assert_same(tree, reference)
+        assert tree.mark(*stream_of(reference)) == 0
+
+
+def test_mark_does_not_keep_the_callers_arrays():
+    tree = ConcurrentBinaryTree(10)
+    index, bits = pack_cells(np.array([0, 512, 768], np.int64))
+    tree.mark(index, bits)
+    index[:], bits[:] = 0, 0
+    assert tree.leaves().tolist() == [2, 6, 7]
+
+
+def test_an_equal_stream_changes_nothing():
+    tree = ConcurrentBinaryTree(24)
+    tree.reset(12)
+    assert tree.mark(*[a.copy() for a in tree.words()]) == 0
+    assert tree.leaf_count == 4096
+
+
+@pytest.mark.parametrize("max_depth", [6, 12, 18])
+def test_reset_gives_every_node_of_a_depth(max_depth):
+    tree = ConcurrentBinaryTree(max_depth)
+    for depth in (max_depth, 0, max_depth // 2):
+        tree.reset(depth)
+        assert tree.leaves().tolist() == list(range(1 << depth, 2 << depth))
+        assert_counters_agree(tree)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from([6, 12, 27, 40]), st.integers(0, 2**32), st.integers(1, 200))
+def test_bytes_round_trip(max_depth, seed, leaves):
+    reference = random_tree(np.random.default_rng(seed), max_depth, leaves)
+    tree = ConcurrentBinaryTree(max_depth)
+    tree.mark(*stream_of(reference))
+    data = tree.to_bytes()
+    assert len(data) <= 20 + 16 * len(reference.leaves)
+    again = ConcurrentBinaryTree.from_bytes(data)
+    assert again.max_depth == max_depth
+    assert_same(again, reference)
+    assert again.to_bytes() == data
+
+
+def sealed(max_depth, cells=None, words=None, version=1):
+    index, bits = words if words else pack_cells(np.array(cells, np.int64))
+    data = struct.pack("<4sHHQ", b"ACBT", version, max_depth, len(index)) + index.tobytes() + bits.tobytes()
+    return data + struct.pack("<I", zlib.crc32(data))
+
+
+def test_damaged_bytes_are_refused():
+    tree = ConcurrentBinaryTree(16)
+    tree.reset(5)
+    data = tree.to_bytes()
+    for length in (0, 3, 19, len(data) - 1):
+        with pytest.raises(TerrainError):
+            ConcurrentBinaryTree.from_bytes(data[:length])
+    for at in range(len(data)):
+        with pytest.raises(TerrainError):
+            ConcurrentBinaryTree.from_bytes(data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :])
+    lying = struct.pack("<4sHHQ", b"ACBT", 1, 40, 10**15) + bytes(100)
+    with pytest.raises(TerrainError, match="cut short or damaged"):
+        ConcurrentBinaryTree.from_bytes(lying + struct.pack("<I", zlib.crc32(lying)))
+
+
+def test_bytes_that_are_no_tree_are_refused():
+    assert ConcurrentBinaryTree.from_bytes(sealed(8, [0, 128])).leaves().tolist() == [2, 3]
+    for cells in ([], [128], [0, 127], [0, 64], [0, 128, 256], [0, 100, 128]):
+        with pytest.raises(TerrainError, match="do not form a tree"):
+            ConcurrentBinaryTree.from_bytes(sealed(8, cells))
+    for index, bits in (([0, 2, 2], [1, 1, 1]), ([2, 0], [1, 1]), ([0, 2], [1, 0]), ([0, -2], [1, 1])):
+        with pytest.raises(TerrainError, match="do not form a tree"):
+            ConcurrentBinaryTree.from_bytes(sealed(8, words=(np.array(index, np.int64), np.array(bits, np.uint64))))
+    for max_depth, version in ((5, 1), (41, 1), (8, 2)):
+        with pytest.raises(TerrainError, match="has version"):
+            ConcurrentBinaryTree.from_bytes(sealed(max_depth, [0], version=version))
+
+
+def test_what_cannot_be_done_is_refused_and_changes_nothing():
+    tree = ConcurrentBinaryTree(6)
+    tree.split(1)
+    tree.split(2)
+    before = tree.to_bytes()
+    for action in (
+        lambda: tree.split(1),
+        lambda: tree.split(2),
+        lambda: tree.split(6),
+        lambda: tree.split(64),
+        lambda: tree.split(0),
+        lambda: tree.split(1 << 63),
+        lambda: tree.merge(1),
+        lambda: tree.merge(3),
+        lambda: tree.merge(0),
+        lambda: tree.merge(64),
+        lambda: tree.encode(2),
+        lambda: tree.decode(3),
+        lambda: tree.decode(-1),
+        lambda: tree.leaf_at(64),
+        lambda: tree.is_leaf(128),
+        lambda: tree.reset(7),
+    ):
+        with pytest.raises(TerrainError):
+            action()
+    assert tree.to_bytes() == before
+    for max_depth in (5, 41, 20.0, "20"):
+        with pytest.raises(TerrainError, match="expected a whole number, 6 .. 40"):
+            ConcurrentBinaryTree(max_depth)

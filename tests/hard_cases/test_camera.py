@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard cases 21 to 31 and 33, 34: cameras and transforms, as the engine sees them."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, View
+from fields import (
+    mesh_heights,
+    random_view,
+    reference_heights,
+    rough,
+    sample_position,
+    scattered,
+    screen_error,
+)
+from invariants import arrays, assert_invariants
+
+ONE_PIXEL = Criterion(error_px=1.0, max_triangles=20_000)
+# float32 positions and the tests' own float64 projection move a point by far less than this.
+ROUNDING_PX = 1e-2
+
+
+@pytest.fixture(scope="module")
+def field():
+    return rough(65, 65)
+
+
+def update_and_check(field, views, criterion=ONE_PIXEL, **placed):
+    update = Terrain(field, threads=1).update(criterion, views, **placed)
+    assert_invariants(update.surface, field.lattice, criterion.meshlet)
+    return update
+
+
+def assert_bound(field, view, update, placement=None):
+    measured = screen_error(view, field, update.surface, scattered(field, 2000), placement)
+    assert measured <= update.bound_px * (1 + 1e-6) + ROUNDING_PX
+
+
+def test_case_21_eye_on_vertex_on_surface_inside_and_below(field):
+    on_vertex = sample_position(field, 20, 30)
+    edge = (sample_position(field, 20, 30) + sample_position(field, 21, 30)) / 2
+    for eye in (on_vertex, edge, on_vertex - [0, 0, 20], on_vertex - [0, 0, 500]):
+        view = View.look(eye, eye + [100, 50, -5])
+        update = update_and_check(field, [view])
+        assert np.isfinite(update.bound_px)
+        assert_bound(field, view, update)
+
+
+def test_case_22_roll_and_looking_straight_down_up_and_upside_down(field):
+    position_only = Criterion(error_px=1.0, off_screen_factor=1.0)
+    eye = np.array([30.0, -40.0, 400.0])
+    for target in (eye - [0, 0, 1], eye + [0, 0, 1], eye + [1, 0, 0]):
+        views = [View.look(eye, target, roll_deg=roll, kind=PANORAMIC, fov_deg=360) for roll in (0, 90, 180)]
+        meshes = [arrays(update_and_check(field, [view], position_only).surface) for view in views]
+        assert meshes[0] == meshes[1] == meshes[2]
+        update_and_check(field, [View.look(eye, target)])
+
+
+def test_case_23_orthographic(field):
+    view = View.look((0, 0, 1000), (1, 2, 0), kind=ORTHOGRAPHIC, ortho_width=300.0, clip=(0.1, 5000))
+    update = update_and_check(field, [view])
+    assert 0 < update.bound_px <= 1
+    assert_bound(field, view, update)
+    with pytest.raises(TerrainError, match="projection"):
+        projection = view.projection.copy()
+        projection[0, 0] = np.inf  # what ortho_scale 0 gives
+        View(view.world_to_camera, projection, view.resolution, ORTHOGRAPHIC)
+
+
+def test_case_24_field_of_view_near_180_and_near_0(field):
+    for fov in (179.9999, 0.0001):
+        view = View.look((0, -400, 200), (0, 0, 0), fov_deg=fov)
+        update = update_and_check(field, [view])
+        assert_bound(field, view, update)
+    with pytest.raises(TerrainError, match="180"):
+        View(np.eye(4), np.diag([0.0, 0.0, 1.0, 0.0]), (100, 100))
+
+
+def test_case_25_panorama_bounds_the_angle(field):
+    view = View.look((0, 0, 150), (1, 0, 150), kind=PANORAMIC, fov_deg=360, resolution=(2000, 1000))
+    update = update_and_check(field, [view])
+    assert 0 < update.bound_px <= 1
+    assert_bound(field, view, update)
+
+
+def test_case_26_triangle_behind_the_eye_is_not_judged_small():
+    # The eye stands 2 m above big flat triangles that reach behind it; one sample in front of it is a spike.
+    samples = np.zeros((33, 33), np.float32)
+    samples[16, 17] = 3.0
+    field = from_array(samples, 10.0, 10.0)
+    view = View.look((0, -45, 2), (10, 0, 2), fov_deg=90)
+    update = update_and_check(field, [view], Criterion(error_px=1.0, max_triangles=100_000))
+    assert_bound(field, view, update)
+    assert 0 < update.bound_px <= 1
+
+
+def test_case_27_clip_start_beyond_clip_end_culls_nothing(field):
+    turned = Criterion(error_px=4.0)
+    eye, target = (0, -600, 300), (0, -2000, 300)
+    culled = update_and_check(field, [View.look(eye, target, clip=(0.1, 1e5))], turned)
+    all_of_it = update_and_check(field, [View.look(eye, target, clip=(1e5, 0.1))], turned)
+    assert culled.leaves == 2 < all_of_it.leaves
+
+
+def test_case_28_nan_in_the_matrix_leaves_the_last_mesh(field):
+    terrain = Terrain(field, threads=1)
+    view = View.look((0, -400, 200), (0, 0, 0))
+    before = arrays(terrain.update(ONE_PIXEL, [view]).surface)
+    broken = view.world_to_camera.copy()
+    broken[0, 3] = np.nan
+    with pytest.raises(TerrainError, match="not finite"):
+        View(broken, view.projection, view.resolution)
+    placement = np.eye(4)
+    placement[2, 3] = np.inf
+    with pytest.raises(TerrainError, match="not finite"):
+        terrain.update(ONE_PIXEL, [view], placement)
+    assert arrays(terrain.update(ONE_PIXEL, [view]).surface) == before
+
+
+def test_case_29_far_away_shifted_and_stretched(field):
+    far = update_and_check(field, [View.look((1e30, 0, 0), (0, 0, 0))])
+    assert far.leaves == 2
+    base = View.look((0, -400, 200), (0, 0, 0))
+    shifted = base.projection.copy()
+    shifted[0, 2] = 1e6
+    stretched = base.projection.copy()
+    stretched[1, 1] *= 100
+    for projection in (shifted, stretched):
+        view = View(base.world_to_camera, projection, (19, 10))
+        assert_bound(field, view, update_and_check(field, [view]))
+
+
+def test_case_30_looking_away_gives_the_smallest_mesh():
+    field = rough(33, 65)
+    update = update_and_check(field, [View.look((0, -500, 200), (0, -1000, 200))])
+    assert update.leaves == 2 * field.lattice.squares
+
+
+def test_case_31_several_cameras_each_bound_holds(field):
+    left = View.look((-300, -300, 80), (0, 0, 0))
+    right = View.look((300, 200, 60), (0, 0, 0), fov_deg=20)
+    union = update_and_check(field, [left, right], Criterion(error_px=1.0))
+    assert 0 < union.bound_px <= 1
+    for view in (left, right):
+        assert_bound(field, view, union)
+        assert update_and_check(field, [view], Criterion(error_px=1.0)).leaves < union.leaves
+
+
+def test_case_33_mirrored_sheared_and_stretched(field):
+    mirrored, sheared, stretched = np.eye(4), np.eye(4), np.diag([1, 1, 10.0, 1])
+    mirrored[0, 0] = -1
+    sheared[0, 1], sheared[0, 2] = 1.5, 0.7
+    for placement in (mirrored, sheared, stretched, mirrored @ sheared @ stretched):
+        view = View.look((100, -500, 400), (0, 0, 0))
+        update = update_and_check(field, [view], Criterion(error_px=2.0, max_triangles=200_000), placement=placement)
+        assert_bound(field, view, update, placement)
+    camera = View.look((100, -500, 400), (0, 0, 0))
+    bent = np.eye(4)
+    bent[0, 1] = 0.8
+    view = View(bent @ camera.world_to_camera, camera.projection, camera.resolution)
+    assert_bound(field, view, update_and_check(field, [view]))
+
+
+def test_case_34_zero_scale_is_refused_and_nothing_changes(field):
+    terrain = Terrain(field, threads=1)
+    view = View.look((0, -400, 200), (0, 0, 0))
+    before = terrain.update(ONE_PIXEL, [view])
+    with pytest.raises(TerrainError, match="scale"):
+        terrain.update(ONE_PIXEL, [view], np.diag([1, 0, 1, 1.0]))
+    after = terrain.update(ONE_PIXEL, [view])
+    assert not after.changed and after.surface is before.surface
+
+
+def test_bounds_hold_for_random_views():
+    rng = np.random.default_rng(7)
+    for round_ in range(40):
+        field = rough(*[(33, 33), (17, 49), (33, 65)][round_ % 3], seed=round_)
+        view = random_view(rng, field)
+        criterion = Criterion(
+            error_px=float(10 ** rng.uniform(-1, 1.5)), max_triangles=3000, meshlet=int(rng.integers(3))
+        )
+        update = update_and_check(field, [view], criterion)
+        assert_bound(field, view, update)
+        plane = scattered(field, 1000, round_)
+        assert (
+            np.abs(mesh_heights(update.surface, plane) - reference_heights(field, plane)).max() <= update.bound_m + 1e-3
+        )
+

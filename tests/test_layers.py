@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`operators -> cbt_terrain -> kernels`, never back, and the two lower houses live without Blender."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+# What each house may import of the others; the package's own root is asked for by none of them.
+MAY_IMPORT = {
+    "kernels": {"kernels"},
+    "cbt_terrain": {"cbt_terrain", "kernels"},
+    "operators": {"operators", "cbt_terrain", "kernels"},
+}
+BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bpy_extras", "addon_utils", "bl_ui", "idprop", "blf"}
+HOUSES = {house: sorted((ROOT / house).rglob("*.py")) for house in MAY_IMPORT}
+FILES = [path for paths in HOUSES.values() for path in paths]
+
+
+def imported(path: Path) -> tuple[set[str], set[str]]:
+    """Houses and outside packages that a file imports, anywhere in it; relative imports count from its folder."""
+    houses, outside = set(), set()
+    folder = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            outside.update(alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            outside.add(node.module.split(".")[0])
+        elif isinstance(node, ast.ImportFrom):
+            base = folder[: len(folder) - (node.level - 1)]
+            parts = (*base, *(node.module.split(".") if node.module else ()))
+            houses.update([parts[0]] if parts else [alias.name for alias in node.names])
+    return houses & set(MAY_IMPORT), outside
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_imports_point_down(path):
+    house = path.relative_to(ROOT).parts[0]
+    houses, outside = imported(path)
+    assert houses <= MAY_IMPORT[house]
+    assert "adaptive_terrain" not in outside, "an extension has another name: imports are relative"
+    if house != "operators":
+        assert not outside & BLENDER
+
+
+@pytest.mark.parametrize("path", HOUSES["kernels"], ids=lambda path: path.name)
+def test_kernels_open_no_file(path):
+    _, outside = imported(path)
+    assert outside <= {"warp", "numpy", "math"}
+
+
+def test_the_engine_imports_without_bpy():
+    """Every module of the two lower houses, and the command line, in a Python where bpy cannot be imported."""
+    names = [
+        ".".join(("adaptive_terrain", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+        for house in ("kernels", "cbt_terrain")
+        for path in HOUSES[house]
+    ]
+    assert len(names) > 4
+    script = f"""
+import importlib, sys
+for name in {sorted(BLENDER)!r}:
+    sys.modules[name] = None
+for name in {[*names, "adaptive_terrain.operators.command_line"]!r}:
+    importlib.import_module(name)
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_package_root_imports_no_bpy_at_import():
+    tree = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
+    top = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert top == []
+
+
+def test_every_house_is_packaged():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packaged = set(project["tool"]["setuptools"]["packages"])
+    folders = {path.parent.relative_to(ROOT).parts for path in FILES}
+    assert packaged == {"adaptive_terrain", *(".".join(("adaptive_terrain", *parts)) for parts in folders)}
+
+
+def test_one_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    source = (ROOT / "__init__.py").read_text(encoding="utf-8")
+    assert manifest["version"] == project["project"]["version"]
+    assert f'__version__ = "{manifest["version"]}"' in source
+    assert f"## {manifest['version']}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_every_file_names_its_licence():
+    python = [path for path in ROOT.glob("[a-z]*/**/*.py") if path.relative_to(ROOT).parts[0] != "build"]
+    missing = [path.name for path in python if "SPDX-License-Identifier" not in path.read_text(encoding="utf-8")]
+    assert missing == []

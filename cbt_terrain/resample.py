@@ -45,16 +45,13 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
     cost = 0.5 * COLUMN_BLOCK * height
     blocks = -(-width // COLUMN_BLOCK)
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
-    filled = np.empty_like(samples, shape=samples.shape)
-    out = _flat(filled, wp.float32)
     cuts = [height * i // threads for i in range(threads + 1)]
-    jobs = [
-        [h, width, lo, hi, nearest, wp.empty(width, dtype=wp.int32, device=launch.DEVICE),
-         wp.empty(width, dtype=wp.float64, device=launch.DEVICE), out]
-        for lo, hi in zip(cuts, cuts[1:], strict=False)
-    ]  # fmt: skip
+    jobs = []
+    for first, end in zip(cuts, cuts[1:], strict=False):
+        apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
+        start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
+        jobs.append([h, width, first, end, nearest, apex, start])
     launch.slices(fill_kernels.fill_rows, jobs, step="fill no-data")
-    samples[:] = filled
 
 
 def widen(samples: np.ndarray) -> np.ndarray:

@@ -50,9 +50,11 @@ def fill_rows(
     nearest: wp.array(dtype=wp.int32),
     apex: wp.array(dtype=wp.int32),
     start: wp.array(dtype=wp.float64),
-    filled: wp.array(dtype=wp.float32),
 ):
-    """Write rows first_row .. end_row of `filled`; `apex` [width] and `start` [width] are this thread's scratch."""
+    """Fill rows first_row .. end_row in place; `apex` [width] and `start` [width] are this thread's scratch.
+
+    Only missing samples are written and only valid ones are copied, so threads do not disturb each other.
+    """
     for y in range(first_row, end_row):
         count = wp.int32(0)
         for x in range(width):
@@ -79,10 +81,8 @@ def fill_rows(
         k = wp.int32(0)
         for x in range(width):
             at = y * width + x
-            z = h[at]
-            if wp.isnan(z):
+            if wp.isnan(h[at]):
                 while k + 1 < count and start[k + 1] < wp.float64(x):
                     k = k + 1
                 source = apex[k]
-                z = h[nearest[y * width + source] * width + source]
-            filled[at] = z
+                h[at] = h[nearest[y * width + source] * width + source]

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights in an OpenEXR file.
+
+OpenEXR is imported inside `open_exr` only, which runs in the import's child process: inside the real Blender program its
+symbols bind to Blender's own library and reading crashes.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from .errors import TerrainError
+from .sources import ImportSettings, Raster, blank, physical_memory
+
+# Where a height is looked for, in this order, when no channel is named; then the first channel.
+CHANNELS = ("height", "Height", "Y", "Z", "V", "R")
+
+
+def open_exr(path: Path, settings: ImportSettings) -> Raster:
+    """Read one channel of an EXR file's first part. Raises TerrainError if it cannot be used."""
+    import OpenEXR
+
+    try:
+        part = OpenEXR.File(str(path), separate_channels=True, header_only=True).parts[0]
+        header = part.header
+        low, high = header["dataWindow"]
+        channels = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
+    except Exception as reason:
+        raise TerrainError(f"{path} cannot be read as OpenEXR ({_short(reason)}): get the file again.") from reason
+    width, height = (int(high[axis]) - int(low[axis]) + 1 for axis in (0, 1))
+    name = settings.channel or next((c for c in CHANNELS if c in channels), next(iter(channels), ""))
+    if name not in channels:
+        raise TerrainError(f"{path} has no channel {name!r}: choose one of {', '.join(channels)}.")
+    if channels[name] != (1, 1):
+        raise TerrainError(f"{path} stores channel {name!r} at a fraction of the resolution: expected every pixel.")
+    needed = width * height * len(channels) * 4
+    if width < 1 or height < 1 or needed > physical_memory() // 2:
+        raise TerrainError(
+            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {needed / 1e9:.1f} GB: more "
+            "than half of this machine's memory, so it is damaged or must be cut into tiles."
+        )
+    try:
+        pixels = OpenEXR.File(str(path), separate_channels=True).parts[0].channels[name].pixels
+    except Exception as reason:
+        raise TerrainError(f"{path} is damaged or incomplete ({_short(reason)}): get the file again.") from reason
+    if pixels.shape != (height, width):
+        raise TerrainError(f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again.")
+    if not np.any(pixels):
+        _check_complete(path, height, header)
+    return Raster(
+        width=width,
+        height=height,
+        read=lambda first, count: blank(pixels[first : first + count], settings.no_data),
+        stored=str(pixels.dtype),
+        format=f"OpenEXR channel {name}",
+    )
+
+
+def _short(reason: BaseException) -> str:
+    return " ".join(str(reason).split()).rstrip(".")

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Displacement against numpy, meshlets against their definition, the welded arrays against their contract."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
+from fields import reference_heights, rough
+from invariants import assert_invariants
+
+VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
+
+
+def test_vertices_lie_on_the_reference_surface():
+    field = rough(33, 65)
+    surface = Terrain(field, 1).update(Criterion(error_px=0.5), [VIEW]).surface
+    p = surface.positions.astype(np.float64)
+    # plane coordinates are rounded to float32: allow what that moves on the steepest slope, and float32 of the height
+    slope = np.abs(np.diff(field.samples, axis=0)).max() / field.lattice.step_y * 2
+    assert np.abs(p[:, 2] - reference_heights(field, p[:, :2])).max() < slope * 2**-15 + 2**-17
+
+
+def test_vertices_on_samples_have_the_samples_bits():
+    field = rough(17, 17)
+    surface = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e-9, max_depth=9)).surface
+    assert len(surface.level) == 2 * 16 * 16
+    i = np.rint(surface.positions[:, 0] / 10 + 8).astype(int)
+    j = np.rint(surface.positions[:, 1] / 10 + 8).astype(int)
+    assert np.array_equal(surface.positions[:, 2], field.samples[j, i])
+    assert np.array_equal(surface.uv, np.stack([i, j], axis=1).astype(np.float32) / 16)
+
+
+@pytest.mark.parametrize("scale", [1.0, -3.0])
+def test_normals_are_those_of_the_height_field_at_full_resolution(scale):
+    field = rough(17, 33)
+    criterion = Criterion(error_px=0.0, error_m=30.0, max_depth=9)  # coarse: normals must not depend on the triangles
+    surface = Terrain(field, 1).update(criterion, vertical_scale=scale).surface
+    gy, gx = np.gradient(np.asarray(field.samples, np.float64), 10.0)
+    i = np.rint(surface.positions[:, 0] / 10 + 16).astype(int)
+    j = np.rint(surface.positions[:, 1] / 10 + 8).astype(int)
+    expected = np.stack([-scale * gx[j, i], -scale * gy[j, i], np.ones(len(i))], axis=1)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    assert np.abs(surface.normals - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("meshlet", [1, 2, 3, 4])
+def test_a_meshlet_is_the_same_surface_as_that_many_bisections(meshlet):
+    field = rough(9, 17)
+    coarse = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e9, meshlet=meshlet, max_depth=15))
+    assert coarse.triangles == 2 * field.lattice.squares << (2 * meshlet)
+    assert_invariants(coarse.surface, field.lattice, meshlet)
+    flat = from_array(np.full((9, 17), 5, np.float32), 10.0)
+    # every node wants to be split down to the same depth: the uniform mesh
+    view = View.look((0, 0, 1e4), (0, 1, 0))
+    uniform = Terrain(flat, 1).update(
+        Criterion(error_px=0, edge_px=1e-6, max_depth=1 + 2 * meshlet, off_screen_factor=1), [view]
+    )
+    assert uniform.triangles == coarse.triangles
+
+    def by_corner(surface):
+        return np.unique(np.sort(surface.positions[surface.triangles][:, :, :2].reshape(-1, 6), axis=1), axis=0)
+
+    assert np.array_equal(by_corner(uniform.surface), by_corner(coarse.surface))
+
+
+def test_vertical_scale_and_offset_move_every_height():
+    field = rough(17, 17)
+    plain = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=5.0))
+    scaled = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=10.0), vertical_scale=2.0, vertical_offset=7.0)
+    assert np.allclose(scaled.surface.positions[:, 2], plain.surface.positions[:, 2] * 2 + 7, atol=1e-4)
+    assert scaled.bound_m == 2 * plain.bound_m
+
+
+def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
+    field = from_array(np.full((5, 9), -3.0, np.float32), 10.0)
+    update = Terrain(field, 1).update(Criterion(error_px=0.01), [VIEW])
+    assert update.triangles == 2 * field.lattice.squares and update.bound_px == 0.0
+    assert np.array_equal(np.unique(update.surface.normals, axis=0), [[0, 0, 1]])

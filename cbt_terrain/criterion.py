@@ -12,22 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels.criterion import (
-    AXIS,
-    DEPTH,
-    DIAGONAL,
-    EYE,
-    KIND,
-    NEAR,
-    OFF_SCREEN,
-    PIXELS,
-    PLANE,
-    PLANES,
-    SECANT,
-    VERTICAL,
-    VIEW_NUMBERS,
-    WEIGHT,
-)
+from ..kernels.criterion import MAX_PLANES, LocalView
 from .errors import TerrainError
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
@@ -74,52 +59,57 @@ class Criterion:
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
-def pack_view(
+def localise(
     view: View, placement: np.ndarray, steps: tuple[float, float], box: np.ndarray, criterion: Criterion
-) -> np.ndarray:
-    """float64 [VIEW_NUMBERS]: the view seen from the terrain's own space.
+) -> LocalView:
+    """The view from the terrain's own space, as the kernels read it.
 
     `placement` float64 [4, 4] takes the terrain's space to the world, `steps` are the metres of one lattice unit in x
     and y, `box` float64 [2, 3] is everything that the terrain may occupy in its own space.
     """
-    row = np.zeros(VIEW_NUMBERS)
     to_camera = view.world_to_camera @ placement
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
-    row[KIND] = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind)
-    row[EYE : EYE + 3] = -np.linalg.solve(linear, shift)
     # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
     # only under shear. The last factor keeps rounding on the safe side.
     stretch = np.linalg.norm(linear, axis=0)
     sigma = np.linalg.svd(linear / stretch, compute_uv=False)[-1]
-    row[WEIGHT : WEIGHT + 3] = (sigma * stretch) ** 2 * (1 - 1e-12)
-    row[DEPTH : DEPTH + 3], row[DEPTH + 3] = -linear[2], -shift[2]
-    pixels = view.pixels_per_unit
+    pixels, secant2 = view.pixels_per_unit, 1.0
     if view.kind == PANORAMIC and criterion.error_px:
         # A chord e at distance d or more subtends at most 2 asin(e / 2d): exact at the angle that was asked for.
         angle = min(criterion.error_px / pixels, math.pi)
         pixels *= angle / (2 * math.sin(angle / 2))
-    row[PIXELS], row[SECANT] = pixels, 1.0
     if view.kind == PERSPECTIVE:
-        row[SECANT] = math.sqrt(1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds()))
+        secant2 = 1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds())
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
-    near = view.clip[0] / 2 if view.clip[0] > 0 else 0.0
-    row[NEAR] = max(near, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-300) ** 2
-    row[VERTICAL] = stretch[2] ** 2
+    near = max(view.clip[0] / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
-    row[DIAGONAL] = max(np.sum((east + north) ** 2), np.sum((east - north) ** 2))
-    row[AXIS] = max(np.sum(east**2), np.sum(north**2))
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
-    row[PLANES] = len(planes)
-    row[PLANE : PLANE + planes.size] = planes.ravel()
     factor = criterion.off_screen_factor
     if factor > 1 and _outside(planes, box):
         factor = math.inf  # nothing of this terrain is in view: the smallest mesh will do
-    row[OFF_SCREEN] = 1.0 / factor**2
-    if not np.isfinite(row).all():
-        raise TerrainError(
-            "The camera or the terrain is so far away or so large that its numbers overflow; check both."
-        )
-    return row
+    numbers = {
+        "eye": -np.linalg.solve(linear, shift),
+        "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
+        "depth": [*-linear[2], -shift[2]],
+        "pixels2": pixels**2,
+        "secant2": secant2,
+        "cosine2": 1 / secant2,
+        "near2": near**2,
+        "vertical2": stretch[2] ** 2,
+        "diagonal2": max(np.sum((east + north) ** 2), np.sum((east - north) ** 2)),
+        "axis2": max(np.sum(east**2), np.sum(north**2)),
+        "off_screen2": 1.0 / factor**2,
+        "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
+    }
+    local = LocalView()
+    local.kind, local.plane_count = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind), len(planes)
+    for name, value in numbers.items():
+        if not np.isfinite(value).all():
+            raise TerrainError(
+                "The camera or the terrain is so far away or so large that its numbers overflow; check both."
+            )
+        setattr(local, name, value)
+    return local
 
 
 def frustum_planes(view: View, guard_deg: float) -> np.ndarray:

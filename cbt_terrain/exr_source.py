@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights in an OpenEXR file.
 
-OpenEXR is imported inside `open_exr` only, which runs in the import's child process: inside the real Blender program its
-symbols bind to Blender's own library and reading crashes.
+OpenEXR is imported inside `open_exr` only, which runs in the import's child process: inside the real Blender program
+its symbols bind to Blender's own library and reading crashes.
 """
 
 from pathlib import Path
-
-import numpy as np
 
 from .errors import TerrainError
 from .sources import ImportSettings, Raster, blank, physical_memory
@@ -36,17 +34,17 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
     needed = width * height * len(channels) * 4
     if width < 1 or height < 1 or needed > physical_memory() // 2:
         raise TerrainError(
-            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {needed / 1e9:.1f} GB: more "
-            "than half of this machine's memory, so it is damaged or must be cut into tiles."
+            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {needed / 1e9:.1f} GB: "
+            "more than half of this machine's memory, so it is damaged or must be cut into tiles."
         )
     try:
         pixels = OpenEXR.File(str(path), separate_channels=True).parts[0].channels[name].pixels
     except Exception as reason:
         raise TerrainError(f"{path} is damaged or incomplete ({_short(reason)}): get the file again.") from reason
     if pixels.shape != (height, width):
-        raise TerrainError(f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again.")
-    if not np.any(pixels):
-        _check_complete(path, height, header)
+        raise TerrainError(
+            f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again."
+        )
     return Raster(
         width=width,
         height=height,

@@ -6,14 +6,13 @@ those of Blender.
 """
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 
 from .errors import TerrainError
 from .georeference import Georeference, ellipsoid_of, from_transform
-from .sources import ImportSettings, Raster, blank
+from .sources import ImportSettings, Raster, blank, physical_memory
 
 DRIVERS = ["GTiff", "SRTMHGT", "PNG", "AAIGrid", "VRT"]
 SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt")
@@ -109,11 +108,10 @@ def _georeference(dataset) -> Georeference | None:
 def _check_block(path: Path, rows: int, columns: int, stored: np.dtype) -> None:
     """Refuse a file whose smallest readable piece does not fit into memory, before GDAL asks for it."""
     size = rows * columns * stored.itemsize
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 8 << 30
-    if size > memory // 4:
+    if size > physical_memory() // 4:
         raise TerrainError(
-            f"{path} is stored in pieces of {size / 1e9:.1f} GB, more than a quarter of this machine's memory: write it "
-            "again with smaller tiles or strips."
+            f"{path} is stored in pieces of {size / 1e9:.1f} GB, more than a quarter of this machine's memory: write "
+            "it again with smaller tiles or strips."
         )
 
 

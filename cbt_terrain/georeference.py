@@ -26,7 +26,7 @@ class Georeference:
 
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
-    """Semi-major axis (metres) and inverse flattening (0 for a sphere) named in a CRS's WKT; WGS 84 if there is none."""
+    """Semi-major axis (metres) and inverse flattening (0: a sphere) named in a CRS's WKT; WGS 84 if there is none."""
     found = _ELLIPSOID.search(wkt)
     return (float(found[1]), float(found[2])) if found else WGS84
 
@@ -58,10 +58,10 @@ def from_transform(
 ) -> Georeference:
     """The georeference of a raster of `width` x `height` samples.
 
-    transform: (a, b, c, d, e, f) takes column and row of a cell's *corner* to x = a col + b row + c, y = d col + e row + f.
-    Samples lie in the middle of cells: of a pixel-is-area raster by definition, of a pixel-is-point raster because GDAL
-    has moved its corner by half a cell, so that both differ by half a cell, exactly. degrees: degrees in the CRS's unit
-    if that is an angle, else 0. metres: metres in the CRS's unit if that is a length.
+    transform: (a, b, c, d, e, f) takes column and row of a cell's *corner* to x = a col + b row + c and
+    y = d col + e row + f. Samples lie in the middle of cells: of a pixel-is-area raster by definition, of a
+    pixel-is-point raster because GDAL has moved its corner by half a cell, so that both differ by half a cell, exactly.
+    degrees: degrees in the CRS's unit if that is an angle, else 0. metres: metres in the CRS's unit if it is a length.
     """
     a, b, c, d, e, f = transform
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f
@@ -73,8 +73,8 @@ def from_transform(
         latitude = y * degrees
         if abs(latitude) > 89.9:
             raise TerrainError(
-                f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no length: "
-                "project it first, or give the extent in metres."
+                f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no "
+                "length: project it first, or give the extent in metres."
             )
         per_x, per_y = (degrees * length for length in degree_lengths(latitude, ellipsoid))
     else:

@@ -98,7 +98,11 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
         if step % 2 == 0:
             old = wp.clone(cells)
             launch.spread(
-                expand_kernels.raise_cells, cells.size, [columns, rows, old, cells], step="meshlet errors", threads=threads
+                expand_kernels.raise_cells,
+                cells.size,
+                [columns, rows, old, cells],
+                step="meshlet errors",
+                threads=threads,
             )
 
 

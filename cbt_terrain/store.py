@@ -26,6 +26,7 @@ from .lattice import Lattice
 
 VERSION = 1
 JSON_NAME = "store.json"
+DATA_PREFIX = "data-"
 # A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
 STALE_SECONDS = 86_400.0
 
@@ -132,11 +133,12 @@ def keep_expanded(field: HeightField, meshlet: int, errors: np.ndarray) -> None:
 class Draft:
     """A version of a store while it is written; nothing of it is visible until `publish`."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, name: str | None = None):
         self.path = path
         self.made_parent = not path.exists()
-        self.folder = path / f"data-{uuid.uuid4().hex}"
+        self.folder = path / (name or f"{DATA_PREFIX}{uuid.uuid4().hex}")
         self.folder.mkdir(parents=True)
+        self.published = False
 
     def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
         """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
@@ -175,10 +177,13 @@ class Draft:
         part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
         previous = _named_folder(self.path)
         os.replace(part, self.path / JSON_NAME)
+        self.published = True
         _discard_old(self.path, previous, self.folder)
 
-    def discard(self) -> None:
-        """Take away what was written; a store that stood there before is untouched."""
+    def discard_unless_published(self) -> None:
+        """Take away what was written for nothing; a store that stood there before is untouched."""
+        if self.published:
+            return
         shutil.rmtree(self.folder, ignore_errors=True)
         if self.made_parent:
             try:
@@ -195,7 +200,7 @@ def _named_folder(path: Path) -> Path | None:
 
 
 def _discard_old(path: Path, previous: Path | None, current: Path) -> None:
-    for folder in path.glob("data-*"):
+    for folder in path.glob(f"{DATA_PREFIX}*"):
         try:
             stale = time.time() - folder.stat().st_mtime > STALE_SECONDS
         except OSError:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
-from ..kernels.criterion import Asked
+from ..kernels.criterion import Asked, LocalView
 from . import launch
-from .buffers import Buffers, shared
-from .criterion import Criterion, pack_view
+from .buffers import Buffers
+from .criterion import Criterion, localise
 from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
@@ -98,8 +98,7 @@ class Terrain:
         domain = make_domain(self.field, criterion.meshlet, vertical_scale, vertical_offset)
         steps = (domain.unit_x, domain.unit_y)
         views = views if criterion.needs_view else ()
-        rows = np.stack([pack_view(v, placement, steps, box, criterion) for v in views]) if views else np.zeros((1, 1))
-        asked = _pack(criterion, rows, len(views))
+        asked = _pack(criterion, [localise(v, placement, steps, box, criterion) for v in views])
         depth = self._max_depth(criterion)
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
@@ -159,16 +158,17 @@ def _max_leaves(criterion: Criterion) -> int:
     return triangles >> (2 * criterion.meshlet)
 
 
-def _pack(criterion: Criterion, rows: np.ndarray, count: int) -> Asked:
+def _pack(criterion: Criterion, views: list[LocalView]) -> Asked:
     asked = Asked()
 
     def inverse(value: float) -> float:
         return 1.0 / value if value > 0 else 0.0
 
-    asked.view_count = count
+    asked.view_count = len(views)
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
     asked.error, asked.edge = inverse(criterion.error_px**2), inverse(criterion.edge_px**2)
     asked.area, asked.vertical = inverse(criterion.area_px), inverse(criterion.error_m**2)
     asked.limit = 1.0
-    asked.views = shared(np.ascontiguousarray(rows.reshape(-1)), wp.float64)
+    views = views or [LocalView()]
+    asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
     return asked

@@ -10,21 +10,31 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Layout of one view's row of float64 numbers.
-KIND = wp.constant(0)  # 0 perspective, 1 orthographic, 2 panoramic
-EYE = wp.constant(1)  # 3: the eye in the terrain's space, metres
-WEIGHT = wp.constant(4)  # 3: squared metres of camera space per squared metre along each axis
-DEPTH = wp.constant(7)  # 4: depth along the view = DEPTH . (x, y, z, 1)
-PIXELS = wp.constant(11)  # pixels per unit tangent, per metre or per radian
-SECANT = wp.constant(12)  # largest distance over depth inside the frame
-NEAR = wp.constant(13)  # squared distance below which nothing is seen
-VERTICAL = wp.constant(14)  # squared metres of camera space per squared metre of height
-DIAGONAL = wp.constant(15)  # squared length of a lattice unit's diagonal, the longer one, in camera space
-AXIS = wp.constant(16)  # squared length of a lattice unit's side, the longer one, in camera space
-OFF_SCREEN = wp.constant(17)  # what the squared measures of a box outside the frustum are multiplied by
-PLANES = wp.constant(18)  # number of planes
-PLANE = wp.constant(19)  # 4 each: positive towards the frustum, in the terrain's space
-VIEW_NUMBERS = wp.constant(19 + 4 * 6)
+PERSPECTIVE = wp.constant(0)
+ORTHOGRAPHIC = wp.constant(1)
+PANORAMIC = wp.constant(2)
+MAX_PLANES = wp.constant(6)
+planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
+
+
+@wp.struct
+class LocalView:
+    """A view from the terrain's own space."""
+
+    kind: wp.int32
+    plane_count: wp.int32
+    eye: wp.vec3d  # metres
+    weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
+    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres
+    pixels2: wp.float64  # squared pixels per unit tangent, per metre or per radian
+    secant2: wp.float64  # squared largest distance over depth inside the frame
+    cosine2: wp.float64  # its inverse
+    near2: wp.float64  # squared distance below which nothing is seen
+    vertical2: wp.float64  # squared metres of camera space per squared metre of height
+    diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
+    axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
+    off_screen2: wp.float64  # what the squared measures of a box outside the frustum are multiplied by
+    planes: planes_type  # positive towards the frustum
 
 
 @wp.struct
@@ -63,7 +73,8 @@ class Asked:
     area: wp.float64
     vertical: wp.float64
     limit: wp.float64  # above this a diamond is split: 1, or more to meet a budget
-    views: wp.array(dtype=wp.float64)
+    view: LocalView  # the first view
+    views: wp.array(dtype=LocalView)  # all of them
 
 
 @wp.func
@@ -134,6 +145,75 @@ def node(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 
 
 @wp.func
+def excess(asked: Asked, error_px2: wp.float64, edge_px2: wp.float64, area_px2: wp.float64, metres: wp.float64):
+    """The measures over what was asked, squared: criteria combine by max."""
+    r = wp.max(error_px2 * asked.error, metres * metres * asked.vertical)
+    return wp.max(r, wp.max(edge_px2 * asked.edge, area_px2 * asked.area))
+
+
+@wp.struct
+class Diamond:
+    """What a view needs to know of a diamond."""
+
+    low: wp.vec3d  # its box, metres of the terrain's space
+    high: wp.vec3d
+    error: wp.float64  # metres
+    total: wp.float64  # with what resampling moved
+    odd: wp.int32  # 1: its longest edge is a cell's diagonal, 0: a side
+    side2: wp.float64  # squared lattice units of that cell's side, or of the edge
+    rise: wp.float64  # metres, the most that an edge of it can climb
+
+
+@wp.func
+def measure_in(view: LocalView, asked: Asked, d: Diamond):
+    """Squared pixels of error, of error with what resampling moved and of the longest edge, square pixels of area."""
+    zero = wp.float64(0.0)
+    # Squared distance of camera space from the eye to the box.
+    dx = wp.max(wp.max(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
+    dy = wp.max(wp.max(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
+    dz = wp.max(wp.max(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
+    far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+    far2 = wp.max(far2, view.near2)
+    # Squared pixels per metre: a segment of length e at depth z and distance d moves by at most f e d / z^2.
+    per2 = view.pixels2
+    if view.kind == PERSPECTIVE:
+        deep = view.depth[3] + wp.min(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+        deep += wp.min(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+        deep += wp.min(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+        deep = wp.max(deep, zero)
+        per2 = per2 * view.secant2 / wp.max(deep * deep, far2 * view.cosine2)
+    elif view.kind == PANORAMIC:
+        per2 = per2 / far2
+    error_px2 = per2 * (view.vertical2 * (d.error * d.error))
+    total_px2 = per2 * (view.vertical2 * (d.total * d.total))
+    edge_px2 = zero
+    area_px2 = zero
+    if asked.measures_edges == 1:
+        long2 = view.diagonal2 * d.side2
+        legs2 = view.axis2 * d.side2
+        if d.odd == 0:
+            long2 = legs2
+            legs2 = view.diagonal2 * d.side2 * wp.float64(0.25)
+        rise2 = view.vertical2 * (d.rise * d.rise)
+        edge_px2 = per2 * (long2 + rise2)
+        area_px2 = per2 * (legs2 + rise2) * wp.float64(0.5)
+    # Outside one of the frustum's planes? It matters only where the diamond would be split.
+    if excess(asked, error_px2, edge_px2, area_px2, zero) > asked.limit:
+        for p in range(view.plane_count):
+            plane = view.planes[p]
+            side = plane[3] + wp.max(plane[0] * d.low[0], plane[0] * d.high[0])
+            side += wp.max(plane[1] * d.low[1], plane[1] * d.high[1])
+            side += wp.max(plane[2] * d.low[2], plane[2] * d.high[2])
+            if side < zero:
+                error_px2 *= view.off_screen2
+                total_px2 *= view.off_screen2
+                edge_px2 *= view.off_screen2
+                area_px2 *= view.off_screen2
+                break
+    return error_px2, total_px2, edge_px2, area_px2
+
+
+@wp.func
 def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32):
     """What the views make of the diamond split at (x, y).
 
@@ -141,78 +221,42 @@ def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.in
     square pixels of area, and metres of vertical error; each the largest of all views.
     """
     error, low, high, reach = node(domain, x, y, depth)
+    scale = wp.abs(domain.height_scale)
     error_px2 = wp.float64(0.0)
     total_px2 = wp.float64(0.0)
     edge_px2 = wp.float64(0.0)
     area_px2 = wp.float64(0.0)
-    scale = wp.abs(domain.height_scale)
     if asked.view_count > 0:
-        x0 = domain.west + wp.float64(x - reach) * domain.unit_x
-        x1 = domain.west + wp.float64(x + reach) * domain.unit_x
-        y0 = domain.south + wp.float64(y - reach) * domain.unit_y
-        y1 = domain.south + wp.float64(y + reach) * domain.unit_y
+        d = Diamond()
         z0 = low * domain.height_scale + domain.height_offset
         z1 = high * domain.height_scale + domain.height_offset
-        if domain.height_scale < wp.float64(0.0):
-            t = z0
-            z0 = z1
-            z1 = t
-        e = error * scale
-        total = (error + domain.extra_error) * scale
-        for v in range(asked.view_count):
-            o = v * VIEW_NUMBERS
-            views = asked.views
-            # Squared distance of camera space from the eye to the box.
-            zero = wp.float64(0.0)
-            dx = wp.max(wp.max(x0 - views[o + EYE], views[o + EYE] - x1), zero)
-            dy = wp.max(wp.max(y0 - views[o + EYE + 1], views[o + EYE + 1] - y1), zero)
-            dz = wp.max(wp.max(z0 - views[o + EYE + 2], views[o + EYE + 2] - z1), zero)
-            far2 = views[o + WEIGHT] * (dx * dx) + views[o + WEIGHT + 1] * (dy * dy) + views[o + WEIGHT + 2] * (dz * dz)
-            far2 = wp.max(far2, views[o + NEAR])
-            # Pixels per metre: a segment of length e seen at depth z and distance d moves by at most f e d / z^2.
-            per2 = views[o + PIXELS] * views[o + PIXELS]
-            if views[o + KIND] == zero:
-                deep = views[o + DEPTH + 3]
-                deep += wp.min(views[o + DEPTH] * x0, views[o + DEPTH] * x1)
-                deep += wp.min(views[o + DEPTH + 1] * y0, views[o + DEPTH + 1] * y1)
-                deep += wp.min(views[o + DEPTH + 2] * z0, views[o + DEPTH + 2] * z1)
-                deep = wp.max(deep, zero)
-                secant2 = views[o + SECANT] * views[o + SECANT]
-                per2 = per2 * secant2 / wp.max(deep * deep, far2 / secant2)
-            elif views[o + KIND] == wp.float64(2.0):
-                per2 = per2 / far2
-            # Outside one of the frustum's planes?
-            for p in range(wp.int32(views[o + PLANES])):
-                q = o + PLANE + 4 * p
-                side = views[q + 3] + wp.max(views[q] * x0, views[q] * x1)
-                side += wp.max(views[q + 1] * y0, views[q + 1] * y1)
-                side += wp.max(views[q + 2] * z0, views[q + 2] * z1)
-                if side < zero:
-                    per2 = per2 * views[o + OFF_SCREEN]
-                    break
-            vertical = views[o + VERTICAL]
-            error_px2 = wp.max(error_px2, per2 * (vertical * (e * e)))
-            total_px2 = wp.max(total_px2, per2 * (vertical * (total * total)))
-            if asked.measures_edges == 1:
-                half = (depth - 1) >> 1
-                s = wp.float64(wp.int32(1) << (domain.unit_bits - half))  # side of the cell, or the edge
-                long2 = views[o + DIAGONAL] * (s * s)
-                legs2 = views[o + AXIS] * (s * s)
-                if (depth & 1) == 0:
-                    long2 = views[o + AXIS] * (s * s)
-                    legs2 = views[o + DIAGONAL] * (s * s) * wp.float64(0.25)
-                rise = z1 - z0
-                if depth > 2 * domain.levels:
-                    # Inside a bilinear patch heights change in proportion to |dx| + |dy|.
-                    part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
-                    rise = rise * wp.min(wp.float64(1 + (depth & 1)) / part, wp.float64(1.0))
-                edge_px2 = wp.max(edge_px2, per2 * (long2 + vertical * (rise * rise)))
-                area_px2 = wp.max(area_px2, per2 * (legs2 + vertical * (rise * rise)) * wp.float64(0.5))
+        d.low = wp.vec3d(
+            domain.west + wp.float64(x - reach) * domain.unit_x,
+            domain.south + wp.float64(y - reach) * domain.unit_y,
+            wp.min(z0, z1),
+        )
+        d.high = wp.vec3d(
+            domain.west + wp.float64(x + reach) * domain.unit_x,
+            domain.south + wp.float64(y + reach) * domain.unit_y,
+            wp.max(z0, z1),
+        )
+        d.error = error * scale
+        d.total = (error + domain.extra_error) * scale
+        half = (depth - 1) >> 1
+        d.odd = depth & 1
+        side = wp.float64(wp.int32(1) << (domain.unit_bits - half))
+        d.side2 = side * side
+        d.rise = d.high[2] - d.low[2]
+        if depth > 2 * domain.levels:
+            # Inside a bilinear patch heights change in proportion to |dx| + |dy|.
+            part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
+            d.rise = d.rise * wp.min(wp.float64(1 + d.odd) / part, wp.float64(1.0))
+        # The first view is at hand; further ones are looked up.
+        error_px2, total_px2, edge_px2, area_px2 = measure_in(asked.view, asked, d)
+        for v in range(1, asked.view_count):
+            e2, t2, l2, a2 = measure_in(asked.views[v], asked, d)
+            error_px2 = wp.max(error_px2, e2)
+            total_px2 = wp.max(total_px2, t2)
+            edge_px2 = wp.max(edge_px2, l2)
+            area_px2 = wp.max(area_px2, a2)
     return error_px2, total_px2, edge_px2, area_px2, error * scale
-
-
-@wp.func
-def excess(asked: Asked, error_px2: wp.float64, edge_px2: wp.float64, area_px2: wp.float64, metres: wp.float64):
-    """The measures over what was asked, squared: criteria combine by max."""
-    r = wp.max(error_px2 * asked.error, metres * metres * asked.vertical)
-    return wp.max(r, wp.max(edge_px2 * asked.edge, area_px2 * asked.area))

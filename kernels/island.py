@@ -61,8 +61,10 @@ def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
 
 
 @wp.func
-def relief(x: wp.float64, y: wp.float64, seed: wp.uint32):
+def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
     """Sum of octaves in which steep places get less of the finer ones: ridges stay sharp and valleys smooth.
+
+    `detail` (0 .. 1) scales all octaves after the third; they cost most of the time and the sea bed needs none.
 
     The damping by the summed slope is Quilez' ("more noise", 2008).
     """
@@ -72,7 +74,10 @@ def relief(x: wp.float64, y: wp.float64, seed: wp.uint32):
     sy = wp.float64(0.0)
     px = x
     py = y
-    for octave in range(RELIEF_OCTAVES):
+    octaves = wp.where(detail > wp.float64(0.0), RELIEF_OCTAVES, 3)
+    for octave in range(octaves):
+        if octave == 3:
+            weight = weight * detail
         n = noise(px, py, seed + wp.uint32(octave) * wp.uint32(0x9E3779B9))
         sx = sx + n[0] * wp.float64(0.75)
         sy = sy + n[1] * wp.float64(0.75)
@@ -112,32 +117,38 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
     wx = x + wp.float64(0.14) * bend[2] + wp.float64(0.04) * bent[2]
     wy = y + wp.float64(0.07) * bend[0] + wp.float64(0.02) * bent[0]
     bays = noise(x * wp.float64(3.1), y * wp.float64(3.1), seed + wp.uint32(103))
-    rough = relief(wx * wp.float64(2.2), wy * wp.float64(2.2), seed)
     reach = wp.sqrt(wx * wx + wp.float64(1.3) * wy * wy)
-    inland = wp.float64(0.82) - reach - wp.float64(0.16) * bays[2] + wp.float64(0.05) * rough
+    inland = wp.float64(0.82) - reach - wp.float64(0.16) * bays[2]
+    dry = smooth(wp.float64(-0.12), wp.float64(0.02), inland)
+    rough = relief(wx * wp.float64(2.2), wy * wp.float64(2.2), dry, seed)
+    inland = inland + wp.float64(0.05) * rough
 
     # Ridges and peaks grow towards the middle; valleys run out of it to the coast.
     rise = smooth(wp.float64(-0.05), wp.float64(0.7), inland)
-    crest = one - wp.float64(1.7) * wp.abs(noise(wx * wp.float64(2.7), wy * wp.float64(2.7), seed + wp.uint32(104))[2])
-    land = wp.float64(200.0) * rise + wp.float64(560.0) * rise * crest * crest
-    land = land + (wp.float64(110.0) + wp.float64(750.0) * rise) * rough
-    bx = wx + wp.float64(0.06) * rough
-    by = wy - wp.float64(0.06) * rough
-    beds = gullies(bx, by, wp.float64(1.9), seed + wp.uint32(105))
-    beds = wp.max(beds, half * gullies(bx, by, wp.float64(4.7), seed + wp.uint32(106)))
-    land = land * (one - wp.float64(0.6) * beds * smooth(wp.float64(0.05), wp.float64(0.3), reach))
+    land = (wp.float64(110.0) + wp.float64(750.0) * rise) * rough
+    if rise > wp.float64(0.0):
+        crest = noise(wx * wp.float64(2.7), wy * wp.float64(2.7), seed + wp.uint32(104))[2]
+        crest = one - wp.float64(1.7) * wp.abs(crest)
+        land = land + wp.float64(200.0) * rise + wp.float64(560.0) * rise * crest * crest
+        bx = wx + wp.float64(0.06) * rough
+        by = wy - wp.float64(0.06) * rough
+        beds = gullies(bx, by, wp.float64(1.9), seed + wp.uint32(105))
+        beds = wp.max(beds, half * gullies(bx, by, wp.float64(4.7), seed + wp.uint32(106)))
+        spread = smooth(wp.float64(0.05), wp.float64(0.3), reach) * wp.min(rise * wp.float64(20.0), one)
+        land = land * (one - wp.float64(0.6) * beds * spread)
 
     # The volcano: a cone that steepens towards its rim, furrowed by its own gullies, and a crater in it.
     vx = wx - wp.float64(0.16)
     vy = wy - wp.float64(0.10)
     away = wp.sqrt(vx * vx + vy * vy)
     cone = wp.max(one - away / wp.float64(0.55), wp.float64(0.0))
-    furrow = gullies(vx + wp.float64(0.03) * rough, vy, wp.float64(3.4), seed + wp.uint32(107))
-    furrow = furrow * cone * (one - cone) * wp.float64(4.0)
-    cone = wp.float64(1650.0) * cone * cone * (half + half * cone)
-    cone = cone * (one + wp.float64(0.25) * rough) * (one - wp.float64(0.22) * furrow)
+    if cone > wp.float64(0.0):
+        furrow = gullies(vx + wp.float64(0.03) * rough, vy, wp.float64(3.4), seed + wp.uint32(107))
+        furrow = furrow * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.05), wp.float64(0.16), away)
+        cone = wp.float64(1950.0) * cone * cone * (half + half * cone)
+        cone = cone * (one + wp.float64(0.25) * rough) * (one - wp.float64(0.22) * furrow)
     crater = smooth(wp.float64(0.1), wp.float64(0.03), away + wp.float64(0.01) * bent[2])
-    height = wp.max(land, wp.float64(0.55) * land + cone) - wp.float64(420.0) * crater
+    height = wp.max(land, wp.float64(0.55) * land + cone) - wp.float64(800.0) * crater
 
     # The coast: a shelf that falls off outside, and a strip of beach where land meets the sea.
     height = height + wp.float64(260.0) * wp.clamp(inland, wp.float64(-0.5), wp.float64(0.16)) - wp.float64(16.0)

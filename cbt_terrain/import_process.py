@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The child process of an import: started, watched and ended by the parent, and its own main function."""
+
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import store as stores
+from .errors import TerrainError
+from .sources import ImportSettings
+
+# The child loads the package from its folder, whatever its name is in this process (`bl_ext....` in Blender).
+BOOTSTRAP = """
+import importlib.util, sys
+spec = importlib.util.spec_from_file_location(
+    "adaptive_terrain", sys.argv[1] + "/__init__.py", submodule_search_locations=[sys.argv[1]])
+sys.modules["adaptive_terrain"] = package = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(package)
+from adaptive_terrain.cbt_terrain.import_process import child_main
+child_main()
+"""
+# A GDAL or PROJ database of the host does not fit the child's own library.
+FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
+POLL_SECONDS = 0.02
+PROGRESS_SECONDS = 0.05
+
+
+class ImportCancelled(TerrainError):
+    """The user has stopped the import; the store is as it was before."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far an import is: `fraction` 0 .. 1; when `done`, either `error` or `report` is set."""
+
+    fraction: float = 0.0
+    message: str = "Starting"
+    done: bool = False
+    error: str | None = None
+    report: dict | None = None
+
+
+class ImportJob:
+    """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
+
+    def __init__(self, settings: ImportSettings, store: str | os.PathLike):
+        from .importing import source_digest
+
+        self._settings, self._store = settings, Path(store)
+        self._progress, self._cancelled, self._lines = Progress(), False, []
+        self._process = None
+        report = _finished_before(self._store, source_digest(settings))
+        if report is not None:
+            self._progress = Progress(1.0, "Done", True, None, report)
+            return
+        self._folder = f"{stores.DATA_PREFIX}{uuid.uuid4().hex}"
+        self._new_store = not self._store.exists()
+        self._start()
+
+    def _start(self) -> None:
+        environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
+        environment["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
+        package = Path(__file__).resolve().parent.parent
+        self._errors = tempfile.TemporaryFile()
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", BOOTSTRAP, str(package)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                env=environment,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            )
+            request = {
+                "settings": dataclasses.asdict(self._settings),
+                "store": str(self._store.absolute()),
+                "folder": self._folder,
+            }
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()  # left open: the child ends itself when it closes
+        except OSError as reason:
+            raise TerrainError(f"No Python process could be started for the import ({reason}): try again.") from reason
+        self._reader = threading.Thread(target=self._read_lines, daemon=True)
+        self._reader.start()
+
+    def _read_lines(self) -> None:
+        for line in self._process.stdout:
+            try:
+                self._lines.append(json.loads(line))
+            except ValueError:
+                pass  # a library's own print
+
+    def poll(self) -> Progress:
+        """How far the import is; never waits."""
+        if self._progress.done:
+            return self._progress
+        ended = self._process.poll() is not None
+        if ended:
+            self._reader.join()
+        lines, self._lines = self._lines, []
+        for line in lines:
+            if "report" in line:
+                self._progress = Progress(1.0, "Done", True, None, line["report"])
+            elif "error" in line:
+                self._progress = dataclasses.replace(self._progress, done=True, error=line["error"])
+            else:
+                self._progress = Progress(line["fraction"], line["message"])
+        if ended and not self._progress.done:
+            self._progress = dataclasses.replace(self._progress, done=True, error=self._reason_of_end())
+        if self._progress.done:
+            self._tidy()
+        return self._progress
+
+    def cancel(self) -> None:
+        """Stop the import now; the store stays as it was. Does nothing to one that is done."""
+        if self.poll().done:
+            return
+        self._process.kill()
+        self._cancelled = True
+        self._process.wait()
+        self.poll()
+
+    @property
+    def cancelled(self) -> bool:
+        return self._cancelled
+
+    def _reason_of_end(self) -> str:
+        source = self._settings.source
+        if self._cancelled:
+            return f"The import of {source} was cancelled; the store is as it was before."
+        code = self._process.returncode
+        self._errors.seek(0)
+        said = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
+        how = f"exit code {code}" + (f" ({said[-1]})" if said else "")
+        if code < 0:
+            how = f"signal {signal.Signals(-code).name}"
+        return (
+            f"The import of {source} ended with {how} before it was done, and the store is as it was before: the file "
+            "may be damaged, or memory may have run out."
+        )
+
+    def _tidy(self) -> None:
+        """Take away what a child that was killed has left."""
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+        self._errors.close()
+        if self._progress.error is not None:
+            shutil.rmtree(self._store / self._folder, ignore_errors=True)
+            if self._new_store:
+                try:
+                    self._store.rmdir()
+                except OSError:
+                    pass
+
+
+def import_source(
+    settings: ImportSettings,
+    store: str | os.PathLike,
+    on_progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> dict:
+    """Import in a child process and wait; returns the report, with "unchanged" if the store held this source already.
+
+    on_progress(fraction, message) is called as it goes on; the import stops when cancelled() is true. Raises
+    TerrainError, and ImportCancelled if it was stopped; the store is then as it was before.
+    """
+    job = ImportJob(settings, store)
+    try:
+        while not (progress := job.poll()).done:
+            if on_progress is not None:
+                on_progress(progress.fraction, progress.message)
+            if cancelled is not None and cancelled():
+                break
+            time.sleep(POLL_SECONDS)
+    finally:
+        job.cancel()
+    progress = job.poll()
+    if job.cancelled:
+        raise ImportCancelled(progress.error)
+    if progress.error is not None:
+        raise TerrainError(progress.error)
+    if on_progress is not None:
+        on_progress(1.0, progress.message)
+    return progress.report
+
+
+def _finished_before(path: Path, digest: str) -> dict | None:
+    """The report of an earlier import of the same source with the same settings, if the store is whole."""
+    try:
+        content = stores.read_json(path)
+        if content["digest"] != digest:
+            return None
+        stores.open_store(path)
+        return content["report"] | {"unchanged": True}
+    except (TerrainError, KeyError):
+        return None
+
+
+def child_main() -> None:
+    """Read a request from stdin, import, and say on stdout how it goes."""
+    from .importing import run_import
+
+    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print goes to stderr
+    request = json.loads(sys.stdin.readline())
+    path, folder = Path(request["store"]), request["folder"]
+    threading.Thread(target=_end_with_parent, args=(path / folder,), daemon=True).start()
+    said = 0.0
+
+    def say(content: dict) -> None:
+        channel.write(json.dumps(content) + "\n")
+        channel.flush()
+
+    def on_progress(fraction: float, message: str) -> None:
+        nonlocal said
+        if time.monotonic() - said > PROGRESS_SECONDS:
+            said = time.monotonic()
+            say({"fraction": fraction, "message": message})
+
+    settings = request["settings"]
+    for name in ("raw_size", "extent"):
+        settings[name] = tuple(settings[name]) if settings[name] is not None else None
+    try:
+        say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
+    except TerrainError as error:
+        say({"error": str(error)})
+    except MemoryError:
+        say({"error": f"The import of {settings['source']} ran out of memory: cut it into tiles or reduce it."})
+    except Exception as error:
+        say({"error": f"The import of {settings['source']} failed unexpectedly ({type(error).__name__}: {error})."})
+        raise
+
+
+def _end_with_parent(folder: Path) -> None:
+    """Nobody waits for the import when the parent is gone: leave nothing behind."""
+    sys.stdin.read()
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import a source into a store: the work, and the child process in which it is done.
+
+`run_import` is the work. `import_source` (waits) and `ImportJob` (is polled) run it in a Python process of its own, so
+that a bad file or a clash of libraries cannot hurt the calling process, which is Blender. The child prints one JSON
+object a line: {"fraction", "message"}, and at the end {"report"} or {"error"}.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from . import heightfield, resample, store
+from .errors import TerrainError
+from .georeference import Georeference
+from .import_process import ImportCancelled, ImportJob, Progress, import_source
+from .sources import ISLAND, ImportSettings, Raster, check_file, open_source
+
+__all__ = [
+    "ImportCancelled",
+    "ImportJob",
+    "ImportSettings",
+    "Progress",
+    "describe",
+    "import_source",
+    "run_import",
+    "source_digest",
+]
+
+# Rows are read and written in blocks of about this many samples.
+BLOCK_SAMPLES = 1 << 20
+# Changed when the same source would give a different store: the island's shape, the hierarchy.
+METHOD = 1
+SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
+_REFERENCED = re.compile(r"<SourceFilename[^>]*>([^<]+)<")
+
+
+def run_import(
+    settings: ImportSettings,
+    path: str | os.PathLike,
+    on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
+    folder: str | None = None,
+) -> dict:
+    """Import in this process and return the report; the store at `path` changes at the very end or not at all.
+
+    folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError.
+    """
+    started = time.monotonic()
+    raster = open_source(settings)
+    path = Path(path)
+    draft = None
+    try:
+        digest = source_digest(settings)
+        width, height = max(raster.width, 2), max(raster.height, 2)
+        place = _place(settings, raster)
+        lattice = resample.lattice_for(width, height, place.step_x, place.step_y)
+        fits = (lattice.width, lattice.height) == (width, height)
+        _check_room(path, width, height, lattice, fits)
+        draft = store.Draft(path, folder)
+        heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
+        missing, largest = _read_heights(raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading"))
+        field = heightfield.build(
+            heights,
+            place.step_x,
+            place.step_y,
+            missing=missing,
+            allocate=draft.allocate,
+            on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
+        )
+        del heights
+        if not fits:
+            draft.remove("raster")
+        field.origin = np.array([*place.middle, 0.0])
+        field.crs = place.crs
+        field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
+        field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
+        report = _report(field, raster, place, largest)
+        report["seconds"] = round(time.monotonic() - started, 3)
+        draft.publish(field, digest, report)
+        return report
+    except OSError as reason:
+        raise TerrainError(
+            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
+        ) from reason
+    finally:
+        raster.close()
+        if draft is not None:
+            draft.discard_unless_published()
+
+
+def source_digest(settings: ImportSettings) -> str:
+    """Hex digest of the settings and of the files' paths, sizes and times of change. Raises TerrainError if missing."""
+    settings.check()
+    parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
+    if settings.source != ISLAND:
+        source = Path(settings.source)
+        check_file(source)
+        files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
+        files += [source.with_name(source.name + suffix) for suffix in SIDECARS]
+        if source.suffix.lower() == ".vrt":
+            text = source.read_text(encoding="utf-8", errors="replace")
+            files += [source.parent / name for name in _REFERENCED.findall(text)]
+        for file in files:
+            if file.is_file():
+                stat = file.stat()
+                parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def describe(path: str | os.PathLike) -> dict:
+    """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
+    content = store.read_json(Path(path))
+    field = store.open_store(path)
+    return {
+        "path": str(path),
+        "source": content["provenance"].get("settings", {}).get("source", ""),
+        **content["report"],
+        "origin": content["origin"],
+        "largest_error_m": float(field.error[: field.lattice.squares].max()),
+        "key": field.key,
+    }
+
+
+def _place(settings: ImportSettings, raster: Raster) -> Georeference:
+    """The raster's georeference, or 1 m a sample, with the distances of the extent if one is given."""
+    place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
+    if settings.extent is None:
+        return place
+    step_x, step_y = settings.extent[0] / max(raster.width - 1, 1), settings.extent[1] / max(raster.height - 1, 1)
+    return dataclasses.replace(place, step_x=step_x, step_y=step_y)
+
+
+def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
+    """Refuse what the disk cannot hold before a byte is written."""
+    cells = lattice.node_count - lattice.node_offset(lattice.cell_depth)
+    needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * (lattice.node_count - cells)
+    needed += 0 if fits else 4 * width * height
+    existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
+    free = shutil.disk_usage(existing).free
+    if needed > free:
+        raise TerrainError(
+            f"A terrain of {width} x {height} samples needs {needed / 1e9:.2f} GB in {path}, where {free / 1e9:.2f} GB "
+            "are free: make room, choose another folder, or check that the file's header tells its true size."
+        )
+
+
+def _read_heights(
+    raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
+) -> tuple[int, float]:
+    """Fill `heights` (row 0 south) from the raster; returns how many are missing, and the largest stored magnitude."""
+    rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
+    scale = raster.scale * settings.height_scale
+    offset = raster.offset * settings.height_scale + settings.height_offset
+    missing, largest = 0, 0.0
+    for first in range(0, raster.height, rows_at_once):
+        count = min(rows_at_once, raster.height - first)
+        rows = raster.read(first, count)
+        if scale != 1.0 or offset != 0.0:
+            with np.errstate(over="ignore", invalid="ignore"):
+                rows = rows * np.float64(scale) + offset
+        rows, absent = resample.clean_rows(resample.widen(rows) if raster.width == 1 or raster.height == 1 else rows)
+        missing += absent
+        if absent < rows.size:
+            largest = max(largest, float(np.nanmax(np.abs(rows))))
+        if place.first_column_east:
+            rows = rows[:, ::-1]
+        if place.first_row_south:
+            heights[first : first + len(rows)] = rows
+        else:
+            end = heights.shape[0] - first
+            heights[end - len(rows) : end] = rows[::-1]
+        on_progress((first + count) / raster.height)
+    return missing, largest
+
+
+def _report(field: heightfield.HeightField, raster: Raster, place: Georeference, largest: float) -> dict:
+    lattice = field.lattice
+    warnings = [*raster.warnings, *place.warnings]
+    if raster.stored == "float16":
+        step = float(np.spacing(np.float16(min(largest / abs(raster.scale or 1.0), 65504.0))))
+        warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    return {
+        "format": raster.format,
+        "raster": [raster.width, raster.height],
+        "samples": [lattice.width, lattice.height],
+        "squares": [lattice.columns, lattice.rows],
+        "step_m": [lattice.step_x, lattice.step_y],
+        "extent_m": [lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)],
+        "lowest_m": field.min_height,
+        "highest_m": field.max_height,
+        "filled": field.filled,
+        "moved_max_m": field.resample_max,
+        "moved_rms_m": field.resample_rms,
+        "crs": field.crs,
+        "warnings": warnings,
+    }

@@ -92,7 +92,6 @@ class Refinement:
         self.tree: ConcurrentBinaryTree | None = None
         self._cell_bits = 0
         self._capacity = 4096
-        self._words = np.zeros(0, np.int64)
         self._step = 0
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
@@ -105,7 +104,6 @@ class Refinement:
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
-            self._words = np.zeros(0, np.int64)
         with launch.timed("refine"):
             asked.limit, walks = 1.0, None
             if self._step == 0:
@@ -148,13 +146,15 @@ class Refinement:
         asked.limit = 2.0 ** (2 * self._step / STEPS_PER_OCTAVE) if self._step <= MAX_STEP else np.inf
 
     def _cuts(self) -> list[int]:
-        """Where the curve is cut for the threads: evenly by the words of the last refinement; any cut gives the
-        same."""
-        end = self.lattice.squares << self._cell_bits
-        words = self._words
-        if self.threads < 2 or len(words) * 2 < launch.SLICE_ITEMS:
+        """Where the curve is cut for the threads: evenly by the leaves of the last refinement; any cut gives the same.
+
+        Cuts lie between words of the tree, so that no two slices write one word.
+        """
+        tree, end = self.tree, self.lattice.squares << self._cell_bits
+        leaves = tree.leaf_count - (1 << self.lattice.square_bits) + self.lattice.squares
+        if self.threads < 2 or leaves < launch.SLICE_ITEMS:
             return [0, end]
-        inner = [int(words[len(words) * i // self.threads]) << 6 for i in range(1, self.threads)]
+        inner = [tree.cell_of_leaf(leaves * i // self.threads) >> 6 << 6 for i in range(1, self.threads)]
         return [0, *sorted(set(inner) - {0}), end]
 
     def _walks(self, cuts: list[int], max_depth: int, max_leaves: int) -> list[kernels.Walk]:
@@ -198,11 +198,10 @@ class Refinement:
         """Write the leaves into the tree; returns how many of its words changed."""
         index, bits = self.buffers.numpy("word_index"), self.buffers.numpy("word_bits")
         parts = [slice(w.leaf_base, w.leaf_base + n) for w, n in zip(walks, counts[:, 3], strict=True)]
-        self._words = np.concatenate([index[p] for p in parts])
         # Squares that only fill the tree up to a power of two are a leaf each, after all others.
         spare = np.arange(self.lattice.squares, 1 << self.lattice.square_bits, dtype=np.int64) << (self._cell_bits - 6)
-        words = np.concatenate([*(bits[p] for p in parts), np.ones(len(spare), np.uint64)])
-        return self.tree.mark(np.concatenate([self._words, spare]), words)
+        streams = [(index[p], bits[p]) for p in parts]
+        return self.tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
 
 
 def _lowest(fits, start: int) -> int:

@@ -47,7 +47,7 @@ class ImportSettings:
     def check(self) -> None:
         """Raise TerrainError for settings that cannot mean anything."""
         if self.extent is not None and not all(math.isfinite(e) and e > 0.0 for e in self.extent):
-            raise TerrainError(f"The extent {tuple(self.extent)} m: expected two positive lengths.")
+            raise TerrainError(f"The extent {tuple(self.extent)} m cannot be: expected positive lengths.")
         if not (math.isfinite(self.height_scale) and math.isfinite(self.height_offset)) or self.height_scale == 0.0:
             raise TerrainError(
                 f"Height scale {self.height_scale} and offset {self.height_offset} m: expected a scale other than 0 and "

@@ -145,7 +145,7 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
     if cone > wp.float64(0.0):
         furrow = gullies(vx + wp.float64(0.03) * rough, vy, wp.float64(3.4), seed + wp.uint32(107))
         furrow = furrow * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.05), wp.float64(0.16), away)
-        cone = wp.float64(1950.0) * cone * cone * (half + half * cone)
+        cone = wp.float64(1800.0) * cone * cone * (half + half * cone)
         cone = cone * (one + wp.float64(0.25) * rough) * (one - wp.float64(0.22) * furrow)
     crater = smooth(wp.float64(0.1), wp.float64(0.03), away + wp.float64(0.01) * bent[2])
     height = wp.max(land, wp.float64(0.55) * land + cone) - wp.float64(800.0) * crater

@@ -16,7 +16,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import HeightField, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain

@@ -38,7 +38,10 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             "more than half of this machine's memory, so it is damaged or must be cut into tiles."
         )
     try:
-        pixels = OpenEXR.File(str(path), separate_channels=True).parts[0].channels[name].pixels
+        parts = OpenEXR.File(str(path), separate_channels=True).parts
+        if not parts:
+            raise ValueError("its pixels cannot be decoded")
+        pixels = parts[0].channels[name].pixels
     except Exception as reason:
         raise TerrainError(f"{path} is damaged or incomplete ({_short(reason)}): get the file again.") from reason
     if pixels.shape != (height, width):

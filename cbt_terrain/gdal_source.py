@@ -6,6 +6,7 @@ those of Blender.
 """
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from .errors import TerrainError
 from .georeference import Georeference, ellipsoid_of, from_transform
 from .sources import ImportSettings, Raster, blank, physical_memory
 
-DRIVERS = ["GTiff", "SRTMHGT", "PNG", "AAIGrid", "VRT"]
-SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt")
+# GDAL may try no other driver on a file than the one of its suffix.
+DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
 # No network, no code out of a file, no sidecar files written, a bounded cache.
 OPTIONS = {
     "GDAL_CACHEMAX": 256,
@@ -34,14 +35,15 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
     from rasterio.windows import Window
 
     failures = (RasterioError, ValueError, OSError)
-    rasterio.Env(**OPTIONS).__enter__()
+    rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
+    driver = DRIVERS[path.suffix.lower()]
     try:
-        dataset = rasterio.open(path, driver=DRIVERS, sharing=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
+            dataset = rasterio.open(path, driver=driver, sharing=False)
     except failures as reason:
-        raise TerrainError(
-            f"{path} cannot be read as a raster ({_short(reason)}): expected a GeoTIFF, SRTM .hgt (named like "
-            "N36W085.hgt), 16-bit PNG, ASCII grid or VRT."
-        ) from reason
+        hint = "a name like N36W085.hgt" if driver == "SRTMHGT" else "a whole file of that kind"
+        raise TerrainError(f"{path} cannot be read as {driver} ({_short(reason)}): expected {hint}.") from reason
     band = settings.band
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
@@ -60,7 +62,8 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
             mask = dataset.read_masks(band, window=window) if masked else None
         except failures as reason:
             raise TerrainError(
-                f"{path} is damaged or incomplete at row {first} ({_short(reason)}): get the file again."
+                f"{path} is damaged or incomplete in rows {first} to {first + count - 1} ({_short(reason)}): get the "
+                "file again."
             ) from reason
         if mask is not None:
             rows = rows.astype(np.float64 if rows.itemsize > 2 and rows.dtype != np.float32 else np.float32)
@@ -68,15 +71,15 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
             return rows
         return blank(rows, settings.no_data)
 
-    warnings = []
+    notes = []
     if dataset.count > 1 and dataset.driver == "PNG":
-        warnings.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
+        notes.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
     if stored.itemsize == 1:
-        warnings.append("The file has 8 bits a sample: heights in at most 256 steps.")
+        notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
     unit = (dataset.units[band - 1] or "").strip().lower()
     in_metres = UNITS_IN_METRES.get(unit, 1.0)
     if in_metres != 1.0:
-        warnings.append(f"Heights are in {unit} in the file; they were converted to metres.")
+        notes.append(f"Heights are in {unit} in the file; they were converted to metres.")
     return Raster(
         width=dataset.width,
         height=dataset.height,
@@ -87,7 +90,7 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         georeference=_georeference(dataset),
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
-        warnings=warnings,
+        warnings=notes,
         close=dataset.close,
     )
 

@@ -15,7 +15,7 @@ from .lattice import Lattice
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
-@dataclass
+@dataclass(eq=False)
 class HeightField:
     """A terrain ready for refinement; arrays may be memory-mapped and are never written.
 
@@ -87,6 +87,7 @@ def build(
     step_y: float,
     *,
     missing: int,
+    name: str = "The raster",
     allocate: Allocate = _in_memory,
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
@@ -95,15 +96,13 @@ def build(
 
     raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
     filled in place. step_x, step_y: metres between samples. allocate(name, shape, dtype) provides the arrays that stay;
-    where the raster fits its lattice, `raster` itself stays.
+    where the raster fits its lattice, `raster` itself stays. name: what errors call the raster.
     """
     threads = threads or launch.default_threads()
     height, width = raster.shape
-    lattice = resample.lattice_for(width, height, step_x, step_y)
+    lattice = resample.lattice_for(width, height, step_x, step_y, name)
     if missing == raster.size:
-        raise TerrainError(
-            "All samples of the raster are missing (no-data or not a number): there is no terrain in it."
-        )
+        raise TerrainError(f"{name} has only missing samples (no-data or not a number): there is no terrain in it.")
     if missing:
         resample.fill_missing(raster, threads)
     on_progress(0.1)

@@ -4,7 +4,6 @@
 import dataclasses
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -87,8 +86,8 @@ class ImportJob:
                 "store": str(self._store.absolute()),
                 "folder": self._folder,
             }
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            self._process.stdin.flush()  # left open: the child ends itself when it closes
+            with self._process.stdin as requests:
+                requests.write(json.dumps(request).encode())
         except OSError as reason:
             raise TerrainError(f"No Python process could be started for the import ({reason}): try again.") from reason
         self._reader = threading.Thread(target=self._read_lines, daemon=True)
@@ -97,9 +96,10 @@ class ImportJob:
     def _read_lines(self) -> None:
         for line in self._process.stdout:
             try:
-                self._lines.append(json.loads(line))
+                told = json.loads(line)
             except ValueError:
-                pass  # a library's own print
+                continue  # cut off by a kill
+            self._lines.append(told)
 
     def poll(self) -> Progress:
         """How far the import is; never waits."""
@@ -108,18 +108,11 @@ class ImportJob:
         ended = self._process.poll() is not None
         if ended:
             self._reader.join()
-        lines, self._lines = self._lines, []
-        for line in lines:
-            if "report" in line:
-                self._progress = Progress(1.0, "Done", True, None, line["report"])
-            elif "error" in line:
-                self._progress = dataclasses.replace(self._progress, done=True, error=line["error"])
-            else:
-                self._progress = Progress(line["fraction"], line["message"])
-        if ended and not self._progress.done:
-            self._progress = dataclasses.replace(self._progress, done=True, error=self._reason_of_end())
-        if self._progress.done:
-            self._tidy()
+        told = [line for line in self._lines if "fraction" in line]
+        if told:
+            self._progress = Progress(told[-1]["fraction"], told[-1]["message"])
+        if ended:
+            self._finish()
         return self._progress
 
     def cancel(self) -> None:
@@ -150,19 +143,25 @@ class ImportJob:
             "may be damaged, or memory may have run out."
         )
 
-    def _tidy(self) -> None:
-        """Take away what a child that was killed has left."""
-        self._process.stdin.close()
-        self._process.wait()
+    def _finish(self) -> None:
+        """The child has ended: with a report, with an error, or killed, perhaps just after it published the store."""
         self._process.stdout.close()
+        last = self._lines[-1] if self._lines else {}
+        report, error = last.get("report"), last.get("error")
+        if report is None and error is None:
+            try:
+                content = stores.read_json(self._store)
+                report = content["report"] if content["data"] == self._folder else None
+            except TerrainError:
+                pass
+            error = self._reason_of_end() if report is None else None
+        if report is not None:
+            self._progress = Progress(1.0, "Done", True, None, report)
+            self._cancelled = False
+        else:
+            self._progress = dataclasses.replace(self._progress, done=True, error=error)
+            stores.discard(self._store, self._folder, self._new_store)
         self._errors.close()
-        if self._progress.error is not None:
-            shutil.rmtree(self._store / self._folder, ignore_errors=True)
-            if self._new_store:
-                try:
-                    self._store.rmdir()
-                except OSError:
-                    pass
 
 
 def import_source(
@@ -214,12 +213,11 @@ def child_main() -> None:
 
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print goes to stderr
-    request = json.loads(sys.stdin.readline())
-    path, folder = Path(request["store"]), request["folder"]
-    threading.Thread(target=_end_with_parent, args=(path / folder,), daemon=True).start()
+    request = json.load(sys.stdin)
     said = 0.0
 
     def say(content: dict) -> None:
+        """Raises OSError when the parent is gone, which ends the import."""
         channel.write(json.dumps(content) + "\n")
         channel.flush()
 
@@ -233,7 +231,7 @@ def child_main() -> None:
     for name in ("raw_size", "extent"):
         settings[name] = tuple(settings[name]) if settings[name] is not None else None
     try:
-        say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
+        say({"report": run_import(ImportSettings(**settings), request["store"], on_progress, request["folder"])})
     except TerrainError as error:
         say({"error": str(error)})
     except MemoryError:
@@ -241,10 +239,3 @@ def child_main() -> None:
     except Exception as error:
         say({"error": f"The import of {settings['source']} failed unexpectedly ({type(error).__name__}: {error})."})
         raise
-
-
-def _end_with_parent(folder: Path) -> None:
-    """Nobody waits for the import when the parent is gone: leave nothing behind."""
-    sys.stdin.read()
-    shutil.rmtree(folder, ignore_errors=True)
-    os._exit(1)

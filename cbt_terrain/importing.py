@@ -61,7 +61,7 @@ def run_import(
         digest = source_digest(settings)
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
-        lattice = resample.lattice_for(width, height, place.step_x, place.step_y)
+        lattice = resample.lattice_for(width, height, place.step_x, place.step_y, settings.source)
         fits = (lattice.width, lattice.height) == (width, height)
         _check_room(path, width, height, lattice, fits)
         draft = store.Draft(path, folder)
@@ -72,6 +72,7 @@ def run_import(
             place.step_x,
             place.step_y,
             missing=missing,
+            name=settings.source,
             allocate=draft.allocate,
             on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
         )
@@ -165,8 +166,10 @@ def _read_heights(
         rows = raster.read(first, count)
         if scale != 1.0 or offset != 0.0:
             with np.errstate(over="ignore", invalid="ignore"):
-                rows = rows * np.float64(scale) + offset
-        rows, absent = resample.clean_rows(resample.widen(rows) if raster.width == 1 or raster.height == 1 else rows)
+                rows = rows.astype(np.float64) * scale + offset
+        if raster.width == 1 or raster.height == 1:
+            rows = resample.widen(rows)
+        rows, absent = resample.clean_rows(rows, settings.source)
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))

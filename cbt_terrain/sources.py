@@ -47,11 +47,11 @@ class ImportSettings:
     def check(self) -> None:
         """Raise TerrainError for settings that cannot mean anything."""
         if self.extent is not None and not all(math.isfinite(e) and e > 0.0 for e in self.extent):
-            raise TerrainError(f"The extent {tuple(self.extent)} m cannot be: expected positive lengths.")
+            raise TerrainError(f"The extent {tuple(self.extent)} m cannot be used: expected positive lengths.")
         if not (math.isfinite(self.height_scale) and math.isfinite(self.height_offset)) or self.height_scale == 0.0:
             raise TerrainError(
-                f"Height scale {self.height_scale} and offset {self.height_offset} m: expected a scale other than 0 and "
-                "finite numbers."
+                f"Height scale {self.height_scale} and offset {self.height_offset} m cannot be used: expected finite "
+                "numbers and a scale other than 0."
             )
         if self.raw_dtype not in RAW_TYPES:
             raise TerrainError(f"RAW type {self.raw_dtype!r} is not known: choose one of {', '.join(RAW_TYPES)}.")
@@ -99,11 +99,14 @@ def open_source(settings: ImportSettings) -> Raster:
             from .exr_source import open_exr
 
             return open_exr(path, settings)
-        from .gdal_source import open_raster
+        from .gdal_source import DRIVERS, open_raster
 
-        return open_raster(path, settings)
+        if suffix in DRIVERS:
+            return open_raster(path, settings)
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
+    known = ", ".join((*DRIVERS, ".exr", ".npy", *RAW_SUFFIXES))
+    raise TerrainError(f"{path} is of no known kind: expected one of {known}.")
 
 
 def check_file(path: Path) -> None:
@@ -167,8 +170,9 @@ def _open_raw(path: Path, settings: ImportSettings) -> Raster:
 def _open_npy(path: Path, settings: ImportSettings) -> Raster:
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as reason:
-        raise TerrainError(f"{path} is not a complete .npy file ({reason}): get the file again.") from reason
+    except Exception as reason:  # whatever the parser of a damaged header raises
+        said = " ".join(str(reason).split()).rstrip(".")
+        raise TerrainError(f"{path} is not a whole .npy file of numbers ({said}): get the file again.") from reason
     if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
         raise TerrainError(f"{path} holds {values.dtype} {values.shape}: expected a 2-D array of real numbers.")
     return _from_array(values, settings, "NumPy")

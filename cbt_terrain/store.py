@@ -184,12 +184,17 @@ class Draft:
         """Take away what was written for nothing; a store that stood there before is untouched."""
         if self.published:
             return
-        shutil.rmtree(self.folder, ignore_errors=True)
-        if self.made_parent:
-            try:
-                self.path.rmdir()
-            except OSError:
-                pass
+        discard(self.path, self.folder.name, self.made_parent)
+
+
+def discard(path: Path, folder: str, new_store: bool) -> None:
+    """Take away the folder of arrays of an unfinished version, and the store's own folder if it was made for it."""
+    shutil.rmtree(path / folder, ignore_errors=True)
+    if new_store:
+        try:
+            path.rmdir()
+        except OSError:
+            pass  # another import has put something there
 
 
 def _named_folder(path: Path) -> Path | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that sample one raster bilinearly at the points of another one over the same rectangle."""
+"""Kernels that bring a raster onto a lattice, at least as fine, over the same rectangle."""
 
 import warp as wp
 
@@ -45,6 +45,73 @@ def resample(
     for i in range(new_width):
         z = wp.float32(bilinear(h, width, height, place(i, new_width, width), y))
         resampled[j * new_width + i] = z + wp.float32(0.0)  # -0 becomes +0
+
+
+@wp.kernel
+def misfits(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    resampled: wp.array(dtype=wp.float32),
+    new_width: int,
+    new_height: int,
+    misfit: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid` of the old raster: metres that the new one lacks at its samples."""
+    j = offset + wp.tid()
+    y = place(j, height, new_height)
+    for i in range(width):
+        z = bilinear(resampled, new_width, new_height, place(i, width, new_width), y)
+        misfit[j * width + i] = wp.float32(wp.float64(h[j * width + i]) - z)
+
+
+@wp.func
+def first_near(i: int, count: int, other: int):
+    """First of `count` samples that lies less than one step of the finer `other` ones from the other sample i."""
+    return wp.max(wp.int32(wp.floor(place(i - 1, other, count))), 0)
+
+
+@wp.kernel
+def correct(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    misfit: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    new_width: int,
+    new_height: int,
+    resampled: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid` of the new raster: give each sample its share of the misfits of the old samples near it.
+
+    It stays within the four old samples around it, so that a cliff gets no overshoot.
+    """
+    j = offset + wp.tid()
+    one = wp.float64(1.0)
+    y0 = wp.min(wp.int32(wp.floor(place(j, new_height, height))), height - 2)
+    for i in range(new_width):
+        total = wp.float64(0.0)
+        weights = wp.float64(0.0)
+        for b in range(4):
+            old_y = first_near(j, height, new_height) + b
+            near_y = one - wp.abs(place(old_y, height, new_height) - wp.float64(j))
+            if old_y < height and near_y > wp.float64(0.0):
+                for a in range(4):
+                    old_x = first_near(i, width, new_width) + a
+                    near_x = one - wp.abs(place(old_x, width, new_width) - wp.float64(i))
+                    if old_x < width and near_x > wp.float64(0.0):
+                        total = total + near_x * near_y * wp.float64(misfit[old_y * width + old_x])
+                        weights = weights + near_x * near_y
+        if weights > wp.float64(0.0):
+            at = y0 * width + wp.min(wp.int32(wp.floor(place(i, new_width, width))), width - 2)
+            south = wp.vec2(h[at], h[at + 1])
+            north = wp.vec2(h[at + width], h[at + width + 1])
+            low = wp.min(wp.min(south), wp.min(north))
+            high = wp.max(wp.max(south), wp.max(north))
+            new_at = j * new_width + i
+            z = wp.float32(wp.float64(resampled[new_at]) + total / weights)
+            resampled[new_at] = wp.clamp(z, low, high) + wp.float32(0.0)
 
 
 @wp.kernel

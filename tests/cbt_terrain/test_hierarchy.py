@@ -151,6 +151,7 @@ KINDS = ["random", "spike", "checkerboard", "cliff", "plane", "constant", "saddl
 def test_errors_and_ranges_equal_brute_force(kind, lattice):
     samples = raster(kind, lattice)
     errors, ranges, quantised = compute(samples, lattice)
+    errors = errors.astype(np.float64)
     own, children, depth_of = brute(samples, lattice.columns, lattice.rows, lattice.levels)
     twist = saturated_twists(samples)
     cells = {v: twist[v[1] // 2, v[0] // 2] / 4 for v, d in depth_of.items() if d == lattice.cell_depth}
@@ -179,6 +180,7 @@ def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
     errors, _, _ = compute(samples, lattice)
     expanded = errors.copy()
     hierarchy.expand_errors(lattice, expanded, meshlet, 1)
+    expanded = expanded.astype(np.float64)
 
     finer = 1 << meshlet  # the surface itself does not change when it is sampled finer
     fine = Lattice(lattice.columns, lattice.rows, lattice.levels + meshlet)

@@ -1,0 +1,51 @@
+# Two commands need nothing prepared but Python 3.11 and make: `make demo` and `make test`.
+# Both set up .venv from requirements.lock first; the stamp in it makes the next run start at once.
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
+VENV ?= .venv
+TESTS ?= tests
+PY := $(VENV)/bin/python
+READY := $(VENV)/.ready
+
+.PHONY: demo test fuzz bench lint format extension clean help
+
+help:
+	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
+	@echo "make test       every test (TESTS=tests/... for some)"
+	@echo "make fuzz       10,000 random views"
+	@echo "make bench      what an update costs on this machine"
+	@echo "make lint       ruff check and format check"
+	@echo "make extension  the extension's zip for this platform in dist/"
+
+demo: $(READY)
+	$(PY) -m adaptive_terrain.operators.command_line demo --out demo
+
+test: $(READY)
+	$(PY) -m pytest $(TESTS)
+
+fuzz: $(READY)
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views
+
+bench: $(READY)
+	$(PY) -m benchmarks
+
+lint: $(READY)
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+
+format: $(READY)
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+extension: $(READY)
+	$(PY) tools/build_extension.py
+
+$(READY): requirements.lock pyproject.toml tools/check_system.py
+	@$(PYTHON) tools/check_system.py
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+clean:
+	rm -rf demo dist build .pytest_cache .hypothesis .ruff_cache

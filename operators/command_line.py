@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: `adaptive-terrain VERB`, and the same as `blender --command adaptive_terrain VERB`.
+
+Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage. bpy is imported only by what needs it.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.importing import ImportSettings, describe, import_source
+from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
+from ..cbt_terrain.sources import RAW_TYPES, open_source
+from .console import Progress, duration
+from .exporting import FORMATS, export_frames, needs_blender, parse_formats, parse_frames
+
+PROGRAM = "adaptive-terrain"
+DEFAULT_RESOLUTION = (1920, 1080)
+
+
+class UsageError(Exception):
+    """Arguments that contradict each other."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code."""
+    parser = build_parser()
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as exit_:  # argparse has printed its message
+        return exit_.code or 0
+    try:
+        arguments.run(arguments)
+    except UsageError as error:
+        print(f"{PROGRAM} {arguments.verb}: {error}", file=sys.stderr)
+        return 2
+    except (TerrainError, OSError) as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: stopped", file=sys.stderr)
+        return 1
+    return 0
+
+
+def build_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description="A terrain of any size at exactly the detail that the camera can see."
+    )
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+
+    verb = _verb(verbs, "import", "turn a height map into a store", run_import)
+    verb.add_argument("source", help="height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or `island`")
+    verb.add_argument("--store", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument(
+        "--extent", type=_pair("x", float), metavar="XxY", help="metres east and north, instead of the file's"
+    )
+    verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
+    verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
+    verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
+    verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
+    verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
+    verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
+    verb.add_argument("--raw-size", type=_pair("x", int), metavar="WxH", help="samples of a RAW file (a square)")
+    verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
+    verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
+    verb.add_argument(
+        "--size", type=int, default=DEFAULT_SIZE, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})"
+    )
+    verb.add_argument("--seed", type=int, default=DEFAULT_SEED, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
+
+    verb = _verb(verbs, "info", "say what a store, a height map or an exported .npz holds", run_info)
+    verb.add_argument("path", type=Path)
+
+    verb = _verb(verbs, "bake", "write one static mesh with a given largest vertical error", run_bake)
+    verb.add_argument("--store", type=Path, required=True, metavar="DIR")
+    verb.add_argument("--max-error", type=_positive, required=True, metavar="METRES", help="largest vertical error")
+    verb.add_argument("--out", type=Path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
+    verb.add_argument("--budget", type=int, metavar="N", help="triangles at most; the error reached is reported")
+
+    verb = _verb(verbs, "export", "write the terrain's mesh for each frame", run_export)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=Path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=Path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
+    verb.add_argument("--frames", type=_argument(parse_frames), required=True, metavar="A-B[:S]")
+    verb.add_argument("--format", type=_argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=Path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    verb.add_argument("--resolution", type=_pair("x", int), metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    verb.add_argument("--pixel-error", type=_positive, metavar="PX", help="screen error (the scene's, or 1)")
+    verb.add_argument("--budget", type=int, metavar="N", help="triangles at most")
+    verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
+    verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+
+    verb = _verb(verbs, "demo", "the built-in island: 24 frames, pictures and a page", run_demo)
+    verb.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
+    return parser
+
+
+def _verb(verbs, name: str, summary: str, run) -> argparse.ArgumentParser:
+    verb = verbs.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+    verb.add_argument("--progress", action="store_true", default=None, help="show the bar even where no terminal is")
+    verb.set_defaults(run=run)
+    return verb
+
+
+def run_import(arguments) -> None:
+    settings = ImportSettings(
+        source=arguments.source,
+        raw_size=arguments.raw_size,
+        raw_dtype=arguments.raw_type,
+        raw_little_endian=not arguments.big_endian,
+        extent=arguments.extent,
+        height_scale=arguments.height_scale,
+        height_offset=arguments.height_offset,
+        no_data=arguments.no_data,
+        band=arguments.band,
+        channel=arguments.channel,
+        first_row_south=arguments.first_row_south,
+        size=arguments.size,
+        seed=arguments.seed,
+    )
+    start = time.monotonic()
+    bar = Progress(1.0, "import", arguments.progress)
+    try:
+        report = import_source(settings, arguments.store, on_progress=lambda fraction, message: bar.to(fraction))
+    finally:
+        bar.close()
+    print_fields(report)
+    print(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def run_info(arguments) -> None:
+    if arguments.path.suffix == ".npz":
+        from ..cbt_terrain.archive import read_npz
+
+        print_fields(read_npz(arguments.path)["info"])
+        return
+    print_fields(describe(arguments.path) if arguments.path.is_dir() else describe_source(arguments.path))
+
+
+def describe_source(path: Path) -> dict:
+    """What a height map's header says."""
+    bpy = sys.modules.get("bpy")
+    if path.suffix.lower() == ".exr" and bpy is not None and not bpy.app.module:
+        # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
+        raise TerrainError(
+            f"{path} is an EXR file, which is not opened inside Blender; import it first."
+        )
+    raster = open_source(ImportSettings(source=str(path)))
+    try:
+        place = raster.georeference
+        fields = {"path": str(path), "format": raster.format, "stored": raster.stored}
+        fields["raster"] = [raster.width, raster.height]
+        if place is not None:
+            fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}
+        return fields | {"warnings": [*raster.warnings, *(place.warnings if place else ())]}
+    finally:
+        raster.close()
+
+
+def run_bake(arguments) -> None:
+    form = arguments.out.suffix[1:].lower()
+    if form not in FORMATS:
+        raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
+    from .exporting import figures, write_piece
+    from .frame_sources import baked_piece
+
+    piece = baked_piece(arguments.store, arguments.max_error, arguments.budget, needs_blender([form]))
+    write_piece(piece, arguments.out)
+    print(summary_line(arguments.out.name, [figures(piece)]))
+
+
+def run_export(arguments) -> None:
+    source = _export_source(arguments)
+    bar = Progress(len(arguments.frames), "export", arguments.progress)
+    counter = iter(range(1, len(arguments.frames) + 1))
+
+    def on_frame(frame: int, summary: dict, skipped: bool) -> None:
+        line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
+        bar.to(next(counter), worked=not skipped)
+        bar.say(f"{line}, complete before" if skipped else line)
+
+    try:
+        export_frames(
+            source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
+        )
+    finally:
+        bar.close()
+
+
+def _export_source(arguments):
+    from ..cbt_terrain.criterion import Criterion
+    from .frame_sources import SceneFrames, StoreFrames
+
+    if arguments.scene:
+        if arguments.path:
+            raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
+        return SceneFrames(
+            arguments.scene,
+            arguments.camera,
+            arguments.resolution,
+            arguments.pixel_error,
+            arguments.budget,
+            arguments.meshlet,
+        )
+    if arguments.camera:
+        raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
+    if not arguments.path:
+        raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
+    criterion = Criterion(
+        error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
+        max_triangles=arguments.budget,
+        meshlet=arguments.meshlet or 0,
+    )
+    resolution = arguments.resolution or DEFAULT_RESOLUTION
+    return StoreFrames(arguments.store, arguments.path, criterion, resolution, needs_blender(arguments.format))
+
+
+def run_demo(arguments) -> None:
+    from .demo import run
+
+    run(arguments.out, arguments.progress)
+
+
+def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
+    """`frame 12: 184,302 triangles, bound 0.98 px, 31 ms`; of several terrains the sum and the largest bound."""
+    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {bound_text(terrains)}"]
+    if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
+        parts.append(f"limited by {' and '.join(name.replace('_', ' ') for name in limited)}")
+    parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
+    if elapsed_ms is not None:
+        parts.append(f"{elapsed_ms:.0f} ms in all")
+    return f"{what}: {', '.join(parts)}"
+
+
+def bound_text(terrains: list[dict]) -> str:
+    """The largest bound with its unit: pixels where a camera was looked through, else metres."""
+    pixels = [t["bound_px"] for t in terrains if t["bound_px"] is not None]
+    return f"{max(pixels):.3g} px" if pixels else f"{max(t['bound_m'] for t in terrains):.3g} m"
+
+
+def print_fields(fields: dict, indent: str = "") -> None:
+    """One line a field, a dict below its own name; what is empty is left out."""
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}:")
+            print_fields(value, indent + "  ")
+        elif name == "warnings":
+            for warning in value:
+                print(f"{indent}warning: {warning}")
+        elif isinstance(value, list | tuple):
+            print(f"{indent}{name}: {', '.join(str(part) for part in value)}")
+        elif value != "" and value is not None:
+            print(f"{indent}{name}: {value}")
+
+
+def _argument(parse):
+    """Let argparse show what a parser's ValueError says."""
+
+    def checked(text: str):
+        try:
+            return parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return checked
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not more than 0")
+    return value
+
+
+def _pair(separator: str, kind):
+    def pair(text: str):
+        try:
+            first, second = (kind(part) for part in text.lower().split(separator))
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers with {separator!r} between") from None
+        if not (first > 0 and second > 0):
+            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers above 0")
+        return first, second
+
+    return pair
+
+
+if __name__ == "__main__":
+    sys.exit(main())

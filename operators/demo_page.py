@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The demo's page: one HTML file beside its pictures, with the figures of the run that made it."""
+
+import html
+import statistics
+from pathlib import Path
+
+STYLE = """
+:root { --ink: #1c1f26; --soft: #5d6470; --line: #d9d6cd; --paper: #faf9f5; --mark: #b4431e; --bar: #2f6f73; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e9e6df; --soft: #a0a6b0; --line: #3a3e46; --paper: #16181c; --mark: #ef8a5c; --bar: #5fb3a8; }
+}
+* { box-sizing: border-box; }
+body { margin: 0; background: var(--paper); color: var(--ink); font: 17px/1.55 Charter, "Bitstream Charter",
+  "Iowan Old Style", Georgia, serif; }
+main { max-width: 1080px; margin: 0 auto; padding: 56px 24px 80px; }
+h1 { font-size: 42px; line-height: 1.1; font-weight: 600; margin: 0 0 12px; letter-spacing: -0.01em; }
+h2 { font-size: 24px; font-weight: 600; margin: 56px 0 12px; }
+p { max-width: 42em; margin: 0 0 16px; }
+.lead { font-size: 20px; color: var(--soft); }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(190px, 1fr)); gap: 1px; margin: 36px 0;
+  background: var(--line); border: 1px solid var(--line); }
+.figures div { background: var(--paper); padding: 18px 20px; }
+.figures b { display: block; font-size: 30px; font-weight: 600; line-height: 1.15; }
+.figures span, figcaption, th, td, svg text, .small {
+  font-family: system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+.figures span { font-size: 14px; color: var(--soft); }
+figure { margin: 0 0 28px; }
+figure img { display: block; width: 100%; height: auto; }
+figcaption, .small { font-size: 14px; color: var(--soft); margin-top: 8px; }
+.pair { display: grid; grid-template-columns: 1.78fr 1fr; gap: 20px; align-items: start; }
+@media (max-width: 760px) { .pair { grid-template-columns: 1fr; } h1 { font-size: 32px; } }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { font-size: 14px; text-align: right; padding: 5px 12px; border-bottom: 1px solid var(--line); }
+th { font-weight: 600; color: var(--soft); }
+th:first-child, td:first-child { text-align: left; padding-left: 0; }
+.scroll { overflow-x: auto; }
+svg { display: block; width: 100%; height: auto; }
+svg text { font-size: 12px; fill: var(--soft); }
+pre { font: 14px/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; padding: 16px 20px; overflow-x: auto;
+  border-left: 3px solid var(--bar); background: color-mix(in srgb, var(--bar) 8%, transparent); }
+"""
+
+
+def write_page(
+    path: Path,
+    *,
+    machine: str,
+    size: int,
+    resolution: tuple[int, int],
+    error_px: float,
+    summaries: list[dict],
+    pictures: list[tuple[int, str]],
+    levels: dict,
+    steps: dict[str, float],
+) -> None:
+    """Write the page: `summaries` of the exported frames, `steps` in seconds, `levels` the figures of the drawings."""
+    frames = [{"frame": summary["frame"], **summary["terrains"][0]} for summary in summaries]
+    by_frame = {frame["frame"]: frame for frame in frames}
+    updates = [frame["ms"]["total"] for frame in frames]
+    triangles = [frame["triangles"] for frame in frames]
+    figures = [
+        (f"{size * size / 1e6:.1f} million", f"samples in the height field, {size} x {size}"),
+        (f"{min(triangles):,} – {max(triangles):,}", "triangles a frame"),
+        (f"{max(frame['bound_px'] for frame in frames):.2f} px", f"largest error bound; {error_px:g} px was asked for"),
+        (f"{statistics.median(updates):.0f} ms", "median update, camera to finished mesh"),
+    ]
+    body = [
+        "<h1>An island, seen from the air</h1>",
+        f'<p class="lead">A camera flies over a height field of {size * size / 1e6:.1f} million samples. For each of '
+        f"its {len(frames)} frames the terrain was refined to what that camera can see: nowhere on screen is the mesh "
+        f"more than {error_px:g} pixel from the height field, and where fewer triangles hold that, fewer are made.</p>",
+        '<div class="figures">'
+        + "".join(f"<div><b>{value}</b><span>{html.escape(what)}</span></div>" for value, what in figures)
+        + "</div>",
+    ]
+    for frame, name in pictures:
+        body.append(_figure(name, f"Frame {frame}", _frame_text(by_frame[frame], resolution)))
+    drawn = f"Frame {levels['frame']} at {levels['error_px']:g} pixels, {levels['triangles']:,} triangles"
+    body += [
+        "<h2>Where the triangles are</h2>",
+        "<p>Each triangle in the colour of its level, from pale (coarse) through blue to red (fine). They gather on "
+        "what is near, in view and rough; what lies outside the picture stays coarse, and no crack opens where levels "
+        "meet.</p>",
+        '<div class="pair">'
+        + _figure("levels.png", "Levels from the camera", f"{drawn}, from the camera.")
+        + _figure("plan.png", "Levels from above", "The same mesh from above; the red lines bound the camera's view.")
+        + "</div>",
+        "<h2>Frame by frame</h2>",
+        _chart(frames),
+        '<p class="small">Bars: triangles. Line: milliseconds of the update. Each frame depends on its camera alone, '
+        "so frames rendered in any order, on any machine, are the same.</p>",
+        _table(frames),
+        "<h2>The files</h2>",
+        "<p><code>island.blend</code> is the scene: open it with the extension installed, and play. "
+        "<code>meshes/</code> has every frame as arrays, readable without Blender:</p>",
+        "<pre>import numpy as np\n"
+        'mesh = np.load("meshes/terrain_0012.npz")\n'
+        'mesh["positions"]   # float32 [V, 3], metres about mesh["origin"]\n'
+        'mesh["triangles"]   # int32 [T, 3]</pre>',
+        f'<p class="small">Made in {sum(steps.values()):.0f} s on {html.escape(machine)}: '
+        + ", ".join(f"{html.escape(step.lower())} {seconds:.1f} s" for step, seconds in steps.items())
+        + ".</p>",
+    ]
+    page = (
+        '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>Adaptive Terrain: a demonstration</title>\n<style>{STYLE}</style>\n<main>\n"
+    )
+    path.write_text(page + "\n".join(body) + "\n</main>\n</html>\n", encoding="utf-8")
+
+
+def _figure(name: str, title: str, caption: str) -> str:
+    return (
+        f'<figure><img src="{name}" alt="{html.escape(title)}"><figcaption>{html.escape(caption)}</figcaption></figure>'
+    )
+
+
+def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
+    return (
+        f"Frame {frame['frame']}: {frame['triangles']:,} triangles, error at most {frame['bound_px']:.2f} pixels of "
+        f"{resolution[0]} x {resolution[1]}, updated in {frame['ms']['total']:.0f} ms."
+    )
+
+
+def _table(frames: list[dict]) -> str:
+    names = ("Frame", "Triangles", "Vertices", "Bound, px", "Bound, m", "Update, ms")
+    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
+    rows = [
+        f"<tr><td>{f['frame']}</td><td>{f['triangles']:,}</td><td>{f['vertices']:,}</td><td>{f['bound_px']:.3f}</td>"
+        f"<td>{f['bound_m']:.2f}</td><td>{f['ms']['total']:.1f}</td></tr>"
+        for f in frames
+    ]
+    return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
+
+
+def _chart(frames: list[dict]) -> str:
+    """Triangles as bars and milliseconds as a line, each from 0 to its own maximum, as one SVG."""
+    width, height, left, right, top, bottom = 1040, 240, 64, 48, 16, 28
+    plot_w, plot_h = width - left - right, height - top - bottom
+    most, slowest = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)
+    pitch = plot_w / len(frames)
+    parts, line = [], []
+    for i, frame in enumerate(frames):
+        x, h = left + i * pitch, plot_h * frame["triangles"] / most
+        parts.append(
+            f'<rect x="{x + pitch * 0.14:.1f}" y="{top + plot_h - h:.1f}" width="{pitch * 0.72:.1f}" height="{h:.1f}" '
+            'fill="var(--bar)" opacity="0.75"/>'
+            f'<text x="{x + pitch / 2:.1f}" y="{height - 8}" text-anchor="middle">{frame["frame"]}</text>'
+        )
+        line.append(f"{x + pitch / 2:.1f},{top + plot_h * (1 - frame['ms']['total'] / slowest):.1f}")
+    parts.append(f'<polyline points="{" ".join(line)}" fill="none" stroke="var(--mark)" stroke-width="2"/>')
+    parts.append(
+        f'<line x1="{left}" x2="{width - right}" y1="{top + plot_h}" y2="{top + plot_h}" stroke="var(--line)"/>'
+    )
+    for y, many, slow in ((top + 4, most, slowest), (top + plot_h / 2 + 4, most / 2, slowest / 2)):
+        parts.append(f'<text x="{left - 8}" y="{y:.1f}" text-anchor="end">{many:,.0f}</text>')
+        parts.append(f'<text x="{width - right + 8}" y="{y:.1f}" fill="var(--mark)">{slow:.0f} ms</text>')
+    label = "Triangles and milliseconds for each frame"
+    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{label}">{"".join(parts)}</svg>'

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..cbt_terrain.archive import write_npz, written_beside
+from ..cbt_terrain.errors import TerrainError
+from .console import quiet
+from .frame_sources import Piece
+
+FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
+MAX_FRAMES = 1_000_000
+
+
+def parse_frames(text: str) -> range:
+    """`7`, `1-24` or `1-24:2` as a range that includes its end."""
+    match = re.fullmatch(r"(-?\d+)(?:-(-?\d+)(?::(\d+))?)?", text.strip())
+    if not match:
+        raise ValueError(f"frames {text!r} are not A, A-B or A-B:S")
+    first = int(match[1])
+    last = first if match[2] is None else int(match[2])
+    step = int(match[3] or 1)
+    if last < first or step < 1 or (last - first) // step >= MAX_FRAMES:
+        raise ValueError(f"frames {text!r} go backwards, stand still or are more than {MAX_FRAMES:,}")
+    return range(first, last + 1, step)
+
+
+def parse_formats(text: str) -> tuple[str, ...]:
+    """`npz,ply` as a tuple without repetition, in the order given."""
+    formats = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
+    unknown = [part for part in formats if part not in FORMATS]
+    if unknown:
+        raise ValueError(f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}")
+    return formats
+
+
+def needs_blender(formats: Sequence[str]) -> bool:
+    return any(part != "npz" for part in formats)
+
+
+def export_frames(
+    source,
+    frames: Sequence[int],
+    formats: Sequence[str],
+    out: Path,
+    *,
+    resume: bool = False,
+    on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
+) -> None:
+    """Write every frame of `source` (a StoreFrames or SceneFrames) into the folder `out`.
+
+    A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and the digest of the
+    settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    settings = hashlib.blake2b(json.dumps(source.settings, sort_keys=True).encode(), digest_size=12).hexdigest()
+    for frame in frames:
+        summary_path = out / f"frame_{frame:04d}.json"
+        summary = _complete(summary_path, settings, formats) if resume else None
+        if summary is None:
+            summary_path.unlink(missing_ok=True)
+            for interrupted in out.glob(f".partial-*_{frame:04d}.*"):
+                interrupted.unlink()
+            summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
+            with written_beside(summary_path) as partial:
+                partial.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            on_frame(frame, summary, False)
+        else:
+            on_frame(frame, summary, True)
+
+
+def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
+    """Write one frame's files; returns sizes in bytes by file name, and each terrain's figures."""
+    start = time.perf_counter()
+    files, terrains = [], []
+    for piece in source.pieces(frame):
+        for form in formats:
+            if form != "blend":
+                files.append(out / f"{piece.name}_{frame:04d}.{form}")
+                write_piece(piece, files[-1])
+        terrains.append(figures(piece))
+    if "blend" in formats:
+        files.append(out / f"{source.name}_{frame:04d}.blend")
+        write_blend(files[-1])
+    elapsed = (time.perf_counter() - start) * 1e3
+    return {"files": {f.name: f.stat().st_size for f in files}, "terrains": terrains, "elapsed_ms": round(elapsed, 3)}
+
+
+def figures(piece: Piece) -> dict:
+    """The figures of one terrain for the summary; the only place where an export keeps times."""
+    update = piece.update
+    return {
+        "name": piece.name,
+        "triangles": len(piece.surface.level),
+        "vertices": len(piece.surface.positions),
+        "bound_px": update.bound_px,
+        "bound_m": update.bound_m,
+        "limited": update.limited,
+        "relaxed": update.relaxed,
+        "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
+    }
+
+
+def _complete(summary_path: Path, settings: str, formats: Sequence[str]) -> dict | None:
+    """The summary of a frame that was finished with these settings and formats and whose files all stand, else None."""
+    try:
+        summary = json.loads(summary_path.read_text(encoding="utf-8"))
+        if summary["settings"] != settings:
+            return None
+        sizes = {name: (summary_path.parent / name).stat().st_size for name in summary["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    have = {Path(name).suffix[1:] for name in sizes}
+    return summary if sizes == summary["files"] and have >= set(formats) else None
+
+
+def write_piece(piece: Piece, path: Path) -> None:
+    """Write one terrain to `path`; the suffix is the format."""
+    form = path.suffix[1:].lower()
+    if form == "npz":
+        write_npz(path, piece.surface, piece.origin, piece.info)
+    elif form == "blend":
+        write_blend(path)
+    else:
+        _write_with_blender(piece.obj, path, form)
+
+
+def write_blend(path: Path) -> None:
+    """Save a copy of the open file; its own path stays what it was."""
+    import bpy
+
+    path = path.resolve()
+    with written_beside(path) as partial, quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+
+
+def _write_with_blender(obj, path: Path, form: str) -> None:
+    """One object through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z."""
+    import bpy
+
+    with written_beside(path) as partial, _only_selected(obj), quiet():
+        name = str(partial.resolve())
+        if form == "ply":
+            bpy.ops.wm.ply_export(filepath=name, export_selected_objects=True, export_normals=True, export_uv=True)
+        elif form == "obj":
+            bpy.ops.wm.obj_export(filepath=name, export_selected_objects=True, export_materials=False)
+        elif form == "stl":
+            bpy.ops.wm.stl_export(filepath=name, export_selected_objects=True)
+        else:
+            _enable_gltf()
+            bpy.ops.export_scene.gltf(
+                filepath=name, export_format="GLB", use_selection=True, export_animations=False, export_materials="NONE"
+            )
+
+
+@contextmanager
+def _only_selected(obj):
+    """Blender's exporters write what is selected; the user's selection comes back afterwards."""
+    import bpy
+
+    if not obj.visible_get():
+        raise TerrainError(f"The terrain {obj.name!r} is hidden, so Blender cannot export it; show it.")
+    objects = list(bpy.context.view_layer.objects)
+    selected = [other.select_get() for other in objects]
+    try:
+        for other in objects:
+            other.select_set(other == obj)
+        yield
+    finally:
+        for other, was in zip(objects, selected, strict=True):
+            other.select_set(was)
+
+
+def _enable_gltf() -> None:
+    """The glTF exporter is an add-on of Blender's own; it may be off."""
+    import addon_utils
+
+    if not addon_utils.check("io_scene_gltf2")[1]:
+        addon_utils.enable("io_scene_gltf2")

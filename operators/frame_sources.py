@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
+
+import atexit
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..cbt_terrain.camera_path import read_camera_path
+from ..cbt_terrain.criterion import Criterion
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.store import open_store
+from ..cbt_terrain.surface import Surface
+from ..cbt_terrain.terrain import Terrain, Update
+from ..cbt_terrain.view import View
+from .console import quiet
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One terrain at one frame. `origin` float64 [3], metres: what the positions are about. `info`: see `describe`.
+
+    `obj` is the Blender object that shows it, None where Blender was not asked for.
+    """
+
+    name: str
+    surface: Surface
+    origin: np.ndarray
+    update: Update
+    info: dict
+    obj: Any = None
+
+
+class StoreFrames:
+    """A store seen along a camera path; needs no bpy unless a format does."""
+
+    name = "terrain"
+
+    def __init__(self, store: Path, path: Path, criterion: Criterion, resolution: tuple[int, int], in_blender: bool):
+        self.path = read_camera_path(path)
+        self.criterion, self.resolution = criterion, resolution
+        self.field = open_store(store)
+        self.terrain = Terrain(self.field)
+        self.obj = new_object(self.name) if in_blender else None
+        self.settings = {
+            "store": self.field.key,
+            "path": file_digest(path),
+            "resolution": list(resolution),
+            "criterion": asdict(criterion),
+        }
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """The terrain as the path's camera sees it at `frame`."""
+        view = self.path.view(frame, self.resolution)
+        update = self.terrain.update(self.criterion, [view])
+        info = describe(update, self.criterion, [view], self.field) | {"frame": frame}
+        if self.obj is not None:
+            from .mesh_writer import write_mesh
+
+            write_mesh(self.obj.data, update.surface)
+        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj)
+
+
+class SceneFrames:
+    """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
+
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles) and `meshlet` replace what the objects
+    say; None keeps it.
+    """
+
+    def __init__(
+        self,
+        blend: Path,
+        camera: str | None,
+        resolution: tuple[int, int] | None,
+        pixel_error: float | None,
+        budget: int | None,
+        meshlet: int | None,
+    ):
+        bpy = need_bpy("A .blend file")
+        from . import session
+
+        if not Path(blend).is_file():
+            raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
+        try:
+            with quiet():
+                bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
+        except RuntimeError as error:
+            raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
+        self.name = Path(blend).stem
+        self.scene, self.resolution = bpy.context.scene, resolution
+        self.objects = session.terrains_of(self.scene)
+        if not self.objects:
+            raise TerrainError(
+                f"The scene {self.scene.name!r} in {blend} has no adaptive terrain; add one and save it."
+            )
+        self.camera = None
+        if camera is not None:
+            self.camera = self.scene.objects.get(camera)
+            if self.camera is None or self.camera.type != "CAMERA":
+                cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
+                raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
+        for obj in self.objects:
+            _override(obj.adaptive_terrain.render, pixel_error, budget, meshlet)
+        asked = {"camera": camera, "resolution": resolution, "pixel": pixel_error, "budget": budget, "meshlet": meshlet}
+        self.settings = {"scene": file_digest(blend), **asked}
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """Every terrain of the scene at `frame`; its mesh is written first."""
+        import bpy
+
+        with _handlers_off():
+            self.scene.frame_set(frame)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        for obj in self.objects:
+            yield scene_piece(obj, depsgraph, frame, camera=self.camera, resolution=self.resolution)
+
+
+def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[int, int] | None = None) -> Piece:
+    """The terrain `obj` at the render's detail, its mesh written; `camera`, `resolution` replace the scene's."""
+    import bpy
+
+    from . import session
+    from .request import RENDER, gather
+
+    update = session.update_object(obj, depsgraph, RENDER, camera=camera, resolution=resolution)
+    request = gather(obj, depsgraph, RENDER, camera=camera, resolution=resolution)
+    field = session.record_of(obj).field
+    info = describe(update, request.criterion, request.views, field, request.placement) | {"frame": frame}
+    surface = _surface_of(obj.data) if request.cleanup.active else update.surface
+    return Piece(bpy.path.clean_name(obj.name), surface, field.origin, update, info, obj)
+
+
+def baked_piece(store: Path, max_error_m: float, budget: int | None, in_blender: bool) -> Piece:
+    """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field."""
+    field = open_store(store)
+    criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
+    update = Terrain(field).update(criterion)
+    obj = new_object(StoreFrames.name) if in_blender else None
+    if obj is not None:
+        from .mesh_writer import write_mesh
+
+        write_mesh(obj.data, update.surface)
+    return Piece(StoreFrames.name, update.surface, field.origin, update, describe(update, criterion, [], field), obj)
+
+
+def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
+    """What a piece is, as JSON holds it: a function of the frame alone, so no times."""
+    surface = update.surface
+    return {
+        "generator": "Adaptive Terrain",
+        "units": {"positions": "m", "origin": "m", "error_px": "px", "error_m": "m"},
+        "asked": asdict(criterion),
+        "bound_px": update.bound_px,
+        "bound_m": update.bound_m,
+        "relaxed": update.relaxed,
+        "limited": update.limited,
+        "leaves": update.leaves,
+        "vertices": len(surface.positions),
+        "edges": len(surface.edges),
+        "triangles": len(surface.level),
+        "views": [_view(view) for view in views],
+        "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
+        "crs": field.crs,
+        "height_field": field.key,
+    }
+
+
+def _view(view: View) -> dict:
+    return {
+        "kind": view.kind,
+        "world_to_camera": view.world_to_camera.tolist(),
+        "projection": None if view.projection is None else view.projection.tolist(),
+        "resolution": list(view.resolution),
+        "clip": list(view.clip),
+    }
+
+
+def need_bpy(what: str):
+    """The bpy module, with this extension's properties registered; raises TerrainError that says who needs it."""
+    try:
+        with quiet():
+            import bpy
+    except ImportError:
+        raise TerrainError(
+            f"{what} needs Blender's Python module; install adaptive-terrain[blender], "
+            "or run `blender --command adaptive_terrain` instead."
+        ) from None
+    if not hasattr(bpy.types.Object, "adaptive_terrain"):
+        from . import registration
+
+        registration.register()
+        # The bpy module crashes at exit if it finds classes of Python still registered.
+        atexit.register(registration.unregister)
+    return bpy
+
+
+def _surface_of(mesh) -> Surface:
+    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies."""
+    from .mesh_writer import LEVEL_ATTRIBUTE
+
+    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
+
+    def read(collection, name: str, shape, dtype) -> np.ndarray:
+        array = np.empty(int(np.prod(shape)), dtype)
+        collection.foreach_get(name, array)
+        return array.reshape(shape)
+
+    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
+    uv = np.zeros((vertices, 2), np.float32)
+    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
+    normals = np.zeros((vertices, 3), np.float32)
+    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
+    return Surface(
+        read(mesh.vertices, "co", (vertices, 3), np.float32),
+        normals,
+        uv,
+        corner_verts,
+        read(mesh.loops, "edge_index", (corners,), np.int32),
+        read(mesh.edges, "vertices", (edges, 2), np.int32),
+        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
+    )
+
+
+def new_object(name: str):
+    """A mesh object in an otherwise empty Blender file."""
+    bpy = need_bpy("This format")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.collection.objects.link(obj)
+    return obj
+
+
+def file_digest(path: Path) -> str:
+    """Content of a file as a short hexadecimal text."""
+    return hashlib.blake2b(Path(path).read_bytes(), digest_size=12).hexdigest()
+
+
+def _override(detail, pixel_error: float | None, budget: int | None, meshlet: int | None) -> None:
+    if pixel_error is not None:
+        detail.error_px = pixel_error
+    if budget is not None:
+        detail.limit_triangles, detail.max_triangles = True, budget
+    if meshlet is not None:
+        detail.meshlet = meshlet
+
+
+@contextmanager
+def _handlers_off():
+    """An export updates each terrain once, for the render; the frame handler would do it a second time."""
+    from . import handlers
+
+    handlers.unregister()
+    try:
+        yield
+    finally:
+        handlers.register()

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""When Blender calls: frame change, render, load and undo. Each handler is persistent and keeps no Blender data.
+
+Blender calls `render_pre` with the frame set, then `frame_change_post` with the render's dependency graph, then, for
+motion blur, `frame_change_post` again at shutter times, which may be whole neighbouring frames. The mesh must keep one
+topology over the shutter, so it is rebuilt for the frame of `render_pre` only, until `render_post`.
+"""
+
+import traceback
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..cbt_terrain.errors import TerrainError
+from . import live, session
+from .request import RENDER, VIEWPORT
+
+SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
+VIEWPORT_RENDER = "RENDER_OT_opengl"
+_rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
+
+
+def update_all(scene, depsgraph, mode: str) -> None:
+    """Update the scene's terrains; one that fails keeps its mesh, shows its message, and does not stop the others."""
+    for obj in session.terrains_of(scene):
+        after_render = session.record_of(obj).status.mode == RENDER
+        if mode == VIEWPORT and not (obj.adaptive_terrain.live or after_render):
+            continue
+        try:
+            session.update_object(obj, depsgraph, mode)
+        except TerrainError as error:
+            print(f"Adaptive Terrain: {error}")
+        except Exception:
+            traceback.print_exc()
+
+
+def _mesh_is_needed_now() -> bool:
+    """Without a window a script reads the mesh next; an animation that is rendered from the viewport draws it next."""
+    if bpy.app.background:
+        return True
+    windows = bpy.context.window_manager.windows
+    return any(running.bl_idname == VIEWPORT_RENDER for window in windows for running in window.modal_operators)
+
+
+@persistent
+def on_frame_change(scene, depsgraph) -> None:
+    if depsgraph.mode == RENDER:
+        if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
+            update_all(scene, depsgraph, RENDER)
+    elif _mesh_is_needed_now():
+        update_all(scene, depsgraph, VIEWPORT)
+    else:
+        live.mark_dirty()
+
+
+@persistent
+def on_render_pre(scene, _unused=None) -> None:
+    _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
+
+
+@persistent
+def on_render_post(scene, _unused=None) -> None:
+    _rendered_frames.pop(scene.session_uid, None)
+
+
+@persistent
+def on_render_end(scene, _unused=None) -> None:
+    """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
+    _rendered_frames.clear()
+    if bpy.app.background:
+        update_all(scene, bpy.context.evaluated_depsgraph_get(), VIEWPORT)
+    else:
+        live.mark_dirty()
+
+
+@persistent
+def on_depsgraph_update(scene, depsgraph) -> None:
+    if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
+        live.mark_dirty()
+
+
+@persistent
+def on_load_pre(_path, _unused=None) -> None:
+    session.clear()
+
+
+@persistent
+def on_load_post(_path, _unused=None) -> None:
+    live.mark_dirty()
+
+
+@persistent
+def on_undo(_scene, _unused=None) -> None:
+    session.forget_shown()
+    live.mark_dirty()
+
+
+HANDLERS = {
+    "frame_change_post": on_frame_change,
+    "render_pre": on_render_pre,
+    "render_post": on_render_post,
+    "render_complete": on_render_end,
+    "render_cancel": on_render_end,
+    "depsgraph_update_post": on_depsgraph_update,
+    "load_pre": on_load_pre,
+    "load_post": on_load_post,
+    "undo_post": on_undo,
+    "redo_post": on_undo,
+}
+
+
+def register() -> None:
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    for event, handler in HANDLERS.items():
+        listed = getattr(bpy.app.handlers, event)
+        if handler in listed:
+            listed.remove(handler)
+    _rendered_frames.clear()

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import a height map into a store, in a child process that can neither block nor hurt Blender."""
+
+from pathlib import Path
+
+import bpy
+
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.import_process import ImportJob, import_source
+from ..cbt_terrain.importing import source_digest
+from ..cbt_terrain.sources import ISLAND as ISLAND_SOURCE
+from ..cbt_terrain.sources import RAW_SUFFIXES, ImportSettings
+from . import live, session
+from .properties import ISLAND
+
+POLL_S = 0.1
+_jobs: dict[int, ImportJob] = {}  # by the object's session_uid
+_progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
+
+
+def progress_of(obj) -> tuple[float, str] | None:
+    """Fraction done (0 .. 1) and what is being done, or None when nothing is being imported for the object."""
+    return _progress.get(obj.session_uid)
+
+
+def settings_of(obj) -> ImportSettings:
+    """What the terrain's properties ask to import."""
+    settings = obj.adaptive_terrain
+    extent = tuple(settings.extent) if settings.use_extent else None
+    heights = {"height_scale": settings.height_scale, "height_offset": settings.height_offset}
+    if settings.source == ISLAND:
+        return ImportSettings(
+            source=ISLAND_SOURCE, size=settings.island_size, seed=settings.seed, extent=extent, **heights
+        )
+    if not settings.source_path:
+        raise TerrainError("No file is chosen to import; choose a height map on the terrain's panel.")
+    raw = {}
+    if is_raw(settings.source_path):
+        raw = {
+            "raw_size": tuple(settings.raw_size) if all(settings.raw_size) else None,
+            "raw_dtype": settings.raw_dtype,
+            "raw_little_endian": settings.raw_little_endian,
+        }
+    return ImportSettings(
+        source=bpy.path.abspath(settings.source_path),
+        extent=extent,
+        no_data=settings.no_data if settings.use_no_data else None,
+        band=settings.band,
+        channel=settings.channel,
+        first_row_south=settings.first_row_south,
+        **raw,
+        **heights,
+    )
+
+
+def is_raw(path: str) -> bool:
+    return path.lower().endswith(RAW_SUFFIXES)
+
+
+def store_folder(obj, settings: ImportSettings) -> str:
+    """Where the import is written: beside a saved file, one folder a terrain; else in the extension's user folder, one
+    folder for each source and settings, because unsaved files share it. Raises TerrainError for a missing source."""
+    source = Path(settings.source).stem
+    if bpy.data.filepath:
+        return "//terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
+    return str(Path(user_folder()) / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
+
+
+def user_folder() -> str:
+    """The folder for stores of unsaved files."""
+    package = __package__.rpartition(".")[0]
+    if package.startswith("bl_ext."):
+        return bpy.utils.extension_path_user(package, path="stores", create=True)
+    return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)
+
+
+def import_now(obj) -> dict:
+    """Import and wait for the end; returns the report."""
+    settings = settings_of(obj)
+    folder = store_folder(obj, settings)
+    report = import_source(settings, bpy.path.abspath(folder))
+    obj.adaptive_terrain.store = folder
+    return report
+
+
+def summary(report: dict) -> str:
+    """One line about an import."""
+    width, height = report["raster"]
+    line = f"{width} x {height} samples, {report['lowest_m']:.6g} to {report['highest_m']:.6g} m"
+    if report["filled"]:
+        line += f", {report['filled']:,} without data filled"
+    if report["moved_max_m"]:
+        line += f", resampled: moved by {report['moved_max_m']:.3g} m at most, {report['moved_rms_m']:.3g} m rms"
+    return line
+
+
+class ImportTerrain(bpy.types.Operator):
+    """Import the height map into a store; Blender stays usable meanwhile"""
+
+    bl_idname = "adaptive_terrain.import_source"
+    bl_label = "Import"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+
+    def invoke(self, context, event):
+        obj = context.object
+        self.uid = obj.session_uid
+        try:
+            settings = settings_of(obj)
+            self.folder = store_folder(obj, settings)
+            _jobs[self.uid] = ImportJob(settings, bpy.path.abspath(self.folder))
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        _progress[self.uid] = 0.0, "Starting"
+        session.record_of(obj).status.error = ""
+        self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        progress = _jobs[self.uid].poll()
+        _progress[self.uid] = progress.fraction, progress.message
+        live.redraw_panels()
+        if not progress.done:
+            return {"PASS_THROUGH"}
+        self._end(context)
+        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+        if obj is None:
+            return {"CANCELLED"}
+        if progress.error:
+            return self._failed(obj, progress.error)
+        obj.adaptive_terrain.store = self.folder
+        return self._update(obj, progress.report)
+
+    def execute(self, context):
+        obj = context.object
+        try:
+            report = import_now(obj)
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        return self._update(obj, report)
+
+    def cancel(self, context):
+        """Another file is loaded, or Blender quits."""
+        _jobs[self.uid].cancel()
+        self._end(context)
+
+    def _end(self, context):
+        context.window_manager.event_timer_remove(self.timer)
+        del _jobs[self.uid], _progress[self.uid]
+        live.redraw_panels()
+
+    def _failed(self, obj, message: str):
+        session.record_of(obj).status.error = message
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+    def _update(self, obj, report: dict):
+        for warning in report["warnings"]:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, summary(report))
+        if obj.adaptive_terrain.live and not bpy.app.background:
+            live.mark_dirty()
+            return {"FINISHED"}
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))  # the import itself is done
+        return {"FINISHED"}
+
+
+class CancelImport(bpy.types.Operator):
+    """Stop the import; the store stays as it was"""
+
+    bl_idname = "adaptive_terrain.cancel_import"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.session_uid in _jobs
+
+    def execute(self, context):
+        _jobs[context.object.session_uid].cancel()
+        return {"FINISHED"}
+
+
+CLASSES = (ImportTerrain, CancelImport)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for job in _jobs.values():
+        job.cancel()
+    _jobs.clear()
+    _progress.clear()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one writer: a Surface's arrays into a Blender mesh, in place.
+
+Every array goes in as it is, in Blender's own dtypes. The edges come with it, so Blender computes none, and
+`mesh.validate()` finds nothing to change. Materials and the mesh's other settings are the user's and stay.
+"""
+
+import bmesh
+import numpy as np
+
+from ..cbt_terrain.errors import TerrainError
+from .mesh_cleanup import clean_up
+
+UV_LAYER = "UVMap"
+LEVEL_ATTRIBUTE = "terrain_level"
+NUMBER_ATTRIBUTE = "terrain_vertex"  # of a vertex in the surface, while a bmesh holds it
+NORMAL_ATTRIBUTE = "custom_normal"  # a free normal per vertex, since Blender 4.5
+
+
+def write_mesh(mesh, surface, *, smooth: bool = True) -> None:
+    """Replace the geometry of `mesh` by `surface`.
+
+    `surface`: positions, normals float32 [V, 3]; uv float32 [V, 2]; corner_verts, corner_edges int32 [3 T]; edges int32
+    [E, 2]; level int32 [T]. Raises TerrainError where the mesh cannot be written (edit mode, shape keys).
+    """
+    _check_writable(mesh)
+    _write_topology(mesh, surface)
+    _write_layers(mesh, surface)
+    _write_shading(mesh, surface.normals, smooth)
+    mesh.update()
+
+
+def write_mesh_bmesh(mesh, surface, cleanup, *, smooth: bool = True) -> None:
+    """As `write_mesh`, by way of a bmesh from which `cleanup` (a mesh_cleanup.Cleanup) cuts what the user chose."""
+    _check_writable(mesh)
+    _write_topology(mesh, surface)
+    _write_layers(mesh, surface)
+    numbers = mesh.attributes.new(NUMBER_ATTRIBUTE, "INT", "POINT")
+    numbers.data.foreach_set("value", np.arange(len(surface.positions), dtype=np.int32))
+    built = bmesh.new()
+    try:
+        built.from_mesh(mesh)
+        clean_up(built, cleanup)
+        number = built.verts.layers.int[NUMBER_ATTRIBUTE]
+        kept = np.fromiter((vertex[number] for vertex in built.verts), np.int64, len(built.verts))
+        built.verts.layers.int.remove(number)
+        built.to_mesh(mesh)
+    finally:
+        built.free()
+    _write_shading(mesh, surface.normals[kept], smooth)
+    mesh.update()
+
+
+def _check_writable(mesh) -> None:
+    if mesh.is_editmode:
+        raise TerrainError(f"The mesh {mesh.name!r} is in edit mode; leave edit mode to update the terrain.")
+    if mesh.shape_keys is not None:
+        raise TerrainError(f"The mesh {mesh.name!r} has shape keys, which need a fixed topology; remove them.")
+
+
+def _write_topology(mesh, surface) -> None:
+    triangles = len(surface.level)
+    mesh.clear_geometry()
+    mesh.vertices.add(len(surface.positions))
+    mesh.edges.add(len(surface.edges))
+    mesh.loops.add(3 * triangles)  # before the polygons, which take their last offset from it
+    mesh.polygons.add(triangles)
+    attributes = mesh.attributes
+    attributes["position"].data.foreach_set("vector", surface.positions.ravel())
+    if triangles:
+        attributes[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
+        attributes[".corner_vert"].data.foreach_set("value", surface.corner_verts)
+        attributes[".corner_edge"].data.foreach_set("value", surface.corner_edges)
+        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * triangles, 3, dtype=np.int32))
+
+
+def _write_layers(mesh, surface) -> None:
+    layer = mesh.uv_layers.new(name=UV_LAYER, do_init=False)
+    layer.uv.foreach_set("vector", np.take(surface.uv, surface.corner_verts, axis=0).ravel())
+    level = mesh.attributes.new(LEVEL_ATTRIBUTE, "INT", "FACE")
+    level.data.foreach_set("value", surface.level)
+
+
+def _write_shading(mesh, normals: np.ndarray, smooth: bool) -> None:
+    """Smooth with the given normals (float32 [V, 3]), or flat without any."""
+    sharp = mesh.attributes.get("sharp_face")
+    if smooth and sharp is not None:
+        mesh.attributes.remove(sharp)
+    if not smooth:
+        sharp = sharp or mesh.attributes.new("sharp_face", "BOOLEAN", "FACE")
+        sharp.data.foreach_set("value", np.ones(len(mesh.polygons), bool))
+    if not smooth or not len(mesh.polygons):
+        return
+    normal = mesh.attributes.new(NORMAL_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
+    normal.data.foreach_set("vector", np.ascontiguousarray(normals, np.float32).ravel())
+    if not mesh.has_custom_normals:  # this Blender only knows normals encoded per corner
+        mesh.attributes.remove(normal)
+        mesh.update()
+        mesh.normals_split_custom_set_from_vertices(normals)

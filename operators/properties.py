@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of a terrain, kept on its object: `object.adaptive_terrain`."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..cbt_terrain.island import DEFAULT_SEED
+from ..cbt_terrain.sources import RAW_TYPES
+
+ISLAND, FILE = "ISLAND", "FILE"
+SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
+
+
+def _changed(self, _context) -> None:
+    """A script that sets a property tags nothing: without this its object's evaluated copy keeps the old value."""
+    self.id_data.update_tag()
+
+
+class DetailSettings(bpy.types.PropertyGroup):
+    """How much detail, for the viewport or for the render."""
+
+    error_px: FloatProperty(
+        name="Screen Error",
+        description="Largest geometric error as seen by the camera, in pixels; 0 switches this criterion off",
+        default=1.0, min=0.0, soft_max=20.0, precision=2, update=_changed,
+    )  # fmt: skip
+    edge_px: FloatProperty(
+        name="Edge Length",
+        description="Longest edge as seen by the camera, in pixels; 0 switches this criterion off",
+        default=0.0, min=0.0, soft_max=200.0, precision=1, update=_changed,
+    )  # fmt: skip
+    area_px: FloatProperty(
+        name="Triangle Area",
+        description="Largest triangle as seen by the camera, in square pixels; 0 switches this criterion off",
+        default=0.0, min=0.0, soft_max=10000.0, precision=1, update=_changed,
+    )  # fmt: skip
+    error_m: FloatProperty(
+        name="Vertical Error",
+        description="Largest vertical error in metres, whatever the camera sees; 0 switches this criterion off",
+        default=0.0, min=0.0, soft_max=100.0, precision=3, unit="LENGTH", update=_changed,
+    )  # fmt: skip
+    guard_deg: FloatProperty(
+        name="Guard Band",
+        description="How far outside the frame full detail is kept, in degrees",
+        default=5.0, min=0.0, max=89.0, precision=1, update=_changed,
+    )  # fmt: skip
+    off_screen_factor: FloatProperty(
+        name="Off-Screen Factor",
+        description="How many times coarser the terrain may be outside the frame; 1 keeps full detail everywhere",
+        default=16.0, min=1.0, soft_max=1000.0, precision=1, update=_changed,
+    )  # fmt: skip
+    meshlet: IntProperty(
+        name="Meshlet Level",
+        description="Every leaf of the tree becomes 4 to this power triangles",
+        default=0, min=0, max=4, update=_changed,
+    )  # fmt: skip
+    limit_depth: BoolProperty(name="Limit Depth", description="Stop refining at a depth", update=_changed)
+    max_depth: IntProperty(
+        name="Max Depth", description="Bisections of a root square", default=20, min=1, soft_max=40, update=_changed
+    )
+    limit_triangles: BoolProperty(
+        name="Limit Triangles", description="Coarsen the error asked for until the mesh fits a budget", update=_changed
+    )
+    max_triangles: IntProperty(
+        name="Max Triangles", description="Triangles at most", default=1_000_000, min=0, update=_changed
+    )
+
+
+class CleanupSettings(bpy.types.PropertyGroup):
+    """What is cut away from the finished mesh; the mesh then takes the slower way through bmesh."""
+
+    use_below: BoolProperty(
+        name="Delete Below", description="Delete faces that lie wholly below a height", update=_changed
+    )
+    below: FloatProperty(
+        name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=_changed
+    )
+    boundary: PointerProperty(
+        name="Boundary",
+        description="Delete faces whose middle is not above or below a face of this object",
+        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=_changed,
+    )  # fmt: skip
+    remove_loose: BoolProperty(
+        name="Remove Loose", description="Remove vertices and edges without a face", default=True, update=_changed
+    )
+
+    @property
+    def active(self) -> bool:
+        return self.use_below or self.boundary is not None
+
+
+class TerrainSettings(bpy.types.PropertyGroup):
+    """Everything that a terrain is made from."""
+
+    enabled: BoolProperty(name="Adaptive Terrain", description="This object's mesh is written by Adaptive Terrain")
+    store: StringProperty(
+        name="Store",
+        description="Folder with the imported height field; import writes it",
+        subtype="DIR_PATH", update=_changed,
+    )  # fmt: skip
+
+    source: EnumProperty(
+        name="Source",
+        items=[(ISLAND, "Built-in Island", "A procedural island; needs no file"),
+               (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY")],
+    )  # fmt: skip
+    source_path: StringProperty(name="File", description="Height map to import", subtype="FILE_PATH")
+    raw_size: IntVectorProperty(
+        name="Samples", description="Width and height of a RAW file, in samples", size=2, default=(0, 0), min=0
+    )
+    raw_dtype: EnumProperty(
+        name="Type",
+        items=[(name, name, f"Samples of a RAW file are {name}") for name in RAW_TYPES],
+        default="uint16",
+    )  # fmt: skip
+    raw_little_endian: BoolProperty(name="Little Endian", description="Byte order of a RAW file", default=True)
+    band: IntProperty(name="Band", description="Number of the band to read, from 1", default=1, min=1)
+    channel: StringProperty(
+        name="Channel", description="Name of the EXR channel to read; empty for the first that looks like a height"
+    )
+    first_row_south: BoolProperty(
+        name="First Row South", description="For files that do not say where north is; pictures begin in the north"
+    )
+    use_extent: BoolProperty(name="Set Size", description="Give the real-world size instead of taking it from the file")
+    extent: FloatVectorProperty(
+        name="Size",
+        description="Metres from west to east and from south to north",
+        size=2, default=(1000.0, 1000.0), min=0.001, unit="LENGTH",
+    )  # fmt: skip
+    height_scale: FloatProperty(name="Height Scale", description="Metres per unit of the file", default=1.0)
+    height_offset: FloatProperty(
+        name="Height Offset", description="Added to every height, in metres", unit="LENGTH", default=0.0
+    )
+    use_no_data: BoolProperty(
+        name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
+    )
+    no_data: FloatProperty(name="No-Data", description="Value of samples that are filled", default=-9999.0)
+    island_size: IntProperty(
+        name="Samples", description="Samples on each side of the island", default=1025, min=3, max=16385
+    )
+    seed: IntProperty(name="Seed", description="Another seed is another island", default=DEFAULT_SEED, min=0)
+
+    camera_source: EnumProperty(
+        name="Seen From",
+        items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera"),
+               (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
+               (VIEWPORT_VIEW, "Viewport", "Refine for what the 3D viewports show; a render uses the scene camera")],
+        update=_changed,
+    )  # fmt: skip
+    camera: PointerProperty(
+        name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=_changed
+    )
+    vertical_scale: FloatProperty(
+        name="Vertical Scale", description="Factor on every height", default=1.0, update=_changed
+    )
+    vertical_offset: FloatProperty(
+        name="Vertical Offset", description="Added to every height, in metres", unit="LENGTH", update=_changed
+    )
+    viewport: PointerProperty(type=DetailSettings)
+    render: PointerProperty(type=DetailSettings)
+    live: BoolProperty(
+        name="Live Update",
+        description="Follow the camera in the viewport, without ever blocking it",
+        default=True, update=_changed,
+    )  # fmt: skip
+    smooth: BoolProperty(
+        name="Smooth Shading",
+        description="Shade with the height field's own normals at full resolution; otherwise each face is flat",
+        default=True, update=_changed,
+    )  # fmt: skip
+    cleanup: PointerProperty(type=CleanupSettings)
+    bake_error_m: FloatProperty(
+        name="Bake Error",
+        description="Largest vertical error of a baked static mesh, in metres",
+        default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
+    )  # fmt: skip
+
+
+CLASSES = (DetailSettings, CleanupSettings, TerrainSettings)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.adaptive_terrain = PointerProperty(type=TerrainSettings)
+
+
+def unregister() -> None:
+    del bpy.types.Object.adaptive_terrain
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

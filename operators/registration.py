@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that the extension adds to Blender, and its removal in reverse order."""
+
+import bpy
+
+from . import (
+    add_terrain,
+    bake_terrain,
+    command_line,
+    export_terrain,
+    handlers,
+    import_terrain,
+    live,
+    panels,
+    properties,
+    session,
+    update_terrain,
+)
+
+COMMAND = "adaptive_terrain"
+MODULES = (
+    properties,
+    import_terrain,
+    add_terrain,
+    update_terrain,
+    bake_terrain,
+    export_terrain,
+    panels,
+    handlers,
+    live,
+)
+_commands = []
+
+
+def register() -> None:
+    for module in MODULES:
+        module.register()
+    if hasattr(bpy.utils, "register_cli_command"):
+        _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
+
+
+def unregister() -> None:
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
+    for module in reversed(MODULES):
+        module.unregister()
+    session.clear()

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..cbt_terrain.criterion import Criterion
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.view import View
+from . import camera as cameras
+from .mesh_cleanup import Cleanup, boundary_triangles
+from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
+
+VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
+
+    `placement` float64 [4, 4]: the terrain's space to the world, metres.
+    """
+
+    store: str
+    criterion: Criterion
+    views: list[View]
+    placement: np.ndarray
+    vertical_scale: float
+    vertical_offset: float
+    smooth: bool
+    cleanup: Cleanup
+
+    def key(self) -> tuple:
+        """Equal for equal requests."""
+        views = tuple(view.key() for view in self.views)
+        heights = self.vertical_scale, self.vertical_offset
+        return self.store, self.criterion, views, self.placement.tobytes(), heights, self.smooth, self.cleanup.key()
+
+
+def gather(
+    obj,
+    depsgraph,
+    mode: str = VIEWPORT,
+    *,
+    criterion: Criterion | None = None,
+    camera=None,
+    resolution: tuple[int, int] | None = None,
+) -> Request:
+    """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
+
+    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object) and `resolution`
+    (pixels) replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
+    if not settings.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+    placement = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(placement).all():
+        raise TerrainError(
+            f"The terrain {obj.name!r} has a matrix that is not finite; check its transform and parents."
+        )
+    if abs(np.linalg.det(placement[:3, :3])) == 0.0:
+        raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
+    criterion = criterion or criterion_from(settings.render if mode == RENDER else settings.viewport)
+    views = []
+    if criterion.needs_view:
+        views = _views(settings, depsgraph, mode, camera, resolution)
+    return Request(
+        store=bpy.path.abspath(settings.store),
+        criterion=criterion,
+        views=views,
+        placement=placement,
+        vertical_scale=settings.vertical_scale,
+        vertical_offset=settings.vertical_offset,
+        smooth=settings.smooth,
+        cleanup=cleanup_from(settings.cleanup, evaluated, depsgraph),
+    )
+
+
+def criterion_from(detail) -> Criterion:
+    """The criterion that a DetailSettings asks for."""
+    return Criterion(
+        error_px=detail.error_px,
+        edge_px=detail.edge_px,
+        area_px=detail.area_px,
+        error_m=detail.error_m,
+        guard_deg=detail.guard_deg,
+        off_screen_factor=detail.off_screen_factor,
+        max_depth=detail.max_depth if detail.limit_depth else None,
+        max_triangles=detail.max_triangles if detail.limit_triangles else None,
+        meshlet=detail.meshlet,
+    )
+
+
+def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
+    """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
+    boundary = None
+    if settings.boundary is not None:
+        shape = settings.boundary.original.evaluated_get(depsgraph)
+        boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
+    return Cleanup(settings.below if settings.use_below else None, boundary, settings.remove_loose)
+
+
+def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+    scene = depsgraph.scene
+    if camera is None and settings.camera_source == VIEWPORT_VIEW and mode == VIEWPORT:
+        views = cameras.views_from_windows(bpy.context.window_manager)
+        if views:
+            return views
+    if camera is None and settings.camera_source == CHOSEN_CAMERA:
+        if settings.camera is None:
+            raise TerrainError("No camera is chosen; choose one on the terrain's panel, or take the scene's camera.")
+        camera = settings.camera.original
+    return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)

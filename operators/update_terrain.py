@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Update the mesh now, and make renders safe."""
+
+import bpy
+
+from ..cbt_terrain.errors import TerrainError
+from . import session
+
+
+class UpdateTerrain(bpy.types.Operator):
+    """Refine the terrain for its camera now, with the viewport's settings"""
+
+    bl_idname = "adaptive_terrain.update"
+    bl_label = "Update"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        try:
+            update = session.update_object(context.object)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{update.triangles:,} triangles")
+        return {"FINISHED"}
+
+
+class LockInterface(bpy.types.Operator):
+    """Lock the interface during a render, so that drawing the viewport cannot meet a mesh that is being rebuilt"""
+
+    bl_idname = "adaptive_terrain.lock_interface"
+    bl_label = "Lock Interface"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context):
+        context.scene.render.use_lock_interface = True
+        return {"FINISHED"}
+
+
+CLASSES = (UpdateTerrain, LockInterface)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own.
+
+`ADAPTIVE_TERRAIN_BLENDER` is the wrapper that tools/get_blender.sh writes; `.ci/run` sets it, and without it these
+tests are skipped.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = Path(__file__).parent / "scripts"
+MARK = "RESULT "
+
+
+class Program:
+    """The real program. `user` is its private user folder."""
+
+    def __init__(self, wrapper: str, user: Path):
+        self.wrapper, self.user = wrapper, user
+
+    def environment(self) -> dict[str, str]:
+        home = self.user / "home"
+        home.mkdir(parents=True, exist_ok=True)
+        paths = {"BLENDER_USER_RESOURCES": str(self.user), "HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
+        return {**os.environ, **paths, "BIND": str(self.user), "LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONPATH": ""}
+
+    def command(self, *arguments: str) -> list[str]:
+        return [self.wrapper, "blender", *map(str, arguments)]
+
+    def run(self, *arguments: str, timeout: float = 300) -> str:
+        """Run to the end; returns what it printed, fails with it unless the exit code is 0."""
+        done = subprocess.run(
+            self.command(*arguments), env=self.environment(), cwd=ROOT, capture_output=True, text=True, timeout=timeout
+        )
+        assert done.returncode == 0, f"exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done.stdout + done.stderr
+
+    def script(self, name: str, *arguments: str, blend: Path | None = None, timeout: float = 300) -> dict:
+        """Run a script of tests/blender/scripts without a window; returns the JSON that it prints after RESULT."""
+        opened = [str(blend)] if blend else []
+        output = self.run(
+            "-b", *opened, "--python-exit-code", "1", "--python", SCRIPTS / name, "--", *arguments, timeout=timeout
+        )
+        results = [line for line in output.splitlines() if line.startswith(MARK)]
+        assert len(results) == 1, output
+        return json.loads(results[0][len(MARK) :])
+
+
+@pytest.fixture(scope="session")
+def bare_program(tmp_path_factory):
+    wrapper = os.environ.get("ADAPTIVE_TERRAIN_BLENDER")
+    if not wrapper:
+        pytest.skip(
+            "ADAPTIVE_TERRAIN_BLENDER is not set: tools/get_blender.sh trixie .cache/blender writes the program"
+        )
+    return Program(str(Path(wrapper).resolve()), tmp_path_factory.mktemp("user"))
+
+
+@pytest.fixture(scope="session")
+def extension_zip(bare_program, tmp_path_factory):
+    """The zip for this platform, validated and packed by the real program."""
+    output = tmp_path_factory.mktemp("extension")
+    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", output]
+    command += ["--blender", *bare_program.command()]
+    subprocess.run(command, check=True, cwd=ROOT, env=bare_program.environment())
+    [path] = output.glob("*.zip")
+    return path
+
+
+@pytest.fixture(scope="session")
+def program(bare_program, extension_zip):
+    """The program with the extension installed and enabled, and no splash screen."""
+    bare_program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
+    quiet = "import bpy; bpy.context.preferences.view.show_splash = False; bpy.ops.wm.save_userpref()"
+    bare_program.run("-b", "--python-expr", quiet)
+    return bare_program
+
+
+@pytest.fixture(scope="session")
+def dem(tmp_path_factory):
+    """A real DEM (Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it) as GeoTIFF and as EXR."""
+    import OpenEXR
+    import rasterio
+    from matplotlib import cbook
+    from rasterio.transform import from_bounds
+
+    data = cbook.get_sample_data("jacksboro_fault_dem.npz")
+    heights = np.asarray(data["elevation"], np.float32)
+    rows, columns = heights.shape
+    folder = tmp_path_factory.mktemp("dem")
+    west, east, south, north = (float(data[key]) for key in ("xmin", "xmax", "ymin", "ymax"))
+    transform = from_bounds(west, south, east, north, columns, rows)
+    profile = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "float32"}
+    with rasterio.open(folder / "dem.tif", "w", crs="EPSG:4326", transform=transform, **profile) as tif:
+        tif.write(heights[None])
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Y": heights}).write(str(folder / "dem.exr"))
+    return {"tif": folder / "dem.tif", "exr": folder / "dem.exr", "heights": heights}

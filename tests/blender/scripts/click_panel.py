@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Click Add and Update in the panel as a user does, write down what came of it, stay open for the picture: READY_FILE.
+
+Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
+between turns only.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+[ready] = sys.argv[sys.argv.index("--") + 1 :]
+# Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
+FIRST_BUTTON_BELOW_TOP = 40
+WAIT_S = 240.0
+result = {"version": bpy.app.version_string, "background": bpy.app.background}
+
+
+def parts():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "UI")
+    return window, area, region
+
+
+def terrain():
+    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
+
+
+def click(x: int, y: int):
+    """The mouse goes there, presses and lets go; one event a turn."""
+    window = parts()[0]
+    for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
+        window.event_simulate(type=kind, value=value, x=x, y=y)
+        yield 0.2
+
+
+def click_first_button():
+    region = parts()[2]
+    scale = bpy.context.preferences.system.ui_scale
+    yield from click(region.x + region.width // 2, int(region.y + region.height - FIRST_BUTTON_BELOW_TOP * scale))
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.1
+
+
+def steps():
+    yield 2.0
+    area = parts()[1]
+    area.spaces.active.show_region_ui = True
+    # The default cube stands where the terrain will be.
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    area.tag_redraw()
+    yield 1.5
+    # Only a region that has been drawn knows its tabs.
+    parts()[2].active_panel_category = "Terrain"
+    area.tag_redraw()
+    yield 1.0
+    result["tab"] = parts()[2].active_panel_category
+    started = time.monotonic()
+    yield from click_first_button()
+    yield from until(lambda: terrain() is not None)
+    result["added_s"] = time.monotonic() - started
+    yield from until(lambda: len(terrain().data.polygons) > 0)
+    result["visible_s"] = time.monotonic() - started
+    result["triangles"] = len(terrain().data.polygons)
+    yield 1.0
+    # The viewport's own mesh follows the settings, without a click.
+    terrain().adaptive_terrain.viewport.error_px = 8.0
+    yield from until(lambda: len(terrain().data.polygons) < result["triangles"])
+    result["live_triangles"] = len(terrain().data.polygons)
+    # With live update off nothing follows until Update is clicked.
+    terrain().adaptive_terrain.live = False
+    terrain().adaptive_terrain.viewport.error_px = 2.0
+    yield 1.0
+    result["not_live_triangles"] = len(terrain().data.polygons)
+    yield from click_first_button()
+    yield from until(lambda: len(terrain().data.polygons) != result["not_live_triangles"])
+    result["updated_triangles"] = len(terrain().data.polygons)
+    yield from follow_the_viewport()
+    yield from cancel_an_import()
+    yield from render_in_the_window()
+    yield from render_the_viewport()
+    parts()[1].spaces.active.region_3d.view_perspective = "PERSP"
+    yield 2.0
+    Path(ready).write_text(json.dumps(result))
+
+
+def follow_the_viewport():
+    """Turning the view tells no handler; the terrain follows it all the same."""
+    settings = terrain().adaptive_terrain
+    settings.live, settings.camera_source = True, "VIEW"
+    yield from until(lambda: len(terrain().data.polygons) != result["updated_triangles"])
+    yield 1.0
+    result["viewport_triangles"] = len(terrain().data.polygons)
+    parts()[1].spaces.active.region_3d.view_distance *= 4.0
+    parts()[1].tag_redraw()
+    yield from until(lambda: len(terrain().data.polygons) != result["viewport_triangles"])
+    yield 1.0
+    result["further_triangles"] = len(terrain().data.polygons)
+    settings.camera_source = "SCENE"
+    yield 1.0
+
+
+def cancel_an_import():
+    """The window lives while an import runs, and the terrain stays as it was when the import is stopped."""
+    settings = terrain().adaptive_terrain
+    before, settings.island_size = settings.island_size, 8193
+    result["store"] = settings.store
+    started = time.monotonic()
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
+    result["import_started_s"] = time.monotonic() - started
+    yield 3.0
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_import.poll()
+        bpy.ops.adaptive_terrain.cancel_import()
+    yield 1.0
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        result["can_import_again"] = bpy.ops.adaptive_terrain.import_source.poll()
+    result["store_after_cancel"] = settings.store
+    settings.island_size = before
+
+
+def render_in_the_window():
+    """A render runs beside the window with its own detail; the viewport's detail comes back after it."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 1, "CPU", False
+    scene.render.resolution_percentage = 20
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.filepath = str(Path(ready).parent / "window_")
+    terrain().adaptive_terrain.viewport.error_px = 4.0
+    yield 1.5
+    result["before_render_triangles"] = len(terrain().data.polygons)
+    rendered = result["rendered_triangles"] = []
+
+    def look(_scene, _unused):
+        rendered.append(len(terrain().data.polygons))
+
+    bpy.app.handlers.render_post.append(look)
+    scene.render.use_lock_interface = True
+    with bpy.context.temp_override(window=parts()[0]):
+        bpy.ops.render.render("INVOKE_DEFAULT", animation=True)
+    yield 1.0
+    yield from until(lambda: len(rendered) == 2 and not bpy.app.is_job_running("RENDER"))
+    bpy.app.handlers.render_post.remove(look)
+    yield from until(lambda: len(terrain().data.polygons) == result["before_render_triangles"])
+
+
+def render_the_viewport():
+    """An animation rendered from the viewport has the mesh of each of its frames."""
+    scene = bpy.context.scene
+    camera = scene.camera
+    for frame, x in ((1, 7.0), (4, 30.0)):
+        camera.location.x = x
+        camera.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 4
+    drawn = result["drawn_triangles"] = []
+
+    def look(_scene, _unused):
+        drawn.append(len(terrain().data.polygons))
+
+    bpy.app.handlers.frame_change_post.append(look)
+    area = parts()[1]
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=parts()[0], area=area, region=region):
+        bpy.ops.render.opengl("INVOKE_DEFAULT", animation=True)
+    yield from until(lambda: len(drawn) == 5)  # four frames, and back to the first
+    bpy.app.handlers.frame_change_post.remove(look)
+
+
+_steps = steps()
+
+
+def turn():
+    try:
+        return next(_steps)
+    except StopIteration:
+        return None
+    except Exception as error:
+        result["error"] = repr(error)
+        Path(ready).write_text(json.dumps(result))
+        return None
+
+
+bpy.app.timers.register(turn, first_interval=0.5)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The extension in the real Blender program: built, installed, imported into, rendered, exported from and clicked."""
+
+import json
+import os
+import struct
+import subprocess
+import time
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+SCRIPTS = Path(__file__).parent / "scripts"
+SCREEN = 1600, 1000
+
+
+@pytest.fixture(scope="session")
+def scene(program, dem, tmp_path_factory):
+    """A .blend with the GeoTIFF as terrain and an animated camera, made by the real program, and what it said."""
+    path = tmp_path_factory.mktemp("scene") / "scene.blend"
+    return path, program.script("import_dem.py", path, dem["tif"])
+
+
+def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
+    names = zipfile.ZipFile(extension_zip).namelist()
+    assert {"__init__.py", "blender_manifest.toml", "operators/registration.py", "LICENSE"} <= set(names)
+    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "tools/"))]
+    wheels = {name.split("/")[1].split("-")[0].lower() for name in names if name.startswith("wheels/")}
+    assert {"warp_lang", "openexr", "rasterio"} <= wheels
+    assert "numpy" not in wheels, "wheels of all extensions share one folder with Blender's own"
+
+
+def test_a_geotiff_becomes_a_terrain(scene, dem):
+    path, said = scene
+    [terrain] = said["terrains"].values()
+    assert terrain["triangles"] > 1000
+    assert terrain["validate"] is False
+    low, high = dem["heights"].min(), dem["heights"].max()
+    assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
+    assert path.exists()
+
+
+def test_an_exr_becomes_a_terrain(program, dem, tmp_path):
+    """The OpenEXR wheel is not safe inside the real program; the import reads it in a child process."""
+    said = program.script("import_dem.py", tmp_path / "exr.blend", dem["exr"])
+    [terrain] = said["terrains"].values()
+    assert terrain["triangles"] > 1000
+    low, high = dem["heights"].min(), dem["heights"].max()
+    assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
+
+
+def test_command_line_exports_frames(program, scene, tmp_path):
+    export = ["--command", "adaptive_terrain", "export", "--scene", scene[0], "--frames", "1-3", "--format", "npz,ply"]
+    program.run(*export, "--out", tmp_path)
+    triangles = []
+    for frame in (1, 2, 3):
+        [path] = tmp_path.glob(f"*_{frame:04d}.npz")
+        with np.load(path) as data:
+            triangles.append(len(data["triangles"]))
+            assert np.isfinite(data["positions"]).all()
+            assert data["triangles"].max() == len(data["positions"]) - 1
+            info = json.loads(str(data["info"]))
+            assert info["limited"] == "" and info["bound_px"] > 0  # with what resampling to the lattice has moved
+        assert path.with_suffix(".ply").stat().st_size > 1000
+    assert len(set(triangles)) == 3, "the camera moves"
+
+
+def test_motion_blur_keeps_one_topology_over_the_shutter(program, scene, tmp_path):
+    said = program.script("render_motion_blur.py", tmp_path / "frame_", blend=scene[0], timeout=600)
+    pictures = sorted(tmp_path.glob("frame_*.png"))
+    assert len(pictures) == 3
+    assert all(np.asarray(Image.open(path).convert("L")).std() > 1 for path in pictures)
+    shown = dict(said["rendered"])
+    assert sorted(shown) == [1, 2, 3] and len(set(shown.values())) == 3
+    frame = None
+    shutter_times = set()
+    for number, subframe, mode, triangles, _sum in said["calls"]:
+        if mode == "PRE":
+            frame = number
+        elif mode == "RENDER":
+            assert triangles == shown[frame], "a shutter time rebuilt the mesh"
+            shutter_times.add((number - frame, subframe))
+    assert len(shutter_times) > 1, "motion blur looked at other times than the frame's own"
+    assert said["after"] == said["viewport_triangles"] < shown[1], "the viewport gets its own detail back"
+
+
+@contextmanager
+def window(program, arguments: list[str], framebuffer: Path):
+    """The program with a window on a screen that is a file; ends both."""
+    display = f":{os.getpid() % 40000 + 200}"
+    environment = {**program.environment(), "DISPLAY": display}
+    screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
+    xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
+    blender = None
+    try:
+        socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
+        wait_for(socket, xvfb, 20)
+        log = open(framebuffer / "blender.log", "w")
+        blender = subprocess.Popen(program.command(*arguments), env=environment, stdout=log, stderr=subprocess.STDOUT)
+        yield blender
+    finally:
+        for process in (blender, xvfb):
+            if process is not None:
+                process.terminate()
+                process.wait(20)
+
+
+def wait_for(path: Path, process, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not path.exists():
+        assert process.poll() is None, f"the program ended with {process.returncode} before {path.name} was there"
+        assert time.monotonic() < end, f"{path.name} was not there after {seconds} s"
+        time.sleep(0.1)
+
+
+def read_screen(framebuffer: Path) -> Image.Image:
+    """Xvfb's frame buffer: an X window dump, whose header is big-endian and names its own size."""
+    data = (framebuffer / "Xvfb_screen0").read_bytes()
+    header = struct.unpack(">25I", data[:100])
+    header_size, width, height, bytes_per_line, colours = header[0], header[4], header[5], header[12], header[19]
+    start = header_size + 12 * colours
+    pixels = np.frombuffer(data, np.uint8, bytes_per_line * height, start).reshape(height, bytes_per_line)
+    return Image.fromarray(pixels[:, : 4 * width].reshape(height, width, 4)[:, :, 2::-1].copy())
+
+
+def test_clicks_on_the_panel(program, tmp_path):
+    ready = tmp_path / "ready.json"
+    arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
+    arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(ready)]
+    with window(program, arguments, tmp_path) as blender:
+        try:
+            wait_for(ready, blender, 480)
+        finally:
+            pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
+            pictures.mkdir(parents=True, exist_ok=True)
+            picture = read_screen(tmp_path)
+            picture.save(pictures / "panel.png")
+    said = json.loads(ready.read_text())
+    assert "error" not in said, said
+    assert said["background"] is False
+    assert said["triangles"] > 100
+    assert said["live_triangles"] < said["triangles"]
+    assert said["not_live_triangles"] == said["live_triangles"]
+    assert said["updated_triangles"] > said["live_triangles"]
+    assert said["viewport_triangles"] > said["further_triangles"] > 0, "the terrain follows the viewport's own view"
+    assert said["import_started_s"] < 0.5, "an import does not hold the window up"
+    assert said["could_cancel"] and said["can_import_again"] and said["store_after_cancel"] == said["store"]
+    assert min(said["rendered_triangles"]) > said["before_render_triangles"]
+    assert len(set(said["drawn_triangles"][:4])) == 4, "a viewport render waits for each frame's mesh"
+    assert np.asarray(picture.convert("L")).std() > 5, "the screen is not blank"

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The .npz of a surface: the same bytes at any time, and never a half-written file."""
+
+import time
+import zipfile
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.archive import read_npz, write_npz, written_beside
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+
+
+@pytest.fixture(scope="module")
+def surface():
+    field = from_array(np.fromfunction(lambda y, x: np.sin(x / 3) * y, (33, 33), dtype=np.float32), 2.0)
+    return Terrain(field).update(Criterion(error_px=0.0, error_m=0.1)).surface
+
+
+def test_every_entry_comes_back(surface, tmp_path):
+    origin = np.array([500_000.25, 6_400_000.5, 0.0])
+    write_npz(tmp_path / "a.npz", surface, origin, {"bound_m": 0.1})
+    back = read_npz(tmp_path / "a.npz")
+    assert back.pop("info") == {"bound_m": 0.1}
+    expected = {name: getattr(surface, name) for name in ("positions", "triangles", "edges", "normals", "uv", "level")}
+    assert back.keys() == {"origin", *expected}
+    assert np.array_equal(back["origin"], origin) and back["origin"].dtype == np.float64
+    for name, array in expected.items():
+        assert np.array_equal(back[name], array) and back[name].dtype == array.dtype, name
+
+
+def test_the_same_surface_is_the_same_bytes_at_any_time(surface, tmp_path, monkeypatch):
+    write_npz(tmp_path / "a.npz", surface, np.zeros(3), {"b": 1, "a": 2})
+    later = time.time() + 86_400
+    monkeypatch.setattr("time.time", lambda: later)
+    monkeypatch.setattr("time.localtime", lambda *_: (2031, 5, 6, 7, 8, 9, 0, 1, 0))
+    write_npz(tmp_path / "b.npz", surface, np.zeros(3), {"a": 2, "b": 1})
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(surface, tmp_path, monkeypatch):
+    path = tmp_path / "a.npz"
+    write_npz(path, surface, np.zeros(3), {})
+    before = path.read_bytes()
+
+    def full(self, *_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_npz(path, surface, np.zeros(3), {"other": True})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_temporary_name_keeps_the_suffix(tmp_path):
+    with written_beside(tmp_path / "mesh.ply") as partial:
+        assert partial.suffix == ".ply" and partial.parent == tmp_path
+        partial.write_text("x")
+        assert not (tmp_path / "mesh.ply").exists()
+    assert (tmp_path / "mesh.ply").read_text() == "x"

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Imports in a child process: progress, cancel, rerun, crash, two at once."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing import (
+    ImportCancelled,
+    ImportJob,
+    ImportSettings,
+    import_source,
+    run_import,
+    source_digest,
+)
+from adaptive_terrain.cbt_terrain.store import open_store
+from rasters import hills, write_exr, write_raster
+
+LONG = ImportSettings(source="island", size=4097)  # seconds of work
+
+
+def snapshot(path):
+    """Everything below a folder and when it was written."""
+    return {p: p.stat().st_mtime_ns for p in path.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def previous(tmp_path):
+    """A store that must survive."""
+    path = tmp_path / "store"
+    run_import(ImportSettings(source="island", size=65), path)
+    return path
+
+
+def wait_until_working(job):
+    while job.poll().fraction == 0.0 and not job.poll().done:
+        time.sleep(0.01)
+    assert not job.poll().done
+
+
+def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path):
+    source = write_exr(tmp_path / "a.exr", Y=hills(129, 65))
+    settings, store, seen = ImportSettings(source=str(source), extent=(1280.0, 640.0)), tmp_path / "store", []
+    report = import_source(settings, store, on_progress=lambda fraction, message: seen.append((fraction, message)))
+    assert report["step_m"] == [10.0, 10.0] and "unchanged" not in report
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
+    assert np.array_equal(open_store(store).samples, hills(129, 65)[::-1])
+
+    before, start = snapshot(store), time.perf_counter()
+    again = import_source(settings, store)
+    assert time.perf_counter() - start < 0.1
+    assert again == report | {"unchanged": True} and snapshot(store) == before
+
+
+def test_a_digest_follows_the_settings_the_file_and_what_belongs_to_it(tmp_path):
+    source = write_raster(tmp_path / "a.tif", hills())
+    vrt = tmp_path / "a.vrt"
+    vrt.write_text('<VRTDataset><SourceFilename relativeToVRT="1">a.tif</SourceFilename></VRTDataset>')
+    settings = ImportSettings(source=str(source))
+    digests = [source_digest(settings), source_digest(ImportSettings(source=str(source), height_scale=2.0))]
+    digests.append(source_digest(ImportSettings(source=str(vrt))))
+    (tmp_path / "a.prj").write_text("LOCAL_CS")
+    digests.append(source_digest(settings))
+    os.utime(source, (0, 0))
+    digests += [source_digest(settings), source_digest(ImportSettings(source=str(vrt)))]
+    assert len(set(digests)) == len(digests) and source_digest(settings) in digests
+    with pytest.raises(TerrainError, match="does not exist"):
+        source_digest(ImportSettings(source=str(tmp_path / "b.tif")))
+
+
+def test_cancelling_leaves_the_previous_store(previous):
+    before = snapshot(previous)
+    job = ImportJob(LONG, previous)
+    wait_until_working(job)
+    assert len(list(previous.glob("data-*"))) == 2
+    job.cancel()
+    progress = job.poll()
+    assert progress.done and "was cancelled" in progress.error and progress.report is None
+    assert snapshot(previous) == before and len(list(previous.glob("data-*"))) == 1
+    job.cancel()  # nothing to do
+    assert job.poll() == progress
+
+
+def test_cancelling_a_first_import_leaves_no_folder(tmp_path):
+    with pytest.raises(ImportCancelled, match="cancelled"):
+        import_source(LONG, tmp_path / "store", cancelled=lambda: True)
+    assert not (tmp_path / "store").exists()
+
+
+def test_a_killed_import_is_an_error_that_names_the_signal(previous):
+    before = snapshot(previous)
+    job = ImportJob(LONG, previous)
+    wait_until_working(job)
+    os.kill(job._process.pid, signal.SIGKILL)
+    while not job.poll().done:
+        time.sleep(0.01)
+    assert "signal SIGKILL" in job.poll().error and "the store is as it was before" in job.poll().error
+    assert snapshot(previous) == before and len(list(previous.glob("data-*"))) == 1
+
+
+def test_a_child_killed_just_after_it_published_has_done_its_work(previous):
+    job = ImportJob(ImportSettings(source="island", size=129), previous)
+    job._process.wait()
+    job._reader.join()
+    job._lines = [line for line in job._lines if "report" not in line]  # as if it had not come to saying so
+    assert job.poll().error is None and job.poll().report["samples"] == [129, 129]
+    assert open_store(previous).samples.shape == (129, 129)
+
+
+def test_an_import_ends_with_its_parent(tmp_path):
+    script = (
+        "import sys, time; from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings\n"
+        f"job = ImportJob(ImportSettings(source='island', size=4097), {str(tmp_path / 'store')!r})\n"
+        "while job.poll().fraction == 0.0: time.sleep(0.01)\n"
+        "print(job._process.pid, flush=True); time.sleep(60)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment())
+    child = int(parent.stdout.readline())
+    assert list((tmp_path / "store").glob("data-*"))
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 10.0
+    while running(child) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not running(child) and not list((tmp_path / "store").glob("data-*"))
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+
+
+def running(pid):
+    """Whether a process that is not ours to wait for is alive (a zombie that nobody reaps is not)."""
+    try:
+        with open(f"/proc/{pid}/stat") as stat:
+            return stat.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_two_imports_into_one_store_do_not_corrupt_it(tmp_path):
+    jobs = [ImportJob(ImportSettings(source="island", size=513, seed=seed), tmp_path / "store") for seed in (1, 2)]
+    while not all([job.poll().done for job in jobs]):
+        time.sleep(0.01)
+    assert [job.poll().error for job in jobs] == [None, None]
+    field = open_store(tmp_path / "store")
+    assert field.provenance["settings"]["seed"] in (1, 2)
+    assert field.max_height == field.samples.max() and field.error[0] > 0.0
+
+
+def test_errors_of_the_child_come_through_as_one_sentence(previous):
+    before = snapshot(previous)
+    source = previous.parent / "a.tif"
+    source.write_bytes(b"II*\0" + bytes(range(200)))
+    with pytest.raises(TerrainError, match="a.tif cannot be read as GTiff .*: expected a whole file of that kind.$"):
+        import_source(ImportSettings(source=str(source)), previous)
+    assert snapshot(previous) == before
+
+
+def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
+    source = write_raster(tmp_path / "a.tif", hills(33, 33))
+    script = (
+        "import sys; from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source\n"
+        f"report = import_source(ImportSettings(source={str(source)!r}), {str(tmp_path / 'store')!r})\n"
+        "assert report['raster'] == [33, 33]\n"
+        "assert not {'rasterio', 'OpenEXR', 'bpy'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment(), timeout=60)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard cases of cameras and transforms that only Blender can pose: 23 to 25, 27 to 29, 31 to 34."""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
+from adaptive_terrain.operators import session  # noqa: E402
+
+
+def positions(obj):
+    array = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", array)
+    return array.reshape(-1, 3)
+
+
+@pytest.fixture
+def terrain(scene, add_terrain):
+    """A terrain that shows a first, good update; the budget keeps what follows short."""
+    terrain = add_terrain()
+    detail = terrain.adaptive_terrain.viewport
+    detail.limit_triangles, detail.max_triangles = True, 50_000
+    session.update_object(terrain)
+    return terrain
+
+
+def assert_refused_and_kept(terrain, message):
+    before = positions(terrain).tobytes()
+    with pytest.raises(TerrainError, match=message):
+        session.update_object(terrain)
+    assert positions(terrain).tobytes() == before
+    assert session.record_of(terrain).status.error
+
+
+def assert_good(terrain, update):
+    assert np.isfinite(positions(terrain)).all()
+    assert len(terrain.data.polygons) == update.triangles >= 2
+    assert terrain.data.validate(verbose=True) is False
+
+
+def test_case_23_orthographic_camera_and_scale_of_0(scene, terrain):
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 800.0
+    update = session.update_object(terrain)
+    assert_good(terrain, update)
+    assert update.bound_px <= 1.0 + 1e-9
+    scene.camera.data.ortho_scale = 0.0
+    assert_refused_and_kept(terrain, "orthographic scale of 0")
+
+
+def test_case_24_field_of_view_of_nearly_180_and_nearly_0_degrees(scene, terrain):
+    camera = scene.camera.data
+    camera.sensor_width, camera.lens = 1e6, 1.0
+    assert_good(terrain, session.update_object(terrain))
+    camera.sensor_width, camera.lens = 1e-3, 5000.0
+    assert_good(terrain, session.update_object(terrain))
+
+
+def test_case_25_panoramic_camera(scene, terrain):
+    scene.render.engine = "CYCLES"
+    scene.camera.data.type = "PANO"
+    update = session.update_object(terrain)
+    assert_good(terrain, update)
+    assert update.bound_px <= max(1.0, update.relaxed) + 1e-9
+
+
+def test_case_27_clip_start_beyond_clip_end_culls_nothing(scene, terrain):
+    scene.camera.data.clip_start, scene.camera.data.clip_end = 1e5, 0.1
+    update = session.update_object(terrain)
+    assert_good(terrain, update)
+    assert update.triangles > 10_000
+    scene.camera.data.clip_start = scene.camera.data.clip_end = 10.0
+    assert session.update_object(terrain).triangles == update.triangles
+
+
+def test_case_28_nan_in_the_cameras_matrix(scene, terrain):
+    scene.camera.location.x = math.nan
+    assert_refused_and_kept(terrain, "'Camera'.*not finite")
+    scene.camera.location.x = 0.0
+    scene.camera.data.shift_x = math.nan
+    assert_refused_and_kept(terrain, "a shift of nan")
+
+
+def test_case_28_nan_in_the_terrains_matrix(scene, terrain):
+    terrain.location.x = math.nan
+    assert_refused_and_kept(terrain, "'Terrain'.*not finite")
+
+
+def test_case_29_far_away(scene, terrain):
+    scene.camera.location = (1e30, 0.0, 0.0)
+    try:
+        assert_good(terrain, session.update_object(terrain))
+    except TerrainError as error:
+        assert "far away" in str(error)
+
+
+def test_case_29_shifted_and_stretched(scene, terrain):
+    scene.camera.data.shift_x = 1e6
+    assert_good(terrain, session.update_object(terrain))
+    scene.camera.data.shift_x = 0.0
+    scene.render.pixel_aspect_y = 100.0
+    assert_good(terrain, session.update_object(terrain))
+    scene.render.pixel_aspect_y = 1.0
+    scene.render.use_border, scene.render.border_max_x = True, 0.1
+    assert_good(terrain, session.update_object(terrain))
+
+
+def test_case_29_resolution_of_1_percent(scene, terrain):
+    whole = session.update_object(terrain).triangles
+    scene.render.resolution_percentage = 1
+    update = session.update_object(terrain)
+    assert_good(terrain, update)
+    assert update.triangles < whole / 10
+
+
+def test_case_31_stereo_refines_for_both_eyes(scene, terrain):
+    one = session.update_object(terrain)
+    level = one.surface.level.max()
+    scene.render.use_multiview = True
+    scene.render.views_format = "STEREO_3D"
+    scene.camera.data.stereo.interocular_distance = 400.0
+    both = session.update_object(terrain)
+    assert_good(terrain, both)
+    assert both.bound_px <= max(1.0, both.relaxed) + 1e-9 and both.surface.level.max() >= level
+
+
+def test_case_32_no_camera_in_the_scene(scene, terrain):
+    scene.camera = None
+    assert_refused_and_kept(terrain, "'Scene' has no camera.*add a camera")
+    terrain.adaptive_terrain.camera_source = "CHOSEN"
+    assert_refused_and_kept(terrain, "No camera is chosen")
+
+
+@pytest.mark.parametrize("scale", [(-1, 1, 1), (1, 1, -1), (3.0, 0.25, 2.0), (-2.0, -0.5, 1.0)])
+def test_case_33_mirrored_and_stretched_terrain_has_normals_that_point_up(scene, terrain, scale):
+    terrain.scale = scale
+    update = session.update_object(terrain)
+    assert_good(terrain, update)
+    assert update.bound_px <= max(1.0, update.relaxed) + 1e-9
+    evaluated = terrain.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    to_world = np.linalg.inv(np.array(evaluated.matrix_world)[:3, :3]).T
+    mesh = evaluated.to_mesh()
+    normals = np.empty(3 * len(mesh.loops), np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+    up = (normals.reshape(-1, 3) @ to_world.T)[:, 2] * np.sign(scale[2])
+    evaluated.to_mesh_clear()
+    assert up.min() > 0, "away from the ground, which a negative height scale turns over"
+
+
+def test_case_33_sheared_terrain_and_sheared_camera(scene, terrain):
+    for name in ("terrain", "camera"):
+        parent = bpy.data.objects.new(f"Shear {name}", None)
+        scene.collection.objects.link(parent)
+        parent.scale, parent.rotation_euler = (1.0, 3.0, 1.0), (0.0, 0.0, 0.4)
+        child = terrain if name == "terrain" else scene.camera
+        child.parent = parent
+        if name == "terrain":
+            child.rotation_euler = (0.0, 0.0, 0.9)
+        update = session.update_object(terrain)
+        assert_good(terrain, update)
+        assert update.bound_px <= max(1.0, update.relaxed) + 1e-9
+
+
+@pytest.mark.parametrize("scale", [(0, 1, 1), (1, 1, 0), (0, 0, 0)])
+def test_case_34_zero_scale_does_nothing(scene, terrain, scale):
+    terrain.scale = scale
+    assert_refused_and_kept(terrain, "scale")
+    terrain.scale = (1, 1, 1)
+    assert session.update_object(terrain).triangles > 100
+    assert session.record_of(terrain).status.error == ""
+
+
+def test_case_34_zero_scale_of_the_camera(scene, terrain):
+    scene.camera.scale = (0, 0, 0)
+    assert_refused_and_kept(terrain, "'Camera' has a scale of 0")

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard case 49: kill -9 in the middle of an export; a rerun completes it, and nothing half-written has a final name."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.archive import read_npz
+from adaptive_terrain.operators import command_line
+
+FRAMES = 8
+# The child kills itself with the third entry of the third frame's archive written.
+SUICIDE = """
+import os, signal, sys, zipfile
+from adaptive_terrain.operators.command_line import main
+write, calls = zipfile.ZipFile.writestr, [0]
+def counted(self, *arguments):
+    write(self, *arguments)
+    calls[0] += 1
+    if calls[0] == 2 * 8 + 3:
+        self.fp.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+zipfile.ZipFile.writestr = counted
+sys.exit(main(sys.argv[1:]))
+"""
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+
+
+@pytest.fixture(scope="module")
+def arguments(tmp_path_factory):
+    """Arguments of an export but for --out, of a small store that is flown over."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    y, x = np.mgrid[0:129, 0:129].astype(np.float32)
+    np.save(folder / "hills.npy", 20 * np.sin(x / 5) * np.cos(y / 6))
+    keys = [
+        {"frame": 1, "eye": [0, -90, 60], "target": [0, 0, 0]},
+        {"frame": FRAMES, "eye": [40, -20, 50], "target": [0, 20, 0]},
+    ]
+    (folder / "flight.json").write_text(json.dumps({"keyframes": keys}))
+    store = str(folder / "hills.store")
+    assert command_line.main(["import", str(folder / "hills.npy"), "--store", store]) == 0
+    source = ["export", "--store", store, "--path", str(folder / "flight.json"), "--resolution", "640x360"]
+    return [*source, "--frames", f"1-{FRAMES}", "--format", "npz"]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(arguments, tmp_path_factory):
+    """The bytes of every mesh of an export that nothing interrupts."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert command_line.main([*arguments, "--out", str(out)]) == 0
+    meshes = {path.name: path.read_bytes() for path in out.glob("*.npz")}
+    assert len(meshes) == FRAMES
+    return meshes
+
+
+def final_meshes(out):
+    """Meshes that stand under a final name; each must be readable to its end."""
+    paths = [path for path in out.glob("*.npz") if not path.name.startswith(".")]
+    for path in paths:
+        assert read_npz(path)["info"]["frame"] == int(path.stem[-4:])
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def test_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
+    out = tmp_path / "out"
+    child = subprocess.run([sys.executable, "-c", SUICIDE, *arguments, "--out", str(out)], capture_output=True)
+    assert child.returncode == -signal.SIGKILL
+    assert len(list(out.glob(".partial-*"))) == 1, "the kill came in the middle of a write"
+    assert final_meshes(out) == {name: undisturbed[name] for name in ("terrain_0001.npz", "terrain_0002.npz")}
+    assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.endswith("complete before") for line in lines] == [True] * 2 + [False] * (FRAMES - 2)
+    assert final_meshes(out) == undisturbed
+    assert not list(out.glob(".partial-*"))
+
+
+def test_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
+    """Killed again and again as soon as one more frame stands, at varied moments after it."""
+    out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments]
+    for round_ in range(3):
+        child = subprocess.Popen(
+            [*command, "--out", str(out), "--resume"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        deadline = time.monotonic() + 60
+        while len(list(out.glob("frame_*.json"))) <= round_ and child.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.002)
+        time.sleep(0.004 * round_)
+        child.kill()
+        child.wait()
+        standing = final_meshes(out)
+        assert standing == {name: undisturbed[name] for name in standing}
+    assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
+    assert final_meshes(out) == undisturbed
+    assert not list(out.glob(".partial-*"))

@@ -1,0 +1,496 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard cases 5, 6 and 8 - 20: height data of every bad kind."""
+
+import json
+import math
+import resource
+import shutil
+import struct
+import time
+import zlib
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain import store as stores
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source, run_import
+from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from fields import mesh_heights, reference_heights, sample_position
+from invariants import assert_invariants
+from rasters import hills, write_exr, write_raster
+
+
+def imported(tmp_path, source, **settings):
+    report = run_import(ImportSettings(source=str(source), **settings), tmp_path / "store")
+    return open_store(tmp_path / "store"), report
+
+
+def mesh_within(field, metres):
+    """The mesh of which every point is within `metres` of the surface; invariants hold and the bound is kept."""
+    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=metres))
+    assert_invariants(update.surface, field.lattice)
+    assert update.bound_m <= metres + field.resample_max
+    return update
+
+
+def test_case_05_half_floats_are_warned_about_and_16_bits_keep_their_steps(tmp_path):
+    heights = np.linspace(0.0, 8000.0, 33 * 33).reshape(33, 33)
+    _, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights.astype(np.float16)))
+    assert "16-bit floats" in report["warnings"][0] and "steps of 4 m" in report["warnings"][0]
+
+    step = 8848.0 / 65535
+    codes = np.random.default_rng(1).integers(0, 65536, (257, 257)).astype(np.uint16)
+    codes[0, :2] = 0, 65535
+    field, _ = imported(tmp_path, write_raster(tmp_path / "a.png", codes), height_scale=step)
+    assert np.array_equal(np.rint(field.samples[::-1].astype(np.float64) / step), codes)
+    assert np.abs(field.samples[::-1] - codes * step).max() < 1e-3 * step * 8
+    assert len(np.unique(field.samples)) == len(np.unique(codes))
+
+
+def test_case_06_denormal_heights(tmp_path):
+    heights = (hills(33, 33) * 1e-43).astype(np.float32)
+    assert 0.0 < heights.max() < np.finfo(np.float32).tiny
+    field = from_array(heights)
+    assert np.array_equal(field.samples, heights)
+    assert 0.0 < field.error.max() <= 2.0 * heights.max()
+    assert_invariants(Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e-44)).surface, field.lattice)
+
+
+def test_case_06_heights_beyond_float32_are_refused(tmp_path):
+    heights = hills(33, 33).astype(np.float64)
+    heights[4, 4] = -1.7e308
+    np.save(tmp_path / "a.npy", heights)
+    field, report = imported(tmp_path, tmp_path / "a.npy")  # an infinity in float32: not a height
+    assert report["filled"] == 1 and field.min_height > 0.0
+    heights[4, 4] = -3.4028234663852886e38
+    np.save(tmp_path / "a.npy", heights)
+    with pytest.raises(TerrainError, match="a.npy holds a height of -3.4028235e.38 m.*give it as the no-data value"):
+        imported(tmp_path, tmp_path / "a.npy")
+    assert imported(tmp_path, tmp_path / "a.npy", no_data=-3.4028234663852886e38)[1]["filled"] == 1
+
+
+@pytest.mark.parametrize("kind", ["tif", "exr", "npy"])
+def test_case_08_nan_infinities_and_no_data_are_filled_and_counted(tmp_path, kind):
+    heights = hills(65, 33)
+    heights[3, 5], heights[4, 5], heights[5, 5], heights[20:, 60:] = np.nan, np.inf, -np.inf, -9999.0
+    source = tmp_path / f"a.{kind}"
+    if kind == "tif":
+        write_raster(source, heights)
+    elif kind == "exr":
+        write_exr(source, Y=heights)
+    else:
+        np.save(source, heights)
+    field, report = imported(tmp_path, source, no_data=-9999.0)
+    assert report["filled"] == field.filled == 3 + 13 * 5
+    valid = np.isfinite(heights) & (heights > 0.0)
+    assert np.array_equal(field.samples[::-1][valid], heights[valid])
+    assert np.isfinite(field.samples).all() and field.min_height == heights[valid].min()
+    mesh_within(field, 5.0)
+
+
+def test_case_09_a_raster_without_data_is_an_error_and_the_store_stays(tmp_path):
+    imported(tmp_path, "island", size=65)
+    key = open_store(tmp_path / "store").key
+    source = write_raster(tmp_path / "a.tif", np.full((33, 33), -9999, np.int16), nodata=-9999)
+    with pytest.raises(TerrainError, match="a.tif has only missing samples"):
+        imported(tmp_path, source)
+    with pytest.raises(TerrainError, match="only missing samples"):
+        from_array(np.full((1, 1), np.nan))
+    assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
+
+
+@pytest.mark.parametrize("shape", [(65, 65), (33, 97), (20, 31)])
+def test_case_10_a_constant_map_is_two_triangles_a_root_square(shape):
+    field = from_array(np.full(shape, -123.456, np.float32), 10.0)
+    assert not field.error.any() and field.resample_max == 0.0
+    update = mesh_within(field, 1e-6)
+    assert update.triangles == 2 * field.lattice.squares
+    assert np.array_equal(update.surface.normals, np.tile([0.0, 0.0, 1.0], (len(update.surface.normals), 1)))
+    assert update.bound_m == 0.0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 33), (77, 1), (2, 2), (2, 3), (3, 2)])
+def test_case_11_the_smallest_rasters(tmp_path, shape):
+    heights = hills(*shape[::-1])
+    np.save(tmp_path / "a.npy", heights)
+    field, report = imported(tmp_path, tmp_path / "a.npy", extent=(100.0, 50.0))
+    assert report["raster"] == [shape[1], shape[0]]
+    # A single row or column is a profile: the terrain is constant across it.
+    assert np.ptp(field.samples, axis=0 if shape[0] == 1 else 1).max() == 0.0 or min(shape) > 1
+    assert {heights.min(), heights.max()} == {field.min_height, field.max_height}
+    mesh_within(field, 0.1)
+    steps = (length / max(count - 1, 1) for length, count in zip(report["extent_m"], report["raster"], strict=True))
+    same = from_array(heights[::-1], *steps)
+    assert same.key == field.key
+
+
+@pytest.mark.parametrize("shape", [(5, 4997), (3000, 4), (100, 257), (257, 50)])
+def test_case_12_no_sliver_worse_than_its_cells_aspect(shape):
+    field = from_array(hills(*shape[::-1]), 7.0, 3.0)
+    update = mesh_within(field, 40.0)
+    cells = update.surface.positions[:, :2].astype(np.float64) / (field.lattice.step_x, field.lattice.step_y)
+    a, b, c = (cells[update.surface.triangles[:, k]] for k in range(3))
+    sides = np.sort([np.hypot(*(p - q).T) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    # In units of cells every triangle is half a square.
+    assert np.allclose(sides[0], sides[1], rtol=1e-4) and np.allclose(sides[2], sides[0] * math.sqrt(2), rtol=1e-4)
+    lattice = field.lattice
+    assert 0.4 < (lattice.step_x / 7.0) / (lattice.step_y / 3.0) < 2.5  # cells keep their aspect nearly
+
+
+@pytest.mark.parametrize("shape", [(65, 65), (50, 61)])
+def test_case_13_a_cliff_of_gradient_a_million(shape):
+    x = np.arange(shape[1])
+    heights = np.where(x + 2 * np.arange(shape[0])[:, None] > 70, 1e6, 0.0).astype(np.float32)
+    field = from_array(heights, 1.0)
+    assert (field.min_height, field.max_height) == (0.0, 1e6)  # no overshoot, also where it was brought onto a lattice
+    for metres in (1e5, 1e4, 1e3):
+        update = mesh_within(field, metres)
+        plane = points(field, 2000)
+        off = np.abs(mesh_heights(update.surface, plane) - reference_heights(field, plane))
+        # The mesh's float32 coordinates move a point by up to 4e-6 m, a gradient of 1e6 makes metres of that.
+        assert off.max() <= update.bound_m - field.resample_max + 8.0
+
+
+def points(field, count, seed=0):
+    """float64 [count, 2]: random places of the plane of a terrain."""
+    lattice = field.lattice
+    size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y])
+    return (np.random.default_rng(seed).random((count, 2)) - 0.5) * size * 0.9999
+
+
+def test_case_14_all_heights_negative():
+    below, above = from_array(hills(65, 65) - 5000.0), from_array(hills(65, 65) + 0.0)
+    assert below.max_height < 0.0
+    assert np.allclose(below.error, above.error, atol=1e-2)
+    update = mesh_within(below, 20.0)
+    assert update.surface.positions[:, 2].max() < 0.0
+
+
+def test_case_15_a_spike_of_one_sample_is_found_wherever_it_is():
+    random = np.random.default_rng(5)
+    size = 65
+    places = [(0, 0), (0, 64), (64, 0), (64, 64), (32, 32), (0, 31), (33, 64), (1, 1)]
+    places += [tuple(p) for p in random.integers(0, size, (20, 2))]
+    for j, i in places:
+        heights = np.zeros((size, size), np.float32)
+        heights[j, i] = 100.0
+        field = from_array(heights, 10.0)
+        roots = field.error[: field.lattice.squares]
+        # A spike in a corner of the root square is in its plane; half of it is at the next corner but one.
+        assert roots.min() >= (24.9 if (j % 64, i % 64) == (0, 0) else 99.0)
+        for metres in (40.0, 5.0, 0.1):
+            update = mesh_within(field, metres)
+            place = sample_position(field, i, j)
+            assert abs(mesh_heights(update.surface, place[None, :2])[0] - 100.0) <= metres + 1e-3
+            assert update.triangles < 4000
+
+
+def test_case_16_a_checkerboard_does_not_alias_to_a_plane():
+    y, x = np.indices((65, 129))
+    field = from_array(((x + y) % 2 * 10.0).astype(np.float32))
+    used = field.error[field.error > 0.0]
+    depths = np.array([field.error[field.lattice.node_offset(d)] for d in range(1, field.lattice.cell_depth + 1)])
+    assert used.min() >= 5.0 and depths.min() >= 5.0
+    assert mesh_within(field, 4.9).triangles >= 64 * 128 * 2
+
+
+def test_case_17_signed_zeros_are_the_same_terrain(tmp_path):
+    heights = hills(33, 65) - 500.0
+    heights[::3] = 0.0
+    negative = heights.copy()
+    negative[::3] = -0.0
+    keys, fields = set(), []
+    for values in (heights, negative):
+        np.save(tmp_path / "a.npy", values)
+        fields += [from_array(values[::-1]), imported(tmp_path, tmp_path / "a.npy")[0]]
+    keys = {field.key for field in fields}
+    assert len(keys) == 1 and not np.signbit(fields[1].samples[fields[1].samples == 0.0]).any()
+
+
+def test_case_18_the_lowest_int16_as_no_data_and_as_a_height(tmp_path):
+    heights = hills(33, 33).astype(np.int16)
+    heights[7, 9] = -32768
+    plain = write_raster(tmp_path / "a.tif", heights)
+    tagged = write_raster(tmp_path / "b.tif", heights, nodata=-32768)
+    assert imported(tmp_path, plain)[0].min_height == -32768.0
+    assert imported(tmp_path, tagged)[1]["filled"] == 1
+    assert imported(tmp_path, tagged)[0].min_height > 0.0
+    assert imported(tmp_path, plain, no_data=-32768.0)[1]["filled"] == 1
+    assert imported(tmp_path, tagged, no_data=math.nan)[0].min_height == -32768.0
+
+
+def test_case_19_point_and_area_differ_by_half_a_cell_exactly(tmp_path):
+    from rasterio.transform import from_origin
+
+    place = {"crs": "EPSG:32616", "transform": from_origin(500000.0, 4000000.0, 30.0, 20.0)}
+    area = write_raster(tmp_path / "area.tif", hills(65, 33), **place)
+    # The same tie point and the same scale, but the file says that they belong to the sample, not to its cell's corner.
+    raster_type = struct.pack("<4H", 1025, 0, 1, 1)
+    content = area.read_bytes()
+    assert content.count(raster_type) == 1
+    (tmp_path / "point.tif").write_bytes(content.replace(raster_type, struct.pack("<4H", 1025, 0, 1, 2)))
+    by_area, report = imported(tmp_path, area)
+    by_point, report_of_point = imported(tmp_path, tmp_path / "point.tif")
+    assert (by_area.origin - by_point.origin).tolist() == [15.0, -10.0, 0.0]
+    assert by_point.origin.tolist() == [500000.0 + 32 * 30.0, 4000000.0 - 16 * 20.0, 0.0]
+    assert by_area.key == by_point.key and report["extent_m"] == report_of_point["extent_m"]
+
+
+# Case 20
+
+
+def lying_tiff(path):
+    """Says that it is 10^9 x 10^9."""
+    content = bytearray(write_raster(path, hills(33, 33)).read_bytes())
+    for tag in (256, 257):
+        at = content.index(struct.pack("<HHI", tag, 3, 1))
+        content[at : at + 12] = struct.pack("<HHII", tag, 4, 1, 10**9)
+    path.write_bytes(content)
+
+
+def lying_png(path):
+    content = bytearray(write_raster(path, hills(33, 33).astype(np.uint16)).read_bytes())
+    content[16:24] = struct.pack(">II", 10**9, 10**9)
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    path.write_bytes(content)
+
+
+def lying_exr(path):
+    content = bytearray(write_exr(path, Y=hills(33, 33)).read_bytes())
+    at = content.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    content[at : at + 16] = struct.pack("<4i", 0, 0, 10**9 - 1, 10**9 - 1)
+    path.write_bytes(content)
+
+
+def lying_npy(path):
+    with path.open("wb") as file:
+        header = {"descr": "<f4", "fortran_order": False, "shape": (10**9, 10**9)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(bytes(1000))
+
+
+def lying_asc(path):
+    path.write_text("ncols 1000000000\nnrows 1000000000\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3\n")
+
+
+def lying_vrt(path):
+    path.write_text(
+        '<VRTDataset rasterXSize="1000000000" rasterYSize="1000000000">'
+        '<VRTRasterBand dataType="Float32" band="1"/></VRTDataset>'
+    )
+
+
+def bomb_tiff(path):
+    """A file of kilobytes that unpacks to 40 GB."""
+    import rasterio
+
+    options = {"tiled": True, "blockxsize": 1024, "blockysize": 1024, "compress": "deflate", "SPARSE_OK": "TRUE"}
+    with rasterio.open(path, "w", width=100_000, height=100_000, count=1, dtype="float32", **options):
+        pass
+
+
+def bomb_tile(path):
+    """One tile of 34 GB."""
+    content = bytearray(write_raster(path, hills(64, 64), tiled=True, blockxsize=64, blockysize=64).read_bytes())
+    for tag in (322, 323):
+        at = content.index(struct.pack("<HHI", tag, 3, 1))
+        content[at : at + 12] = struct.pack("<HHII", tag, 4, 1, 92672)
+    path.write_bytes(content)
+
+
+def bomb_png(path):
+    """A picture of 30,000 x 60,000 zeros in a few kilobytes that ends after its first rows."""
+    header = struct.pack(">IIBBBBB", 60_000, 30_000, 16, 0, 0, 0, 0)
+    data = zlib.compress(bytes(1_000_000), 9)
+    chunks = [(b"IHDR", header), (b"IDAT", data), (b"IEND", b"")]
+    packed = [struct.pack(">I", len(d)) + t + d + struct.pack(">I", zlib.crc32(t + d)) for t, d in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+
+
+def half_of(write):
+    def written(path):
+        write(path)
+        content = path.read_bytes()
+        path.write_bytes(content[: len(content) // 2])
+
+    return written
+
+
+def noise_in(write, first=0.4, last=0.9):
+    def written(path):
+        write(path)
+        content = bytearray(path.read_bytes())
+        a, b = int(len(content) * first), int(len(content) * last)
+        content[a:b] = np.random.default_rng(3).integers(0, 256, b - a, np.uint8).tobytes()
+        path.write_bytes(content)
+
+    return written
+
+
+def whole_tiff(path):
+    write_raster(path, hills(200, 200), compress="deflate")
+
+
+def whole_png(path):
+    write_raster(path, hills(200, 200).astype(np.uint16))
+
+
+def whole_exr(path):
+    write_exr(path, Y=hills(200, 200))
+
+
+def whole_npy(path):
+    np.save(path, hills(200, 200))
+
+
+def whole_asc(path):
+    rows = "\n".join(" ".join(f"{h:.1f}" for h in row) for row in hills(20, 20))
+    path.write_text(f"ncols 20\nnrows 20\nxllcorner 0\nyllcorner 0\ncellsize 1\n{rows}\n")
+
+
+def whole_hgt(path):
+    np.zeros((1201, 1201), ">i2").tofile(path)
+
+
+def broken_vrt(path):
+    path.write_text(
+        '<VRTDataset rasterXSize="33" rasterYSize="33"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">gone.tif</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+
+
+def network_vrt(path):
+    broken_vrt(path)
+    text = path.read_text().replace(
+        'relativeToVRT="1">gone.tif', 'relativeToVRT="0">/vsicurl/http://10.255.255.1/a.tif'
+    )
+    path.write_text(text)
+
+
+def pickled_npy(path):
+    np.save(path, np.array([[{"a": 1}]], dtype=object), allow_pickle=True)
+
+
+BAD_FILES = {
+    "lying.tif": lying_tiff,
+    "lying.png": lying_png,
+    "lying.exr": lying_exr,
+    "lying.npy": lying_npy,
+    "lying.asc": lying_asc,
+    "lying.vrt": lying_vrt,
+    "bomb.tif": bomb_tiff,
+    "tile.tif": bomb_tile,
+    "bomb.png": bomb_png,
+    "half.tif": half_of(whole_tiff),
+    "half.png": half_of(whole_png),
+    "half.exr": half_of(whole_exr),
+    "half.npy": half_of(whole_npy),
+    "half.asc": half_of(whole_asc),
+    "N00E000.hgt": half_of(whole_hgt),
+    "noise.tif": noise_in(whole_tiff),
+    "noise.png": noise_in(whole_png),
+    "noise.exr": noise_in(whole_exr),
+    "all noise.tif": noise_in(whole_tiff, 0.0, 1.0),
+    "all noise.exr": noise_in(whole_exr, 0.0, 1.0),
+    "all noise.npy": noise_in(whole_npy, 0.0, 1.0),
+    "wrong name.hgt": whole_hgt,
+    "not a number.raw": lambda path: path.write_bytes(b"x" * 1001),
+    "gone.vrt": broken_vrt,
+    "network.vrt": network_vrt,
+    "pickle.npy": pickled_npy,
+    "empty.tif": lambda path: path.write_bytes(b""),
+    "folder.tif": lambda path: path.mkdir(),
+    "missing.tif": lambda path: None,
+    "picture.jpg": lambda path: path.write_bytes(b"\xff\xd8\xff\xe0"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_case_20_a_bad_file_is_one_clear_error_soon_and_the_store_stays(tmp_path, name):
+    imported(tmp_path, "island", size=17)
+    key = open_store(tmp_path / "store").key
+    path = tmp_path / name
+    BAD_FILES[name](path)
+    start = time.monotonic()
+    with pytest.raises(TerrainError) as caught:
+        imported(tmp_path, path)
+    assert time.monotonic() - start < 5.0
+    message = str(caught.value)
+    assert name in message and message.endswith(".") and "\n" not in message and len(message) < 500
+    assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
+
+
+def test_case_20_bad_files_cost_the_child_neither_time_nor_memory(tmp_path):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    for name in ("lying.tif", "lying.exr", "bomb.tif"):
+        path = tmp_path / name
+        BAD_FILES[name](path)
+        start = time.monotonic()
+        with pytest.raises(TerrainError):
+            import_source(ImportSettings(source=str(path)), tmp_path / "store")
+        assert time.monotonic() - start < 10.0
+        assert not (tmp_path / "store").exists()
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(before, 1 << 20)  # kilobytes
+
+
+def test_case_20_a_full_disk(tmp_path, monkeypatch):
+    imported(tmp_path, "island", size=17)
+    key = open_store(tmp_path / "store").key
+
+    def is_kept(message):
+        with pytest.raises(TerrainError, match=message):
+            imported(tmp_path, "island", size=257)
+        assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
+
+    def full(*_args):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 10**5))
+        is_kept("needs .* GB in .* are free: make room")
+    with monkeypatch.context() as patch:
+        patch.setattr(stores.os, "posix_fallocate", full)
+        is_kept("No space left on device.: make room")
+    with monkeypatch.context() as patch:
+        patch.setattr(stores.os, "replace", full)
+        is_kept("No space left on device.: make room")
+
+
+def test_case_20_a_folder_that_may_not_be_written(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(TerrainError, match="cannot be written"):
+        run_import(ImportSettings(source="island", size=17), tmp_path / "file" / "store")
+
+
+def test_case_20_a_file_deleted_while_in_use(tmp_path):
+    source = write_raster(tmp_path / "a.tif", hills(257, 257), blockysize=1)
+
+    def delete(_fraction, _message):
+        source.unlink(missing_ok=True)
+
+    try:
+        run_import(ImportSettings(source=str(source)), tmp_path / "store", delete)
+    except TerrainError as error:
+        assert "a.tif" in str(error)
+        assert not (tmp_path / "store").exists()
+    else:  # where a file that is open stays whole, the import is
+        assert open_store(tmp_path / "store").max_height == hills(257, 257).max()
+
+
+def test_case_20_a_store_deleted_while_in_use(tmp_path):
+    imported(tmp_path, "island", size=65)
+    field = open_store(tmp_path / "store")
+    peak = float(field.samples.max())
+    shutil.rmtree(tmp_path / "store")
+    assert float(field.samples.max()) == peak and field.error_for(1).shape == field.error.shape
+    assert not (tmp_path / "store").exists()
+    with pytest.raises(TerrainError, match="no terrain store"):
+        open_store(tmp_path / "store")
+
+
+def test_case_20_a_report_is_plain_json(tmp_path):
+    json.dumps(imported(tmp_path, "island", size=17)[1], allow_nan=False)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frame changes and renders rebuild the mesh, once a frame and for the camera of that frame."""
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators import handlers, live, session
+
+
+def positions(obj):
+    array = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", array)
+    return array.tobytes()
+
+
+@pytest.fixture
+def flight(scene):
+    """The camera flies north over frames 1 to 9."""
+    for frame, y in ((1, -900.0), (9, -100.0)):
+        scene.camera.location.y = y
+        scene.camera.keyframe_insert("location", frame=frame)
+    scene.frame_set(1)
+    return scene
+
+
+def test_a_frame_change_follows_the_camera(flight, add_terrain):
+    terrain = add_terrain()
+    flight.frame_set(2)
+    first = positions(terrain)
+    flight.frame_set(8)
+    assert len(terrain.data.polygons) > 100 and positions(terrain) != first
+    flight.frame_set(2)
+    assert positions(terrain) == first
+    assert session.record_of(terrain).status.bound_px <= 1.0
+
+
+def test_a_terrain_that_is_not_live_waits(flight, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.live = False
+    flight.frame_set(5)
+    assert len(terrain.data.polygons) == 0
+
+
+def test_markers_that_bind_cameras_are_followed(flight, add_terrain):
+    terrain = add_terrain()
+    other = bpy.data.objects.new("Far", bpy.data.cameras.new("Far"))
+    other.location, other.rotation_euler = (0.0, -9000.0, 4000.0), (1.15, 0.0, 0.0)
+    other.data.clip_end = 1e5
+    flight.collection.objects.link(other)
+    flight.timeline_markers.new("near", frame=1).camera = flight.camera
+    flight.timeline_markers.new("far", frame=5).camera = other
+    flight.frame_set(4)
+    near = len(terrain.data.polygons)
+    flight.frame_set(5)
+    assert len(terrain.data.polygons) < near / 3
+
+
+def render(scene, tmp_path, **settings):
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 1, "CPU", False
+    scene.render.filepath = str(tmp_path / "frame_")
+    for name, value in settings.items():
+        setattr(scene.render, name, value)
+    bpy.ops.render.render(animation=True)
+
+
+def test_a_render_uses_its_own_settings_and_restores_the_viewports(flight, add_terrain, tmp_path):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 10.0
+    flight.render.resolution_percentage = 25
+    flight.frame_set(3)
+    viewport = positions(terrain)
+    flight.frame_start = flight.frame_end = 3
+    shown = []
+
+    def look(scene, _unused):
+        shown.append(len(terrain.data.polygons))
+
+    bpy.app.handlers.render_post.append(look)
+    try:
+        render(flight, tmp_path)
+    finally:
+        bpy.app.handlers.render_post.remove(look)
+    assert shown[0] > 0 and positions(terrain) == viewport
+    assert session.record_of(terrain).status.mode == "VIEWPORT"
+
+
+def test_shutter_times_do_not_rebuild(scene, add_terrain, monkeypatch):
+    """Shutter times may be whole neighbouring frames: only the frame of render_pre counts, until render_post."""
+    updates = []
+    monkeypatch.setattr(handlers, "update_all", lambda scene, depsgraph, mode: updates.append(scene.frame_current))
+    rendering = SimpleNamespace(mode="RENDER")
+    fake = SimpleNamespace(session_uid=1, frame_current=5, frame_subframe=0.0)
+    handlers.on_render_pre(fake)
+    handlers.on_frame_change(fake, rendering)
+    for frame, subframe in ((4, 0.0), (5, 0.5), (6, 0.0)):
+        fake.frame_current, fake.frame_subframe = frame, subframe
+        handlers.on_frame_change(fake, rendering)
+    assert updates == [5]
+    handlers.on_render_post(fake)
+    fake.frame_current, fake.frame_subframe = 5, 0.0
+    handlers.on_frame_change(fake, rendering)
+    assert updates == [5]
+
+
+def test_one_terrain_that_fails_does_not_stop_the_other(flight, add_terrain):
+    broken, good = add_terrain("Broken"), add_terrain("Good")
+    broken.adaptive_terrain.store = "/nowhere"
+    flight.frame_set(4)
+    assert len(good.data.polygons) > 100
+    assert "/nowhere" in session.record_of(broken).status.error
+
+
+def turns(limit=500):
+    """Run the live timer until nothing is under way."""
+    import time
+
+    live.mark_dirty()
+    for _ in range(limit):
+        if live.tick() == live.IDLE_S:
+            return
+        time.sleep(0.005)
+    raise AssertionError("the live update never ended")
+
+
+@pytest.fixture
+def window(monkeypatch, scene):
+    """A window manager with one window on the scene, as the live timer asks for it."""
+    shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
+    context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
+    types, app, data = bpy.types, SimpleNamespace(is_job_running=lambda kind: False), bpy.data
+    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=types, app=app, data=data))
+    bpy.context.view_layer.update()
+    return shown
+
+
+def test_live_update_writes_from_a_worker(window, add_terrain):
+    terrain = add_terrain()
+    bpy.context.view_layer.update()
+    turns()
+    assert len(terrain.data.polygons) > 100
+    before = positions(terrain)
+    terrain.adaptive_terrain.viewport.error_px = 6.0
+    bpy.context.view_layer.update()
+    turns()
+    assert positions(terrain) != before
+
+
+def test_a_stale_result_is_dropped(window, add_terrain):
+    terrain = add_terrain()
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    assert live.tick() == live.BUSY_S
+    terrain.adaptive_terrain.viewport.error_px = 12.0
+    update = session.update_object(terrain)  # the user clicked Update in the meantime
+    turns()
+    assert len(terrain.data.polygons) == update.triangles
+
+
+def test_a_result_whose_terrain_is_gone_is_dropped(window, add_terrain):
+    terrain = add_terrain()
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    assert live.tick() == live.BUSY_S
+    bpy.data.objects.remove(terrain)
+    bpy.context.view_layer.update()
+    turns()
+    assert session.all_terrains() == []

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh writer puts in what it is given, and Blender finds nothing to correct."""
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators.mesh_cleanup import Cleanup, boundary_triangles
+from adaptive_terrain.operators.mesh_writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
+
+
+@pytest.fixture
+def mesh():
+    mesh = bpy.data.meshes.new("Terrain")
+    yield mesh
+    bpy.data.meshes.remove(mesh)
+
+
+def read(collection, name, width, dtype=np.float32):
+    array = np.empty(len(collection) * width, dtype)
+    collection.foreach_get(name, array)
+    return array.reshape(-1, width) if width > 1 else array
+
+
+def test_the_mesh_holds_the_arrays(mesh, grid_surface):
+    surface = grid_surface(5, 3)
+    write_mesh(mesh, surface)
+    assert (read(mesh.vertices, "co", 3) == surface.positions).all()
+    assert (read(mesh.loops, "vertex_index", 1, np.int32) == surface.corner_verts).all()
+    assert (read(mesh.loops, "edge_index", 1, np.int32) == surface.corner_edges).all()
+    assert (read(mesh.edges, "vertices", 2, np.int32) == surface.edges).all()
+    assert (read(mesh.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
+    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
+    assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
+    assert mesh.uv_layers.active.name == UV_LAYER
+
+
+def test_validate_finds_nothing_to_change(mesh, grid_surface):
+    for size in (4, 9, 2):
+        write_mesh(mesh, grid_surface(size, size))
+        assert mesh.validate(verbose=True) is False
+
+
+def test_normals_are_those_of_the_surface(mesh, grid_surface):
+    surface = grid_surface(4, 4)
+    write_mesh(mesh, surface)
+    assert mesh.has_custom_normals
+    # Versions before 4.5 keep normals in two 16-bit numbers.
+    np.testing.assert_allclose(read(mesh.corner_normals, "vector", 3), surface.normals[surface.corner_verts], atol=2e-4)
+
+
+def test_flat_shading_has_face_normals(mesh, grid_surface):
+    write_mesh(mesh, grid_surface(3, 3, lambda x, y: x * y), smooth=False)
+    assert not mesh.has_custom_normals
+    np.testing.assert_allclose(
+        read(mesh.corner_normals, "vector", 3), np.repeat(read(mesh.polygon_normals, "vector", 3), 3, 0), atol=1e-6
+    )
+    write_mesh(mesh, grid_surface(3, 3))
+    assert mesh.has_custom_normals and "sharp_face" not in mesh.attributes
+
+
+def test_materials_stay(mesh, grid_surface):
+    rock = bpy.data.materials.new("Rock")
+    mesh.materials.append(rock)
+    write_mesh(mesh, grid_surface(3, 3))
+    write_mesh(mesh, grid_surface(5, 2))
+    assert [material.name for material in mesh.materials] == [rock.name]
+    bpy.data.materials.remove(rock)
+
+
+def test_an_empty_surface_empties_the_mesh(mesh, grid_surface):
+    write_mesh(mesh, grid_surface(2, 2))
+    write_mesh(mesh, grid_surface(0, 0))
+    assert len(mesh.polygons) == 0 and mesh.validate() is False
+
+
+def test_a_mesh_with_shape_keys_is_refused_and_stays(grid_surface):
+    mesh = bpy.data.meshes.new("Keyed")
+    write_mesh(mesh, grid_surface(2, 2))
+    obj = bpy.data.objects.new("Keyed", mesh)
+    obj.shape_key_add(name="Basis")
+    with pytest.raises(TerrainError, match="shape keys"):
+        write_mesh(mesh, grid_surface(3, 3))
+    assert len(mesh.vertices) == 9
+    bpy.data.objects.remove(obj)
+    bpy.data.meshes.remove(mesh)
+
+
+def test_bmesh_route_without_clean_up_is_the_same_mesh(mesh, grid_surface):
+    surface = grid_surface(4, 3)
+    write_mesh_bmesh(mesh, surface, Cleanup())
+    assert mesh.validate(verbose=True) is False
+    assert (read(mesh.vertices, "co", 3) == surface.positions).all()
+    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
+    np.testing.assert_allclose(
+        read(mesh.corner_normals, "vector", 3),
+        surface.normals[read(mesh.loops, "vertex_index", 1, np.int32)],
+        atol=2e-4,
+    )
+
+
+def test_faces_wholly_below_a_height_are_deleted(mesh, grid_surface):
+    surface = grid_surface(6, 2, lambda x, y: x)
+    surface.normals[:, 0] = surface.positions[:, 0] / 10
+    surface.normals[:, 2] = np.sqrt(1 - surface.normals[:, 0] ** 2)
+    write_mesh_bmesh(mesh, surface, Cleanup(below=2.5))
+    positions = read(mesh.vertices, "co", 3)
+    assert positions[:, 2].min() == 2.0, "faces that cross the height stay"
+    assert len(mesh.polygons) == 4 * 2 * 2
+    assert mesh.validate(verbose=True) is False
+    corners = read(mesh.loops, "vertex_index", 1, np.int32)
+    np.testing.assert_allclose(read(mesh.corner_normals, "vector", 3)[:, 0], positions[corners, 0] / 10, atol=2e-3)
+
+
+def test_loose_vertices_stay_when_asked(mesh, grid_surface):
+    surface = grid_surface(6, 2, lambda x, y: x)
+    write_mesh_bmesh(mesh, surface, Cleanup(below=2.5, remove_loose=False))
+    assert len(mesh.vertices) == len(surface.positions) and len(mesh.edges) == len(surface.edges)
+
+
+def test_faces_outside_a_boundary_object_are_deleted(mesh, grid_surface):
+    plane = bpy.data.meshes.new("Boundary")
+    plane.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
+    boundary = bpy.data.objects.new("Boundary", plane)
+    boundary.location = (103.0, 2.0, 50.0)
+    bpy.context.collection.objects.link(boundary)
+    bpy.context.view_layer.update()
+    terrain_from_world = np.eye(4)
+    terrain_from_world[0, 3] = -100.0
+    triangles = boundary_triangles(boundary, terrain_from_world)
+    assert triangles.shape == (2, 3, 2)
+    write_mesh_bmesh(mesh, grid_surface(6, 4), Cleanup(boundary=triangles))
+    positions = read(mesh.vertices, "co", 3)
+    assert len(mesh.polygons) == 8
+    assert (positions[:, :2].min(0) == (2, 1)).all() and (positions[:, :2].max(0) == (4, 3)).all()
+    assert mesh.validate(verbose=True) is False
+    bpy.data.objects.remove(boundary)
+    bpy.data.meshes.remove(plane)
+
+
+def test_a_hundred_rebuilds_leave_no_datablock(mesh, grid_surface):
+    before = len(bpy.data.meshes)
+    for size in range(100):
+        write_mesh(mesh, grid_surface(size % 7, 3))
+    assert len(bpy.data.meshes) == before

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The extension comes and goes without a trace."""
+
+import adaptive_terrain
+import bpy
+import pytest
+from adaptive_terrain.operators import handlers
+
+
+def trace():
+    """What an extension can leave behind: handlers, classes, properties, timers, menu entries."""
+    listed = {event: len(getattr(bpy.app.handlers, event)) for event in handlers.HANDLERS}
+    names = [name for name in dir(bpy.types) if "adaptive_terrain" in name.lower() or "Terrain" in name]
+    menu = len(bpy.types.VIEW3D_MT_mesh_add._dyn_ui_initialize())
+    operators = [name for name in dir(bpy.ops.adaptive_terrain) if not name.startswith("_")]
+    return listed, names, menu, operators, hasattr(bpy.types.Object, "adaptive_terrain")
+
+
+@pytest.fixture
+def unregistered(empty):
+    adaptive_terrain.unregister()
+    yield
+    adaptive_terrain.register()
+
+
+def test_many_times_leaves_nothing(unregistered):
+    before = trace()
+    assert not before[-1]
+    for _ in range(20):
+        adaptive_terrain.register()
+        assert hasattr(bpy.types.Object, "adaptive_terrain")
+        adaptive_terrain.unregister()
+    assert trace() == before
+
+
+def test_every_handler_is_there_once_and_survives_loading(empty, tmp_path):
+    for event, handler in handlers.HANDLERS.items():
+        assert getattr(bpy.app.handlers, event).count(handler) == 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "empty.blend"))
+    for event, handler in handlers.HANDLERS.items():
+        assert getattr(bpy.app.handlers, event).count(handler) == 1
+
+
+def test_a_terrain_survives_disabling_the_extension(scene, add_terrain):
+    from adaptive_terrain.operators import session
+
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 3.5
+    session.update_object(terrain)
+    triangles = len(terrain.data.polygons)
+    adaptive_terrain.unregister()
+    adaptive_terrain.register()
+    assert terrain.adaptive_terrain.enabled and terrain.adaptive_terrain.viewport.error_px == 3.5
+    assert len(terrain.data.polygons) == triangles > 100

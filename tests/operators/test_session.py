@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One update: properties in, mesh out; a failure keeps the last good mesh and says why."""
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators import session
+
+
+def positions(obj):
+    array = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", array)
+    return array.tobytes()
+
+
+def test_an_update_writes_a_mesh_that_keeps_its_bound(scene, add_terrain):
+    terrain = add_terrain()
+    update = session.update_object(terrain)
+    assert len(terrain.data.polygons) == update.triangles > 500
+    assert 0.5 < update.bound_px <= 1.0
+    assert terrain.data.validate(verbose=True) is False
+    status = session.record_of(terrain).status
+    assert (status.mode, status.leaves, status.triangles) == ("VIEWPORT", update.leaves, update.triangles)
+    assert status.ms and status.error == ""
+
+
+def test_render_and_viewport_have_settings_of_their_own(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 8.0
+    viewport = session.update_object(terrain)
+    assert session.update_object(terrain, mode="RENDER").triangles > 2 * viewport.triangles
+    assert session.update_object(terrain).triangles == viewport.triangles == len(terrain.data.polygons)
+
+
+def test_a_criterion_in_metres_needs_no_camera(scene, add_terrain):
+    terrain = add_terrain()
+    scene.camera = None
+    terrain.adaptive_terrain.viewport.error_px = 0.0
+    terrain.adaptive_terrain.viewport.error_m = 2.0
+    update = session.update_object(terrain)
+    assert update.bound_m <= 2.0 and update.bound_px is None
+
+
+def test_settings_that_are_animated_are_the_evaluated_ones(scene, add_terrain):
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain.viewport
+    for frame, error in ((1, 1.0), (11, 20.0)):
+        settings.error_px = error
+        settings.keyframe_insert("error_px", frame=frame)
+    scene.frame_set(1)
+    fine = session.update_object(terrain).triangles
+    scene.frame_set(11)
+    assert session.update_object(terrain).triangles < fine / 3
+
+
+def test_a_mesh_changed_by_hand_is_written_again(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    before = positions(terrain)
+    terrain.data.clear_geometry()
+    session.update_object(terrain)
+    assert positions(terrain) == before
+
+
+def test_an_update_of_the_same_view_leaves_the_mesh_alone(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    terrain.data.vertices[0].co.z = 12345.0
+    assert session.update_object(terrain).changed is False
+    assert terrain.data.vertices[0].co.z == 12345.0
+
+
+def test_a_failure_keeps_the_mesh_and_leaves_a_message(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    before = positions(terrain)
+    terrain.adaptive_terrain.store = "/nowhere/at/all"
+    with pytest.raises(TerrainError, match="no terrain store"):
+        session.update_object(terrain)
+    assert positions(terrain) == before
+    assert "/nowhere/at/all" in session.record_of(terrain).status.error
+
+
+def test_a_linked_duplicate_gets_a_mesh_of_its_own(scene, add_terrain):
+    terrain = add_terrain()
+    other = terrain.copy()
+    scene.collection.objects.link(other)
+    other.location.y = 5000.0
+    session.update_object(terrain)
+    session.update_object(other)
+    assert other.data != terrain.data
+    assert len(other.data.polygons) < len(terrain.data.polygons)
+
+
+def test_clean_up_follows_the_settings(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    whole = len(terrain.data.polygons)
+    terrain.adaptive_terrain.cleanup.use_below = True
+    terrain.adaptive_terrain.cleanup.below = 10.0
+    session.update_object(terrain)
+    assert 0 < len(terrain.data.polygons) < whole
+    assert terrain.data.validate(verbose=True) is False
+    terrain.adaptive_terrain.cleanup.use_below = False
+    session.update_object(terrain)
+    assert len(terrain.data.polygons) == whole
+
+
+def test_bake_makes_an_ordinary_object(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.location = (7.0, 8.0, 9.0)
+    rock = bpy.data.materials.new("Rock")
+    terrain.data.materials.append(rock)
+    terrain.adaptive_terrain.bake_error_m = 3.0
+    session.update_object(terrain)
+    before = positions(terrain)
+    assert bpy.ops.adaptive_terrain.bake() == {"FINISHED"}
+    [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
+    assert not baked.adaptive_terrain.enabled
+    assert baked.matrix_world.translation[:] == (7.0, 8.0, 9.0)
+    assert [material.name for material in baked.data.materials] == ["Rock"]
+    assert len(baked.data.polygons) > 100
+    assert positions(terrain) == before
+
+
+def test_the_update_operator_reports(scene, add_terrain):
+    terrain = add_terrain()
+    assert bpy.ops.adaptive_terrain.update() == {"FINISHED"}
+    assert len(terrain.data.polygons) > 100
+    scene.camera = None
+    with pytest.raises(RuntimeError, match="has no camera"):
+        bpy.ops.adaptive_terrain.update()

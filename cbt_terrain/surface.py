@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import displace as displace_kernels
+from ..kernels import join as join_kernels
 from ..kernels import meshlet as meshlet_kernels
 from ..kernels import weld as weld_kernels
 from ..kernels.criterion import Domain
@@ -116,14 +117,14 @@ def _weld(leaves: Leaves, domain: Domain, buffers: Buffers, threads: int) -> tup
         work.append(w)
     launch.slices(weld_kernels.weld, [[w] for w in work], step="weld")
     if slices > 1:
-        s = weld_kernels.Slices()
+        s = join_kernels.Slices()
         s.count, s.joined_size = slices, triangles + 1
         rows = np.stack([leaves.squares, stack_base[:-1], n + 1, import_base[:-1]], axis=1).astype(np.int32)
         s.rows, s.starts = shared(rows, wp.vec4i), shared(leaves.starts.astype(np.int32), wp.int32)
         s.joined = buffers.get("joined", 2 * (triangles + 1), wp.vec2i)
         s.found = buffers.get("found", int(import_base[-1]), wp.vec2i)
-        launch.once(weld_kernels.resolve, [s, work[0]], step="weld")
-        launch.slices(weld_kernels.patch, [[w, s.found] for w in work], step="weld")
+        launch.once(join_kernels.resolve, [s, work[0]], step="weld")
+        launch.slices(join_kernels.patch, [[w, s.found] for w in work], step="weld")
     return mesh, triangles
 
 

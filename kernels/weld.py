@@ -7,8 +7,8 @@ vertex, which leaves an open edge on that border's stack, or over the edge on to
 every vertex and every edge gets its number once. Edges on the sides that two root squares share are kept per side
 instead, since the later square passes them last edge first.
 
-Slices of the curve are welded side by side. What a slice needs from earlier ones gets a negative number, the place -1
-- i of a list of imports; `resolve` finds what each stands for, slice by slice, and `patch` puts it in.
+Slices of the curve are welded side by side. What a slice needs from earlier ones is an import: it gets the negative
+number -1 - i, i being its place in the slice's list; join.py finds what each stands for.
 """
 
 import warp as wp

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
 
-import atexit
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -195,8 +194,6 @@ def need_bpy(what: str):
         from . import registration
 
         registration.register()
-        # The bpy module crashes at exit if it finds classes of Python still registered.
-        atexit.register(registration.unregister)
     return bpy
 
 

@@ -124,7 +124,8 @@ class ImportTerrain(bpy.types.Operator):
     def modal(self, context, event):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        progress = _jobs[self.uid].poll()
+        job = _jobs[self.uid]
+        progress = job.poll()
         _progress[self.uid] = progress.fraction, progress.message
         live.redraw_panels()
         if not progress.done:
@@ -132,6 +133,9 @@ class ImportTerrain(bpy.types.Operator):
         self._end(context)
         obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
         if obj is None:
+            return {"CANCELLED"}
+        if job.cancelled:
+            self.report({"INFO"}, progress.error)
             return {"CANCELLED"}
         if progress.error:
             return self._failed(obj, progress.error)

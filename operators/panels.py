@@ -8,6 +8,8 @@ from .properties import CHOSEN_CAMERA, FILE
 
 LIMITS = {"max_triangles": "the triangle limit", "max_depth": "the depth limit"}
 
+STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
+
 
 class _TerrainPanel:
     bl_space_type = "VIEW_3D"
@@ -92,7 +94,7 @@ def statistics_lines(status) -> list[tuple[str, str]]:
         lines.append(("Held back by", LIMITS.get(status.limited, status.limited)))
     if status.relaxed != 1.0:
         lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
-    return lines + [(step.replace("_", " ").capitalize(), f"{ms:.2f} ms") for step, ms in status.ms.items()]
+    return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
 
 
 class SourcePanel(_TerrainPanel, bpy.types.Panel):

@@ -17,7 +17,13 @@ from ..cbt_terrain.island import DEFAULT_SEED
 from ..cbt_terrain.sources import RAW_TYPES
 
 ISLAND, FILE = "ISLAND", "FILE"
+# Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
+PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
+
+# Since Blender 4.5 a path says that it may begin with "//"; before, every path could.
+KNOWS_RELATIVE = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if KNOWS_RELATIVE else set()
 
 
 def _changed(self, _context) -> None:
@@ -105,7 +111,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     store: StringProperty(
         name="Store",
         description="Folder with the imported height field; import writes it",
-        subtype="DIR_PATH", update=_changed,
+        subtype="DIR_PATH", options=PATH_OPTIONS, update=_changed,
     )  # fmt: skip
 
     source: EnumProperty(
@@ -113,7 +119,9 @@ class TerrainSettings(bpy.types.PropertyGroup):
         items=[(ISLAND, "Built-in Island", "A procedural island; needs no file"),
                (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY")],
     )  # fmt: skip
-    source_path: StringProperty(name="File", description="Height map to import", subtype="FILE_PATH")
+    source_path: StringProperty(
+        name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS
+    )
     raw_size: IntVectorProperty(
         name="Samples", description="Width and height of a RAW file, in samples", size=2, default=(0, 0), min=0
     )

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Everything that the extension adds to Blender, and its removal in reverse order."""
 
+import atexit
+
 import bpy
 
 from . import (
@@ -37,9 +39,12 @@ def register() -> None:
         module.register()
     if hasattr(bpy.utils, "register_cli_command"):
         _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
+    if not bpy.app.binary_path:
+        atexit.register(unregister)  # as a module Blender crashes at exit if it finds Python's classes registered
 
 
 def unregister() -> None:
+    atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     for module in reversed(MODULES):

@@ -128,18 +128,20 @@ def read_screen(framebuffer: Path) -> Image.Image:
 
 
 def test_clicks_on_the_panel(program, tmp_path):
-    ready = tmp_path / "ready.json"
+    pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
+    pictures.mkdir(parents=True, exist_ok=True)
     arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(ready)]
+    arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
     with window(program, arguments, tmp_path) as blender:
         try:
-            wait_for(ready, blender, 480)
-        finally:
-            pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
-            pictures.mkdir(parents=True, exist_ok=True)
+            wait_for(tmp_path / "updated", blender, 300)
             picture = read_screen(tmp_path)
             picture.save(pictures / "panel.png")
-    said = json.loads(ready.read_text())
+            (tmp_path / "pictured").touch()
+            wait_for(tmp_path / "done.json", blender, 300)
+        finally:
+            read_screen(tmp_path).save(pictures / "end.png")
+    said = json.loads((tmp_path / "done.json").read_text())
     assert "error" not in said, said
     assert said["background"] is False
     assert said["triangles"] > 100

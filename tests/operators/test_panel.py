@@ -2,6 +2,7 @@
 """What the panel says, and the one-click island."""
 
 import bpy
+import numpy as np
 import pytest
 from adaptive_terrain.operators import session
 from adaptive_terrain.operators.panels import statistics_lines, wrapped
@@ -13,7 +14,8 @@ def test_every_figure_has_its_unit(scene, add_terrain):
     session.update_object(terrain)
     lines = dict(statistics_lines(session.record_of(terrain).status))
     assert lines["Screen error"].endswith(" px") and lines["Vertical error"].endswith(" m")
-    assert lines["Longest edge"].endswith(" px") and lines["Total"].endswith(" ms")
+    assert lines["Longest edge"].endswith(" px") and lines["Engine in all"].endswith(" ms")
+    assert lines["Into Blender"].endswith(" ms")
     assert lines["Triangles"] == f"{len(terrain.data.polygons):,}"
 
 
@@ -40,6 +42,48 @@ def test_import_reports_what_is_wrong(scene, add_terrain):
         bpy.ops.adaptive_terrain.import_source()
     assert terrain.adaptive_terrain.store == store
     assert "/nowhere/dem.tif" in session.record_of(terrain).status.error
+
+
+def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, add_terrain, tmp_path):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 8.0
+    session.update_object(terrain)
+    viewport = len(terrain.data.polygons)
+    path = tmp_path / "terrain.npz"
+    assert bpy.ops.adaptive_terrain.export(filepath=str(path)) == {"FINISHED"}
+    with np.load(path) as archive:
+        assert len(archive["triangles"]) > 2 * viewport
+    assert len(terrain.data.polygons) == viewport
+    with pytest.raises(RuntimeError, match="no known suffix"):
+        bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "terrain.doc"))
+
+
+def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
+    from adaptive_terrain.operators.import_terrain import settings_of, store_folder
+
+    terrain = add_terrain()
+    first = store_folder(terrain, settings_of(terrain))
+    assert store_folder(terrain, settings_of(terrain)) == first
+    terrain.adaptive_terrain.seed += 1
+    assert store_folder(terrain, settings_of(terrain)) != first
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    assert store_folder(terrain, settings_of(terrain)) == "//terrain/valley_Terrain_island"
+
+
+def test_import_says_what_it_did():
+    from adaptive_terrain.operators.import_terrain import summary
+
+    report = {
+        "raster": [5, 4],
+        "lowest_m": -1.5,
+        "highest_m": 80.0,
+        "filled": 3,
+        "moved_max_m": 0.25,
+        "moved_rms_m": 0.1,
+    }
+    assert summary(report) == (
+        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, resampled: moved by 0.25 m at most, 0.1 m rms"
+    )
 
 
 def test_lock_interface_button(scene):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Click Add and Update in the panel as a user does, write down what came of it, stay open for the picture: READY_FILE.
+"""Click Add and Update in the panel as a user does, write down what came of it, stay open for the pictures: FOLDER.
 
 Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
 between turns only.
@@ -12,7 +12,8 @@ from pathlib import Path
 
 import bpy
 
-[ready] = sys.argv[sys.argv.index("--") + 1 :]
+[folder] = sys.argv[sys.argv.index("--") + 1 :]
+folder = Path(folder)
 # Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
 FIRST_BUTTON_BELOW_TOP = 40
 WAIT_S = 240.0
@@ -85,13 +86,14 @@ def steps():
     yield from click_first_button()
     yield from until(lambda: len(terrain().data.polygons) != result["not_live_triangles"])
     result["updated_triangles"] = len(terrain().data.polygons)
+    yield 1.0
+    (folder / "updated").touch()
+    yield from until((folder / "pictured").exists)
     yield from follow_the_viewport()
     yield from cancel_an_import()
     yield from render_in_the_window()
     yield from render_the_viewport()
-    parts()[1].spaces.active.region_3d.view_perspective = "PERSP"
-    yield 2.0
-    Path(ready).write_text(json.dumps(result))
+    (folder / "done.json").write_text(json.dumps(result))
 
 
 def follow_the_viewport():
@@ -137,7 +139,7 @@ def render_in_the_window():
     scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 1, "CPU", False
     scene.render.resolution_percentage = 20
     scene.frame_start, scene.frame_end = 1, 2
-    scene.render.filepath = str(Path(ready).parent / "window_")
+    scene.render.filepath = str(folder / "window_")
     terrain().adaptive_terrain.viewport.error_px = 4.0
     yield 1.5
     result["before_render_triangles"] = len(terrain().data.polygons)
@@ -188,7 +190,7 @@ def turn():
         return None
     except Exception as error:
         result["error"] = repr(error)
-        Path(ready).write_text(json.dumps(result))
+        (folder / "done.json").write_text(json.dumps(result))
         return None
 
 

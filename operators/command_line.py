@@ -147,9 +147,7 @@ def describe_source(path: Path) -> dict:
     bpy = sys.modules.get("bpy")
     if path.suffix.lower() == ".exr" and bpy is not None and not bpy.app.module:
         # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
-        raise TerrainError(
-            f"{path} is an EXR file, which is not opened inside Blender; import it first."
-        )
+        raise TerrainError(f"{path} is an EXR file, which is not opened inside Blender; import it first.")
     raster = open_source(ImportSettings(source=str(path)))
     try:
         place = raster.georeference

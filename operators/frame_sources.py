@@ -107,7 +107,9 @@ class SceneFrames:
         for obj in self.objects:
             _override(obj.adaptive_terrain.render, pixel_error, budget, meshlet)
         asked = {"camera": camera, "resolution": resolution, "pixel": pixel_error, "budget": budget, "meshlet": meshlet}
-        self.settings = {"scene": file_digest(blend), **asked}
+        stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
+        fields = {name: session.open_field(bpy.path.abspath(store)).key for name, store in stores.items() if store}
+        self.settings = {"scene": file_digest(blend), "height_fields": fields, **asked}
 
     def pieces(self, frame: int) -> Iterator[Piece]:
         """Every terrain of the scene at `frame`; its mesh is written first."""

@@ -34,6 +34,7 @@ _dirty = False
 _job: Job | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
+_follows_viewport = False
 
 
 def mark_dirty() -> None:
@@ -72,22 +73,27 @@ def _turn() -> float:
 
 def _next_job() -> Job | None:
     """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
-    for window in bpy.context.window_manager.windows:
-        depsgraph = window.view_layer.depsgraph
-        for obj in session.terrains_of(window.scene) if depsgraph else []:
-            record = session.record_of(obj)
-            if not (obj.adaptive_terrain.live or record.status.mode == RENDER) or obj.mode != "OBJECT":
-                continue
-            try:
-                request = gather(obj, depsgraph, VIEWPORT)
-            except TerrainError as error:
-                _report(record, error)
-                continue
-            if request.key() == record.live_key:
-                continue
+    global _follows_viewport
+    shown = [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
+    _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
+    for depsgraph, obj in shown:
+        record = session.record_of(obj)
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        if depsgraph is None or not wanted or obj.mode != "OBJECT":
+            continue
+        try:
+            request = gather(obj, depsgraph, VIEWPORT)
+        except TerrainError as error:
+            _report(record, error)
+            continue
+        if request.key() != record.live_key:
             record.live_key = request.key()
             return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
+
+
+def _windows():
+    return bpy.context.window_manager.windows
 
 
 def _solve(record: session.Record, request: Request):
@@ -106,20 +112,22 @@ def _finish(job: Job) -> None:
             # The surface's arrays are the engine's own: another update since then has overwritten them.
             if record.generation == job.generation and record.serial == serial:
                 session.show(obj, record, job.request, update, VIEWPORT)
-    except TerrainError as error:
+    except Exception as error:
         _report(record, error)
+        if not isinstance(error, TerrainError):
+            raise
     redraw_panels()
 
 
-def _report(record: session.Record, error: TerrainError) -> None:
-    if record.status.error != str(error):
-        record.status.error = str(error)
+def _report(record: session.Record, error: Exception) -> None:
+    if record.status.error != session.explain(error):
+        record.status.error = session.explain(error)
         redraw_panels()
 
 
 def redraw_panels() -> None:
     """Show new figures in the sidebar of every 3D viewport."""
-    for window in bpy.context.window_manager.windows:
+    for window in _windows():
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 for region in area.regions:
@@ -129,7 +137,7 @@ def redraw_panels() -> None:
 
 def _on_draw() -> None:
     """Turning the view tells no handler: a terrain that follows the viewport looks again whenever one is drawn."""
-    if not _dirty and any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for obj in session.all_terrains()):
+    if _follows_viewport:
         mark_dirty()
 
 

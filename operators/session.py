@@ -96,10 +96,17 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, *, camera=None, res
             update = solve(record, request)
             show(obj, record, request, update, mode)
         record.live_key = request.key() if mode == VIEWPORT else None
-    except TerrainError as error:
-        record.status.error = str(error)
+    except Exception as error:
+        record.status.error = explain(error)
         raise
     return update
+
+
+def explain(error: Exception) -> str:
+    """What the panel says of a failed update."""
+    if isinstance(error, TerrainError):
+        return str(error)
+    return f"The update failed unexpectedly ({type(error).__name__}: {error}); the mesh stays as it was."
 
 
 def solve(record: Record, request: Request):

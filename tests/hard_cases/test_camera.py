@@ -189,4 +189,3 @@ def test_bounds_hold_for_random_views():
         assert (
             np.abs(mesh_heights(update.surface, plane) - reference_heights(field, plane)).max() <= update.bound_m + 1e-3
         )
-

@@ -82,6 +82,18 @@ def test_a_failure_keeps_the_mesh_and_leaves_a_message(scene, add_terrain):
     assert "/nowhere/at/all" in session.record_of(terrain).status.error
 
 
+def test_an_unexpected_failure_is_told_too(scene, add_terrain, monkeypatch):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    before = positions(terrain)
+    terrain.adaptive_terrain.viewport.error_px = 4.0
+    monkeypatch.setattr(session, "solve", lambda record, request: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        session.update_object(terrain)
+    assert positions(terrain) == before
+    assert "ZeroDivisionError" in session.record_of(terrain).status.error
+
+
 def test_a_linked_duplicate_gets_a_mesh_of_its_own(scene, add_terrain):
     terrain = add_terrain()
     other = terrain.copy()

@@ -81,7 +81,8 @@ def localise(
     if view.kind == PERSPECTIVE:
         secant2 = 1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds())
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
-    near = max(view.clip[0] / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
+    start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
+    near = max(start / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
     factor = criterion.off_screen_factor

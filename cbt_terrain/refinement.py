@@ -104,16 +104,14 @@ class Refinement:
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
-        with launch.timed("refine"):
-            asked.limit, walks = 1.0, None
-            if self._step == 0:
-                walks, counts = self._walk(domain, asked, max_depth, max_leaves)
-            if walks is None:
-                self._relax(domain, asked, max_depth, max_leaves)
-                walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
-            leaves = self._leaves(walks, counts)
-        with launch.timed("mark"):
-            leaves.changed_words = self._mark(walks, counts)
+        asked.limit, walks = 1.0, None
+        if self._step == 0:
+            walks, counts = self._walk(domain, asked, max_depth, max_leaves)
+        if walks is None:
+            self._relax(domain, asked, max_depth, max_leaves)
+            walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
+        leaves = self._leaves(walks, counts)
+        leaves.changed_words = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
 
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int):
@@ -121,7 +119,7 @@ class Refinement:
         cuts = self._cuts()
         while True:
             walks = self._walks(cuts, max_depth, max_leaves)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="walk")
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine")
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None

@@ -182,7 +182,7 @@ class ConcurrentBinaryTree:
         index[count], bits[count] = END_INDEX, 0
         changed = np.zeros(1, np.int64)
         counters = [self._block_counts, self._upper_counts, self._level_start]
-        launch.once(reduce_changed, [*self._next, *self._stream, *counters, changed], step="tree")
+        launch.once(reduce_changed, [*self._next, *self._stream, *counters, changed], step="mark")
         self._stream, self._next = self._next, self._stream
         self._word_count = count
         return int(changed[0])

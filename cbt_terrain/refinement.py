@@ -36,8 +36,8 @@ class Leaves:
     `starts` bool [slices]: whether with that square's first leaf.
     `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
     4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
-    `bounds` float64 [5]: largest squared pixels of error, the same with resampling, squared pixels of an edge, square
-    pixels of a triangle, metres.
+    `bounds` float64 [6]: the largest of what `measure` in kernels/criterion.py returns: squared pixels of weighed
+    error, of all error and of an edge, square pixels of a triangle, metres of weighed error and of all error.
     """
 
     counts: np.ndarray
@@ -173,7 +173,7 @@ class Refinement:
             w.word_bits = get("word_bits", slices * stride, wp.uint64)
             w.stack, w.states = get("walk_stack", slices * 64, wp.vec4i), get("walk_states", slices * 64, wp.int32)
             w.sides = sides[k * 4 * squares : (k + 1) * 4 * squares]
-            w.counts, w.bounds = get("counts", slices * 4, wp.int64), get("bounds", slices * 5, wp.float64)
+            w.counts, w.bounds = get("counts", slices * 4, wp.int64), get("bounds", slices * 6, wp.float64)
             walks.append(w)
         return walks
 
@@ -189,7 +189,7 @@ class Refinement:
         # A slice whose first cells belong to the last leaf of a square begins with the next square.
         squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
         before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
-        bounds = self.buffers.numpy("bounds")[: slices * 5].reshape(slices, 5)[used].max(axis=0)
+        bounds = self.buffers.numpy("bounds")[: slices * 6].reshape(slices, 6)[used].max(axis=0)
         return Leaves(counts[used], squares_of.astype(np.int32), starts, before, sides.sum(axis=0), base, bounds)
 
     def _mark(self, walks: list[kernels.Walk], counts: np.ndarray) -> int:

@@ -26,8 +26,8 @@ class Update:
     `bound_px`: no visible point of the reference surface is further than this from its place, in pixels; what
     resampling at import has moved is included. `bound_m`: the same in metres of height, everywhere. `bound_edge_px`,
     `bound_area_px`: longest edge, largest triangle. `relaxed`: the factor by which a triangle limit coarsened what was
-    asked. `limited`: "", "max_triangles" or "max_depth": what kept the mesh coarser than asked. `changed`: False if
-    the mesh is the one of the last update.
+    asked. `limited`: "", "max_triangles", "max_depth" or "resampling" (at import): what kept a bound above what was
+    asked. `changed`: False if the mesh is the one of the last update.
     """
 
     surface: Surface
@@ -109,7 +109,7 @@ class Terrain:
             self._shape_key = None
             surface = build_surface(leaves, domain, criterion.meshlet, self._buffers, self.threads)
             self._shape_key = shape
-        error_px2, total_px2, edge_px2, area_px2, metres = (float(b) for b in leaves.bounds)
+        error_px2, total_px2, edge_px2, area_px2, metres, total_metres = (float(b) for b in leaves.bounds)
         excess = max(
             error_px2 * asked.error, edge_px2 * asked.edge, area_px2 * asked.area, metres * metres * asked.vertical
         )
@@ -118,12 +118,14 @@ class Terrain:
             limited = "max_triangles"
         elif excess > 1:
             limited = "max_depth"
+        elif max(total_px2 * asked.error, total_metres**2 * asked.vertical) > 1:
+            limited = "resampling"
         return Update(
             surface,
             leaves.total,
             changed,
             math.sqrt(total_px2) if views else None,
-            metres + self.field.resample_max * abs(vertical_scale),
+            total_metres,
             math.sqrt(edge_px2) if criterion.edge_px or criterion.area_px else None,
             area_px2 if criterion.edge_px or criterion.area_px else None,
             relaxed,

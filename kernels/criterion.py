@@ -157,8 +157,8 @@ class Diamond:
 
     low: wp.vec3d  # its box, metres of the terrain's space
     high: wp.vec3d
-    error: wp.float64  # metres
-    total: wp.float64  # with what resampling moved
+    error: wp.float64  # metres, as the criterion weighs it
+    total: wp.float64  # metres, all of it
     odd: wp.int32  # 1: its longest edge is a cell's diagonal, 0: a side
     side2: wp.float64  # squared lattice units of that cell's side, or of the edge
     rise: wp.float64  # metres, the most that an edge of it can climb
@@ -166,7 +166,7 @@ class Diamond:
 
 @wp.func
 def measure_in(view: LocalView, asked: Asked, d: Diamond):
-    """Squared pixels of error, of error with what resampling moved and of the longest edge, square pixels of area."""
+    """Squared pixels of weighed error, of all error and of the longest edge, square pixels of area."""
     zero = wp.float64(0.0)
     # Squared distance of camera space from the eye to the box.
     dx = wp.max(wp.max(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
@@ -217,11 +217,16 @@ def measure_in(view: LocalView, asked: Asked, d: Diamond):
 def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32):
     """What the views make of the diamond split at (x, y).
 
-    Returns squared pixels of geometric error, the same with what resampling moved, squared pixels of the longest edge,
-    square pixels of area, and metres of vertical error; each the largest of all views.
+    Returns squared pixels of weighed error and of all error, squared pixels of the longest edge, square pixels of area,
+    and metres of both errors; each the largest of all views.
+
+    All error is the diamond's own and what resampling moved. The second part cannot be refined away: where it alone
+    comes near what was asked, the weighed error asks for a quarter of that from the first, and no more.
     """
     error, low, high, reach = node(domain, x, y, depth)
     scale = wp.abs(domain.height_scale)
+    total = (error + domain.extra_error) * scale
+    weighed = wp.min(total, wp.float64(4.0) * error * scale)
     error_px2 = wp.float64(0.0)
     total_px2 = wp.float64(0.0)
     edge_px2 = wp.float64(0.0)
@@ -240,8 +245,8 @@ def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.in
             domain.south + wp.float64(y + reach) * domain.unit_y,
             wp.max(z0, z1),
         )
-        d.error = error * scale
-        d.total = (error + domain.extra_error) * scale
+        d.error = weighed
+        d.total = total
         half = (depth - 1) >> 1
         d.odd = depth & 1
         side = wp.float64(wp.int32(1) << (domain.unit_bits - half))
@@ -259,4 +264,4 @@ def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.in
             total_px2 = wp.max(total_px2, t2)
             edge_px2 = wp.max(edge_px2, l2)
             area_px2 = wp.max(area_px2, a2)
-    return error_px2, total_px2, edge_px2, area_px2, error * scale
+    return error_px2, total_px2, edge_px2, area_px2, weighed, total

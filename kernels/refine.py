@@ -62,7 +62,7 @@ class Walk:
     states: wp.array(dtype=wp.int32)
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
-    bounds: wp.array(dtype=wp.float64)  # per slice: largest error_px2, total_px2, edge_px2, area_px2, metres
+    bounds: wp.array(dtype=wp.float64)  # per slice: largest of all that `measure` returns
 
 
 @wp.func
@@ -137,6 +137,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     worst_edge = wp.float64(0.0)
     worst_area = wp.float64(0.0)
     worst_metres = wp.float64(0.0)
+    worst_total_metres = wp.float64(0.0)
     place = w.slot * 64
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     start = w.first_cell & (cells - wp.uint64(1))
@@ -161,10 +162,13 @@ def walk(domain: Domain, asked: Asked, w: Walk):
             edge_px2 = wp.float64(0.0)
             area_px2 = wp.float64(0.0)
             metres = wp.float64(0.0)
+            total_metres = wp.float64(0.0)
             if depth == 0:
                 split = 1
             else:
-                error_px2, total_px2, edge_px2, area_px2, metres = measure(domain, asked, middle[0], middle[1], depth)
+                error_px2, total_px2, edge_px2, area_px2, metres, total_metres = measure(
+                    domain, asked, middle[0], middle[1], depth
+                )
                 if depth < w.max_depth and excess(asked, error_px2, edge_px2, area_px2, metres) > asked.limit:
                     split = 1
             if split == 1:
@@ -201,6 +205,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     worst_edge = wp.max(worst_edge, edge_px2)
                     worst_area = wp.max(worst_area, area_px2)
                     worst_metres = wp.max(worst_metres, metres)
+                    worst_total_metres = wp.max(worst_total_metres, total_metres)
                     room = wp.int32(0)
                     if leaves < w.leaf_capacity:
                         room = 1
@@ -293,12 +298,13 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     w.counts[c + 1] = vertices
     w.counts[c + 2] = edges
     w.counts[c + 3] = words
-    b = 5 * w.slot
+    b = 6 * w.slot
     w.bounds[b] = worst_error
     w.bounds[b + 1] = worst_total
     w.bounds[b + 2] = worst_edge
     w.bounds[b + 3] = worst_area
     w.bounds[b + 4] = worst_metres
+    w.bounds[b + 5] = worst_total_metres
 
 
 @wp.kernel
@@ -328,7 +334,7 @@ def count(domain: Domain, asked: Asked, w: Walk):
                 middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
                 split = wp.int32(0)
                 if depth < w.max_depth:
-                    error_px2, total_px2, edge_px2, area_px2, metres = measure(
+                    error_px2, total_px2, edge_px2, area_px2, metres, total_metres = measure(
                         domain, asked, middle[0], middle[1], depth
                     )
                     if excess(asked, error_px2, edge_px2, area_px2, metres) > asked.limit:

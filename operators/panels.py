@@ -6,7 +6,11 @@ import bpy
 from . import import_terrain, session
 from .properties import CHOSEN_CAMERA, FILE
 
-LIMITS = {"max_triangles": "the triangle limit", "max_depth": "the depth limit"}
+LIMITS = {
+    "max_triangles": "the triangle limit",
+    "max_depth": "the depth limit",
+    "resampling": "resampling at import",
+}
 
 STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 

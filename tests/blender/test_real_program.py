@@ -64,7 +64,8 @@ def test_command_line_exports_frames(program, scene, tmp_path):
             assert np.isfinite(data["positions"]).all()
             assert data["triangles"].max() == len(data["positions"]) - 1
             info = json.loads(str(data["info"]))
-            assert info["limited"] == "" and info["bound_px"] > 0  # with what resampling to the lattice has moved
+            # close to the ground, what resampling to the lattice has moved is more than the pixel that was asked for
+            assert info["limited"] in ("", "resampling") and info["bound_px"] > 0
         assert path.with_suffix(".ply").stat().st_size > 1000
     assert len(set(triangles)) == 3, "the camera moves"
 
@@ -73,7 +74,7 @@ def test_motion_blur_keeps_one_topology_over_the_shutter(program, scene, tmp_pat
     said = program.script("render_motion_blur.py", tmp_path / "frame_", blend=scene[0], timeout=600)
     pictures = sorted(tmp_path.glob("frame_*.png"))
     assert len(pictures) == 3
-    assert all(np.asarray(Image.open(path).convert("L")).std() > 1 for path in pictures)
+    assert all(np.asarray(Image.open(path).convert("L")).std() > 5 for path in pictures)
     shown = dict(said["rendered"])
     assert sorted(shown) == [1, 2, 3] and len(set(shown.values())) == 3
     frame = None

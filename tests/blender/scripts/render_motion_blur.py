@@ -16,7 +16,7 @@ scene.render.resolution_x, scene.render.resolution_y = 160, 120
 scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
 scene.render.filepath = prefix
 light = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
-light.rotation_euler = (0.7, 0.3, 0.0)
+light.data.energy, light.rotation_euler = 2.0, (1.0, 0.3, 0.0)
 scene.collection.objects.link(light)
 terrain = next(item for item in scene.objects if item.adaptive_terrain.enabled)
 terrain.adaptive_terrain.viewport.error_px = 20.0

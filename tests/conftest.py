@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A clean end of the test run, whatever the bpy module makes of it."""
+
+import os
+import sys
+
+import pytest
+
+_exit_status = 0
+
+
+def pytest_sessionfinish(exitstatus):
+    global _exit_status
+    _exit_status = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure():
+    """End the process at once if bpy was used.
+
+    The bpy module shuts Blender down when Python frees it. If anything refers to it still (pytest keeps a lot), its
+    C++ destructors run on a live Blender, and the process crashes or waits forever after the last test.
+    """
+    if "bpy" in sys.modules:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_exit_status)

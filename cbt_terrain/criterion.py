@@ -16,6 +16,9 @@ from ..kernels.criterion import MAX_PLANES, LocalView
 from .errors import TerrainError
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
+# What is asked is kept between these: the finest and the coarsest mesh that there can be.
+SMALLEST, LARGEST = 1e-30, 1e30
+
 
 @dataclass(frozen=True)
 class Criterion:
@@ -43,6 +46,9 @@ class Criterion:
             value = getattr(self, name)
             if not (0 <= value < math.inf):
                 raise TerrainError(f"The criterion's {name} is {value}; expected a finite number, 0 or more.")
+        for name in ("error_px", "edge_px", "area_px", "error_m"):
+            if value := getattr(self, name):  # squares of what lies outside are no numbers any more
+                object.__setattr__(self, name, min(max(value, SMALLEST), LARGEST))
         if not self.off_screen_factor >= 1:
             raise TerrainError(f"The off-screen factor is {self.off_screen_factor}; expected 1 (no culling) or more.")
         if self.meshlet not in range(5):
@@ -85,11 +91,17 @@ def localise(
     near = max(start / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
-    factor = criterion.off_screen_factor
+    factor = min(criterion.off_screen_factor, LARGEST)
     if factor > 1 and _outside(planes, box):
         factor = math.inf  # nothing of this terrain is in view: the smallest mesh will do
+    try:
+        eye = -np.linalg.solve(linear, shift)
+    except np.linalg.LinAlgError:
+        raise TerrainError(
+            "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
+        ) from None
     numbers = {
-        "eye": -np.linalg.solve(linear, shift),
+        "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
         "depth": [*-linear[2], -shift[2]],
         "pixels2": pixels**2,

@@ -25,7 +25,7 @@ MAX_MESHLET = 4
 MAX_TRIANGLES = 1 << 26
 # A budget relaxes what was asked in steps of 2^(1/32): finer ones would only cost more counting walks.
 STEPS_PER_OCTAVE = 32
-MAX_STEP = 96 * STEPS_PER_OCTAVE
+MAX_STEP = 160 * STEPS_PER_OCTAVE
 
 
 @dataclass

@@ -139,7 +139,10 @@ class Terrain:
         x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
         z = sorted(h * vertical_scale + vertical_offset for h in (self.field.min_height, self.field.max_height))
         box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
-        if not np.abs(box).max() < np.finfo(np.float32).max:
+        largest = float(np.finfo(np.float32).max)
+        if not max(x, y) < largest:
+            raise TerrainError(f"The terrain is {2 * x:g} x {2 * y:g} m, more than a mesh can hold; import it smaller.")
+        if not np.abs(box).max() < largest:
             raise TerrainError(
                 f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights beyond what a mesh can "
                 "hold (3e38 metres); make them smaller."

@@ -10,6 +10,7 @@ from .errors import TerrainError
 
 PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC = "PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"
 KINDS = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)
+MAX_PIXELS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,7 @@ class View:
             raise TerrainError(
                 "The camera's matrix has a value that is not finite; check its location and its parents."
             )
-        if not min(self.resolution) > 0 or not all(map(math.isfinite, self.resolution)):
-            raise TerrainError(f"The resolution is {self.resolution}; expected at least one pixel each way.")
+        _check_resolution(self.resolution)
         if self.kind == PANORAMIC:
             if not 0 < self.radians_per_pixel < math.inf:
                 raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel; expected more than 0.")
@@ -96,6 +96,9 @@ class View:
         roll_deg: float = 0.0,
     ) -> "View":
         """A view built by hand: from `eye` towards `target` (metres, world), z up, `fov_deg` across the larger side."""
+        _check_resolution(resolution)
+        if kind == PERSPECTIVE and not 1e-7 < fov_deg < 180:
+            raise TerrainError(f"The field of view is {fov_deg} degrees; expected more than 1e-7 and less than 180.")
         eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         back = eye - target
         length = np.linalg.norm(back)
@@ -117,6 +120,8 @@ class View:
         projection = np.zeros((4, 4))
         larger = max(width, height)
         start, end = clip
+        if start == end:
+            raise TerrainError(f"The clip range is {clip}; expected a start before its end, in metres.")
         if kind == PERSPECTIVE:
             focal = 1.0 / math.tan(math.radians(fov_deg) / 2)
             projection[0, 0], projection[1, 1] = focal * larger / width, focal * larger / height
@@ -125,3 +130,8 @@ class View:
             projection[0, 0], projection[1, 1] = 2 / ortho_width * larger / width, 2 / ortho_width * larger / height
             projection[2, 2:], projection[3, 3] = (2 / (start - end), (start + end) / (start - end)), 1.0
         return cls(matrix, projection, resolution, kind, clip)
+
+
+def _check_resolution(resolution: tuple[float, float]) -> None:
+    if not all(0 < pixels <= MAX_PIXELS for pixels in resolution):
+        raise TerrainError(f"The resolution is {resolution}; expected 1 to {MAX_PIXELS:,} pixels each way.")

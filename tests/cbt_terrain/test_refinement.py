@@ -175,3 +175,24 @@ def test_what_resampling_moved_is_part_of_the_bound():
     # less than resampling has moved cannot be had, and is not tried at any price
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=0.5 * field.resample_max))
     assert field.resample_max < update.bound_m <= 1.125 * field.resample_max and update.limited == "resampling"
+
+
+def test_extreme_requests_are_the_finest_and_the_coarsest_mesh():
+    field = rough(9, 9)
+    view = View.look((0, -100, 50), (0, 0, 0))
+    finest = Terrain(field, 1).update(Criterion(error_px=1e-12, max_depth=9), [view]).triangles
+    for tiny in (1e-300, 1e-45, 1e-38):
+        update = Terrain(field, 1).update(Criterion(error_px=tiny, max_depth=9), [view])
+        assert update.triangles == finest and update.limited == "max_depth"
+        budget = Terrain(field, 1).update(Criterion(error_px=tiny, max_triangles=200), [view])
+        assert 100 < budget.triangles <= 200 and budget.limited == "max_triangles"
+        assert Terrain(field, 1).update(Criterion(error_px=0, error_m=tiny, max_depth=9)).triangles > 100
+    for criterion in (Criterion(error_px=1e300), Criterion(error_px=0, edge_px=1e300, off_screen_factor=1e300)):
+        assert Terrain(field, 1).update(criterion, [view]).triangles == 2
+
+
+def test_axes_in_one_plane_are_refused():
+    flat = np.eye(4)
+    flat[:3, 2] = flat[:3, 0] * (1 + 1e-16)
+    with pytest.raises(TerrainError, match="scale|axes"):
+        Terrain(rough(9, 9), 1).update(Criterion(), [View.look((0, -100, 50), (0, 0, 0))], flat)

@@ -60,5 +60,13 @@ def test_what_cannot_be_a_view_is_refused():
         View(good.world_to_camera, good.projection, (0, 10))
     with pytest.raises(TerrainError, match="radians"):
         View(good.world_to_camera, None, (10, 10), PANORAMIC)
+    for resolution in ((10**400, 5), (float("nan"), 5)):
+        with pytest.raises(TerrainError, match="resolution"):
+            View.look((0, 0, 1), (1, 0, 0), resolution=resolution)
+    for fov in (0.0, 180.0, 274.0, -10.0, 1e-300):
+        with pytest.raises(TerrainError, match="field of view"):
+            View.look((0, 0, 1), (1, 0, 0), fov_deg=fov)
+    with pytest.raises(TerrainError, match="clip range"):
+        View.look((0, 0, 1), (1, 0, 0), clip=(5, 5))
     with pytest.raises(TerrainError, match="different points"):
         View.look((0, 0, 0), (0, 0, 0))

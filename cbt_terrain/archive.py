@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .errors import TerrainError
+
 # The earliest date that a zip can hold: the file says nothing of when it was written.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 
@@ -53,11 +55,32 @@ def write_npz(path: Path, surface, origin, info: dict) -> None:
 
 
 def read_npz(path: Path) -> dict:
-    """The entries of a file that `write_npz` wrote, with `info` as a dict."""
-    with np.load(path, allow_pickle=False) as archive:
-        entries = dict(archive)
-    entries["info"] = json.loads(str(entries["info"]))
-    return entries
+    """The entries of a file that `write_npz` wrote, with `info` as a dict. Raises TerrainError for any other file."""
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():  # to read a pipe would wait for ever
+            raise ValueError("it is not a regular file")
+        with zipfile.ZipFile(path) as archive:
+            entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
+        if "info" not in entries:
+            raise ValueError("it has no entry 'info'")
+        info = json.loads(str(entries["info"]))
+        if not isinstance(info, dict):
+            raise ValueError("its entry 'info' is no JSON object")
+    except OSError as reason:
+        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:200]}..."
+        raise TerrainError(
+            f"{shown} cannot be read ({reason.strerror or reason}): expected an exported .npz."
+        ) from reason
+    except Exception as reason:  # whatever the parsers of a damaged file raise
+        said = " ".join(str(reason).split()).rstrip(".") or type(reason).__name__
+        raise TerrainError(f"{path} is no .npz that was exported here ({said}): export it again.") from reason
+    return entries | {"info": info}
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    with archive.open(name) as entry:
+        return np.lib.format.read_array(entry, allow_pickle=False)
 
 
 def _npy(array: np.ndarray) -> bytes:

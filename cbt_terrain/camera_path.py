@@ -10,10 +10,12 @@
 `fov` is degrees across the larger side of the picture, or `lens` millimetres before a `sensor` of 36 millimetres.
 Between keyframes every number follows a cubic Hermite curve with finite-difference tangents (Catmull-Rom on uneven
 frames), in float64: the flight passes through its keyframes with continuous speed. Outside, the end keyframe holds.
+The field of view is interpolated as the logarithm of its half's tangent, so that no curve leaves 0 .. 180 degrees.
 """
 
 import json
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,11 +26,13 @@ from .view import View
 
 TOP_KEYS = {"fov", "lens", "sensor", "clip", "keyframes"}
 KEY_KEYS = {"frame", "eye", "target", "fov", "lens"}
+# Degrees; beyond, a picture's scale loses its digits.
+SMALLEST_FOV, LARGEST_FOV = 1e-6, 180.0 - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """Keyframes: `frames` float64 [K], rising; `values` float64 [K, 7] (eye, target, field of view in degrees)."""
+    """Keyframes: `frames` float64 [K], rising; `values` float64 [K, 7]: eye, target, log(tan(field of view / 2))."""
 
     frames: np.ndarray
     values: np.ndarray
@@ -36,8 +40,18 @@ class CameraPath:
 
     def view(self, frame: float, resolution: tuple[int, int]) -> View:
         """The view at a frame, for a picture of `resolution` pixels."""
-        values = hermite(self.frames, self.values, frame)
-        return View.look(values[:3], values[3:6], fov_deg=float(values[6]), resolution=resolution, clip=self.clip)
+        with np.errstate(all="ignore"):  # what comes out is checked
+            values = hermite(self.frames, self.values, frame)
+            away = np.linalg.norm(values[:3] - values[3:6])
+        if not np.isfinite([*values, away]).all() or away == 0.0:
+            raise TerrainError(
+                f"The camera path has no place and direction at frame {frame:g}; expected keyframes whose frames, eyes "
+                "and targets are neither too near each other nor too far apart."
+            )
+        # A curve may swing beyond its keyframes, so far that the tangent itself is out of reach.
+        fov = math.degrees(2 * math.atan(math.exp(min(max(float(values[6]), -50.0), 50.0))))
+        fov = min(max(fov, SMALLEST_FOV), LARGEST_FOV)
+        return View.look(values[:3], values[3:6], fov_deg=fov, resolution=resolution, clip=self.clip)
 
 
 def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
@@ -60,14 +74,15 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
 def read_camera_path(path: Path) -> CameraPath:
     """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
         raise TerrainError(
             f"The camera path {path} cannot be read ({error}); expected a JSON file of keyframes."
         ) from None
     if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
         raise TerrainError(f'The camera path {path} has no keyframes; expected {{"keyframes": [{{"frame": 1, ...}}]}}.')
     _only(path, "the file", data, TOP_KEYS)
+    clip = _clip(path, data)
     sensor = _number(path, "the file", data, "sensor", 36.0)
     frames, values = [], []
     for number, key in enumerate(data["keyframes"], 1):
@@ -83,13 +98,23 @@ def read_camera_path(path: Path) -> CameraPath:
             raise TerrainError(
                 f"In the camera path {path}, {where} has its eye at its target; expected different points."
             )
-        values.append([*eye, *target, _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)])
+        fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
+        values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in zip(frames, frames[1:], strict=False)):
         raise TerrainError(
             f"In the camera path {path} the frames are {frames}; expected each larger than the one before."
         )
-    clip = tuple(_numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2))
     return CameraPath(np.array(frames), np.array(values), clip)
+
+
+def _clip(path, data: dict) -> tuple[float, float]:
+    """Where the view starts and ends, metres; a start beyond the end is allowed, it hides nothing."""
+    start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
+    if start == end or not math.isfinite(2 * start * end / (start - end)):
+        raise TerrainError(
+            f"In the camera path {path}, the file has clip {[start, end]!r}; expected two different distances (m)."
+        )
+    return start, end
 
 
 def _fov(path, where: str, data: dict, sensor: float) -> float:
@@ -99,9 +124,10 @@ def _fov(path, where: str, data: dict, sensor: float) -> float:
         fov = math.degrees(2 * math.atan2(sensor / 2, lens))
     else:
         fov = _number(path, where, data, "fov", 50.0)
-    if not 0 < fov < 180:
+    if not SMALLEST_FOV <= fov <= LARGEST_FOV:
         raise TerrainError(
-            f"In the camera path {path}, {where} has a field of view of {fov:g} degrees; expected 0 to 180."
+            f"In the camera path {path}, {where} has a field of view of {fov:g} degrees; expected between "
+            f"{SMALLEST_FOV:g} and {LARGEST_FOV:.9g}."
         )
     return fov
 
@@ -120,7 +146,7 @@ def _number(path, where: str, data: dict, name: str, default: float | None = Non
 def _numbers(path, where: str, data: dict, name: str, count: int) -> list[float]:
     value = data.get(name)
     good = isinstance(value, list) and len(value) == count
-    if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
+    if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         shown = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
         raise TerrainError(f"In the camera path {path}, {where} has {name} {shown!r}; expected {expected}.")

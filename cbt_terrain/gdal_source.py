@@ -30,7 +30,7 @@ UNITS_IN_METRES = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot
 def open_raster(path: Path, settings: ImportSettings) -> Raster:
     """Open a raster file. Raises TerrainError if GDAL cannot."""
     import rasterio
-    from rasterio.enums import MaskFlags
+    from rasterio.enums import ColorInterp, MaskFlags
     from rasterio.errors import RasterioError
     from rasterio.windows import Window
 
@@ -74,6 +74,8 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
     notes = []
     if dataset.count > 1 and dataset.driver == "PNG":
         notes.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
+    if dataset.colorinterp[band - 1] == ColorInterp.palette:
+        notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
     if stored.itemsize == 1:
         notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
     unit = (dataset.units[band - 1] or "").strip().lower()

@@ -9,6 +9,8 @@ from .errors import TerrainError
 
 # Semi-major axis in metres and inverse flattening.
 WGS84 = (6378137.0, 298.257223563)
+# Metres; a surface's coordinates are float32, which holds a terrain between these with all its digits.
+SMALLEST_EXTENT, LARGEST_EXTENT = 1e-30, 1e30
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)')
 
 

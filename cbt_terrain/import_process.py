@@ -56,6 +56,7 @@ class ImportJob:
     def __init__(self, settings: ImportSettings, store: str | os.PathLike):
         from .importing import source_digest
 
+        stores.check_target(store)
         self._settings, self._store = settings, Path(store)
         self._progress, self._cancelled, self._lines = Progress(), False, []
         self._process = None

@@ -20,7 +20,7 @@ import numpy as np
 
 from . import heightfield, resample, store
 from .errors import TerrainError
-from .georeference import Georeference
+from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from .import_process import ImportCancelled, ImportJob, Progress, import_source
 from .sources import ISLAND, ImportSettings, Raster, check_file, open_source
 
@@ -54,6 +54,7 @@ def run_import(
     folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError.
     """
     started = time.monotonic()
+    store.check_target(path)
     raster = open_source(settings)
     path = Path(path)
     draft = None
@@ -134,6 +135,12 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
     """The raster's georeference, or 1 m a sample, with the distances of the extent if one is given."""
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
     if settings.extent is None:
+        extent = place.step_x * max(raster.width - 1, 1), place.step_y * max(raster.height - 1, 1)
+        if not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in extent):
+            raise TerrainError(
+                f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference: expected lengths "
+                f"between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; give the extent in metres."
+            )
         return place
     step_x, step_y = settings.extent[0] / max(raster.width - 1, 1), settings.extent[1] / max(raster.height - 1, 1)
     return dataclasses.replace(place, step_x=step_x, step_y=step_y)

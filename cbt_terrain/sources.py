@@ -11,7 +11,7 @@ import numpy as np
 
 from . import island
 from .errors import TerrainError
-from .georeference import Georeference
+from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 
 ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
@@ -46,8 +46,11 @@ class ImportSettings:
 
     def check(self) -> None:
         """Raise TerrainError for settings that cannot mean anything."""
-        if self.extent is not None and not all(math.isfinite(e) and e > 0.0 for e in self.extent):
-            raise TerrainError(f"The extent {tuple(self.extent)} m cannot be used: expected positive lengths.")
+        if self.extent is not None and not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in self.extent):
+            raise TerrainError(
+                f"The extent {tuple(self.extent)} m cannot be used: expected positive lengths, between "
+                f"{SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m."
+            )
         if not (math.isfinite(self.height_scale) and math.isfinite(self.height_offset)) or self.height_scale == 0.0:
             raise TerrainError(
                 f"Height scale {self.height_scale} and offset {self.height_offset} m cannot be used: expected finite "
@@ -111,8 +114,15 @@ def open_source(settings: ImportSettings) -> Raster:
 
 def check_file(path: Path) -> None:
     """Raise TerrainError if there is no readable, non-empty file."""
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
+    try:
+        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
+        regular = path.is_file()
+    except OSError as reason:
+        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:200]}..."
+        raise TerrainError(
+            f"{shown} cannot be read ({reason.strerror or reason}): expected the file of a height map."
+        ) from reason
+    if not regular:
         raise TerrainError(f"{path} {what}: expected the file of a height map.")
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user: change its permissions.")

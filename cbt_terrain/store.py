@@ -13,6 +13,7 @@ while another process has the old arrays mapped. So there is either the old stor
 
 import json
 import os
+import re
 import shutil
 import time
 import uuid
@@ -23,27 +24,35 @@ import numpy as np
 from .errors import TerrainError
 from .heightfield import HeightField
 from .lattice import Lattice
+from .store_entries import check_entries, is_data_name
 
 VERSION = 1
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 # A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
 STALE_SECONDS = 86_400.0
+# All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
+_OWN_FILE = re.compile(r"(samples|raster|error|ranges|error_m\d+)\.npy|error_m\d+\.[0-9a-f]{32}\.part|store\.json")
 
 _NUMBERS = ("range_base", "range_step", "min_height", "max_height", "resample_max", "resample_rms", "filled")
 
 
 def read_json(path: Path) -> dict:
-    """The content of a store's JSON file."""
+    """The content of a store's JSON file, checked entry by entry."""
+    file = path / JSON_NAME
     try:
-        content = json.loads((path / JSON_NAME).read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        if file.exists() and not file.is_file():  # to read a pipe would wait for ever
+            raise OSError("it is not a regular file")
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
         raise TerrainError(f"There is no terrain store at {path}: import a height map into it first.") from None
-    except (OSError, ValueError) as reason:
-        raise TerrainError(f"The store {path / JSON_NAME} cannot be read ({reason}): import it again.") from reason
+    except (OSError, ValueError, RecursionError) as reason:
+        said = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"The store {file} cannot be read ({said}): import it again.") from reason
     if not isinstance(content, dict) or content.get("version") != VERSION:
         found = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
+    check_entries(file, content)
     return content
 
 
@@ -62,36 +71,70 @@ def open_store(path: str | os.PathLike) -> HeightField:
 
 def _open(path: Path) -> HeightField:
     content = read_json(path)
-    try:
-        lattice = Lattice(**content["lattice"])
-        folder = path / content["data"]
-        return HeightField(
-            samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
-            lattice=lattice,
-            error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
-            ranges=_map(folder / "ranges.npy", (lattice.node_offset(lattice.cell_depth), 2), np.uint16),
-            **{name: content[name] for name in _NUMBERS},
-            key=content["key"],
-            origin=np.array(content["origin"], np.float64),
-            crs=content["crs"],
-            provenance=content["provenance"],
-            path=path,
-        )
-    except (KeyError, TypeError) as reason:
-        raise TerrainError(f"The store {path / JSON_NAME} is damaged ({reason!r}): import it again.") from reason
+    lattice = Lattice(**content["lattice"])
+    folder = path / content["data"]
+    return HeightField(
+        samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
+        lattice=lattice,
+        error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
+        ranges=_map(folder / "ranges.npy", (lattice.node_offset(lattice.cell_depth), 2), np.uint16),
+        **{name: content[name] for name in _NUMBERS},
+        key=content["key"],
+        origin=np.array(content["origin"], np.float64),
+        crs=content["crs"],
+        provenance=content["provenance"],
+        path=path,
+    )
 
 
 def _map(file: Path, shape: tuple, dtype) -> np.ndarray:
     """Map a .npy file copy-on-write: kernels take it as an ordinary array, and nothing can change the file."""
     try:
         array = np.load(file, mmap_mode="c", allow_pickle=False) if np.prod(shape) else np.load(file)
-    except (ValueError, EOFError) as reason:
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, EOFError) as reason:
         raise TerrainError(f"{file} is damaged ({reason}): import the terrain again.") from reason
     if array.shape != shape or array.dtype != dtype:
         raise TerrainError(
             f"{file} holds {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}: import the terrain again."
         )
     return array.view(np.ndarray)
+
+
+def check_target(path: str | os.PathLike) -> None:
+    """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store."""
+    folder = Path(path)
+    if not os.fspath(path) or not folder.parts or "\0" in os.fspath(path):
+        raise TerrainError(
+            f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
+        )
+    try:
+        if not os.path.lexists(folder) or (folder / JSON_NAME).exists():
+            folder.exists()  # says here what is wrong with the name
+            return
+        if not folder.is_dir():
+            raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
+        foreign = sorted(entry.name for entry in folder.iterdir() if not _is_own(entry))
+    except OSError as reason:
+        shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
+        raise TerrainError(
+            f"The store {shown} cannot be used ({reason.strerror or reason}): choose another folder."
+        ) from reason
+    if foreign:
+        raise TerrainError(
+            f"The folder {folder} is no terrain store and holds {foreign[0]!r}: choose a new or an empty folder."
+        )
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
+    if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
+        return False
+    try:
+        return all(_OWN_FILE.fullmatch(file.name) and not file.is_dir() for file in folder.iterdir())
+    except FileNotFoundError:
+        return True  # another import has just removed it
 
 
 def data_folder(field: HeightField) -> Path | None:
@@ -198,9 +241,10 @@ def discard(path: Path, folder: str, new_store: bool) -> None:
 
 
 def _named_folder(path: Path) -> Path | None:
+    file = path / JSON_NAME
     try:
-        return path / json.loads((path / JSON_NAME).read_text(encoding="utf-8"))["data"]
-    except (OSError, ValueError, KeyError, TypeError):
+        return path / json.loads(file.read_text(encoding="utf-8"))["data"] if file.is_file() else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
@@ -208,7 +252,8 @@ def _discard_old(path: Path, previous: Path | None, current: Path) -> None:
     for folder in path.glob(f"{DATA_PREFIX}*"):
         try:
             stale = time.time() - folder.stat().st_mtime > STALE_SECONDS
+            old = folder != current and (folder == previous or stale) and _is_own(folder)
         except OSError:
             continue
-        if folder != current and (folder == previous or stale):
+        if old:
             shutil.rmtree(folder, ignore_errors=True)

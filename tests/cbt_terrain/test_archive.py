@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The .npz of a surface: the same bytes at any time, and never a half-written file."""
 
+import os
 import time
 import zipfile
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.archive import read_npz, write_npz, written_beside
 from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 
@@ -60,3 +62,48 @@ def test_the_temporary_name_keeps_the_suffix(tmp_path):
         partial.write_text("x")
         assert not (tmp_path / "mesh.ply").exists()
     assert (tmp_path / "mesh.ply").read_text() == "x"
+
+
+def npz_of(path, how, surface):
+    if how == "truncated":
+        write_npz(path, surface, np.zeros(3), {})
+        os.truncate(path, path.stat().st_size // 2)
+    elif how == "npy":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+    elif how == "pipe":
+        os.mkfifo(path)
+    elif how == "flipped":
+        write_npz(path, surface, np.zeros(3), {})
+        content = bytearray(path.read_bytes())
+        content[300] ^= 255
+        path.write_bytes(content)
+    elif how in ("empty", "text"):
+        path.write_text("" if how == "empty" else "hello")
+    elif how != "missing":
+        info = {"no info": None, "bad JSON": "{", "no object": "5", "objects": np.array([{}], object)}[how]
+        np.savez(path, **({"positions": np.zeros(3)} if info is None else {"info": np.array(info)}))
+
+
+HOWS = [
+    "empty",
+    "text",
+    "truncated",
+    "flipped",
+    "npy",
+    "pipe",
+    "missing",
+    "no info",
+    "bad JSON",
+    "no object",
+    "objects",
+]
+
+
+@pytest.mark.parametrize("how", HOWS)
+def test_what_is_no_export_is_one_sentence(surface, tmp_path, how):
+    path = tmp_path / "a.npz"
+    npz_of(path, how, surface)
+    with pytest.raises(TerrainError, match="a.npz (is no .npz|cannot be read)") as caught:
+        read_npz(path)
+    assert "\n" not in str(caught.value)

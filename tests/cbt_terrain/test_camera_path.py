@@ -84,12 +84,54 @@ def test_speed_is_continuous_and_straight_lines_stay_straight():
         ({"keyframes": [KEYS[0]], "fov": float("nan")}, "has fov nan; expected a number"),
         ({"keyframes": [{**KEYS[0], "roll": 3}]}, "keyframe 1 has 'roll'; expected eye, fov, frame, lens, target"),
         ({"keyframes": [KEYS[0]], "clip": [1]}, "has clip [1]; expected 2 numbers"),
+        ({"keyframes": [KEYS[0]], "clip": [5, 5]}, "has clip [5.0, 5.0]; expected two different distances"),
+        ({"keyframes": [KEYS[0]], "clip": [1e200, 2e200]}, "expected two different distances"),
+        ({"keyframes": [KEYS[0]], "fov": True}, "has fov True; expected a number"),
+        (
+            {"keyframes": [KEYS[0]], "fov": 1e-7},
+            "field of view of 1e-07 degrees; expected between 1e-06 and 179.999999",
+        ),
+        ({"keyframes": [{**KEYS[0], "frame": 10**400}]}, "expected a number"),
+        ("[" * 100_000, "cannot be read"),
     ],
 )
 def test_what_is_refused(tmp_path, data, message):
     with pytest.raises(TerrainError) as caught:
         path_of(tmp_path, data)
     assert message in str(caught.value) and "flight.json" in str(caught.value)
+
+
+def test_the_field_of_view_stays_valid_between_extreme_keyframes(tmp_path):
+    fovs = [179, 1, 1e-6, 179.9999, 179.9999, 50]
+    keys = [{**KEYS[0], "frame": i**2, "fov": fov} for i, fov in enumerate(fovs)]
+    path = path_of(tmp_path, {"keyframes": keys})
+    for frame in np.linspace(0, 25, 501):
+        view = path.view(frame, (100, 50))
+        assert np.isfinite(view.projection).all() and view.projection[0, 0] > 0
+
+
+def test_a_byte_order_mark_and_a_clip_backwards_are_read(tmp_path):
+    path = path_of(tmp_path, "\ufeff" + json.dumps({"keyframes": KEYS[:1], "clip": [10, 1]}))
+    assert path.clip == (10, 1)
+
+
+FAR = [{**KEYS[0], "frame": -1e308}, {**KEYS[1], "frame": 1e308}]
+MEETING = [{"frame": 0, "eye": [0, 0, 0], "target": [2, 0, 0]}, {"frame": 2, "eye": [2, 0, 0], "target": [0, 0, 0]}]
+
+
+@pytest.mark.parametrize(
+    ("keys", "frame"),
+    [
+        ([{**KEYS[0], "frame": 0}, {**KEYS[1], "frame": 1e-320}], 0),
+        (FAR, 1),
+        ([KEYS[0], {**KEYS[1], "target": [1e300, 0, 0]}], 5),
+        (MEETING, 1),
+    ],
+)
+def test_a_frame_without_a_place_is_named(tmp_path, keys, frame):
+    path = path_of(tmp_path, {"keyframes": keys})
+    with pytest.raises(TerrainError, match=f"no place and direction at frame {frame};"):
+        path.view(frame, (10, 10))
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -3,6 +3,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -227,6 +228,33 @@ def test_colour_and_8_bit_pictures_are_warned_about(tmp_path):
     assert len(warnings) == 2 and "3 channels" in warnings[0] and "256 steps" in warnings[1]
 
 
+def test_palette_numbers_are_warned_about(tmp_path):
+    import rasterio
+
+    for name, driver in (("a.tif", "GTiff"), ("a.png", "PNG")):
+        with rasterio.open(tmp_path / name, "w", driver=driver, width=8, height=8, count=1, dtype="uint8") as file:
+            file.write(np.arange(64, dtype=np.uint8).reshape(1, 8, 8))
+            file.write_colormap(1, {i: (i, 255 - i, 0, 255) for i in range(256)})
+        assert "colours in a palette, not heights" in imported(tmp_path, tmp_path / name)[1]["warnings"][0]
+
+
+def test_a_georeference_that_coordinates_cannot_hold_is_refused(tmp_path):
+    source = write_raster(
+        tmp_path / "a.tif", heights_16_bit(), crs="EPSG:32616", transform=from_origin(0.0, 0.0, 1e40, 1.0)
+    )
+    with pytest.raises(TerrainError, match="a.tif is .* large by its georeference"):
+        imported(tmp_path, source)
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.tif")
+    for source in (tmp_path / "pipe.tif", "/dev/null"):
+        with pytest.raises(TerrainError, match="is not a regular file"):
+            open_source(ImportSettings(source=str(source)))
+    with pytest.raises(TerrainError, match="cannot be read .File name too long"):
+        open_source(ImportSettings(source=f"{'x' * 300}.tif"))
+
+
 def test_blocks_of_rows_make_no_difference(tmp_path, monkeypatch):
     from adaptive_terrain.cbt_terrain import importing
 
@@ -240,6 +268,9 @@ def test_blocks_of_rows_make_no_difference(tmp_path, monkeypatch):
 BAD_SETTINGS = [
     ({"extent": (0.0, 10.0)}, "extent"),
     ({"extent": (math.inf, 10.0)}, "extent"),
+    ({"extent": (1e-31, 10.0)}, "extent .* between 1e-30 and 1e\\+30 m"),
+    ({"extent": (10.0, 1e31)}, "extent"),
+    ({"extent": (10.0, 10**400)}, "extent"),
     ({"height_scale": 0.0}, "scale"),
     ({"height_offset": math.nan}, "offset"),
     ({"raw_dtype": "complex64"}, "choose one of uint8"),

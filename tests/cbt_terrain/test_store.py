@@ -2,6 +2,7 @@
 """Stores: written atomically, opened by mapping, damaged ones refused."""
 
 import json
+import math
 import os
 import time
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import store
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, describe, run_import
+from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings, describe, run_import
 
 
 @pytest.fixture
@@ -17,6 +18,17 @@ def island(tmp_path):
     path = tmp_path / "store"
     run_import(ImportSettings(source="island", size=129), path)
     return path
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A store for tests that put it back as it was."""
+    path = tmp_path_factory.mktemp("tiny") / "store"
+    run_import(ImportSettings(source="island", size=129), path)
+    return path
+
+
+DELETED = object()
 
 
 def folders(path):
@@ -63,12 +75,33 @@ def test_a_new_version_replaces_the_old_one_while_it_is_in_use(island):
 
 
 def test_leftovers_of_dead_imports_go_after_a_day(island):
-    fresh, stale = island / "data-fresh", island / "data-stale"
-    for folder in (fresh, stale):
+    fresh, stale, users, named = (island / f"data-{name}" for name in ("0" * 32, "1" * 32, "2" * 32, "2023"))
+    for folder in (fresh, stale, users, named):
         folder.mkdir()
-    os.utime(stale, (time.time() - 2 * store.STALE_SECONDS,) * 2)
+        (folder / "error_m1.npy").touch()
+    (users / "photo.jpg").touch()
+    for folder in (stale, users, named):
+        os.utime(folder, (time.time() - 2 * store.STALE_SECONDS,) * 2)
     run_import(ImportSettings(source="island", size=65), island)
     assert fresh.exists() and not stale.exists()
+    assert (users / "photo.jpg").exists() and named.exists()  # the user's own
+
+
+@pytest.mark.parametrize("target", ["", ".", "photos", "file", "x" * 300, "a\0b"])
+def test_a_store_is_only_written_into_a_folder_of_its_own(tmp_path, monkeypatch, target):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "photos" / "data-2023").mkdir(parents=True)
+    (tmp_path / "file").touch()
+    for start in (run_import, ImportJob):
+        with pytest.raises(TerrainError, match="choose|expected the name"):
+            start(ImportSettings(source="island", size=65), target)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["data-2023", "file", "photos"]
+
+
+def test_an_empty_folder_and_leftovers_of_an_import_become_a_store(tmp_path):
+    (tmp_path / f"data-{'0' * 32}").mkdir()
+    run_import(ImportSettings(source="island", size=65), tmp_path)
+    assert store.open_store(tmp_path).samples.shape == (65, 65)
 
 
 def test_a_store_replaced_while_it_is_opened_is_opened_again(island, monkeypatch):
@@ -77,7 +110,7 @@ def test_a_store_replaced_while_it_is_opened_is_opened_again(island, monkeypatch
     def outdated_once(path):
         content = real(path)
         calls.append(1)
-        return content | {"data": "data-gone"} if len(calls) == 1 else content
+        return content | {"data": f"data-{'0' * 32}"} if len(calls) == 1 else content
 
     monkeypatch.setattr(store, "read_json", outdated_once)
     assert store.open_store(island).samples.shape == (129, 129)
@@ -97,6 +130,9 @@ def damage(path, how):
         (path / "store.json").write_text(json.dumps(content))
     elif how == "array missing":
         (data / "error.npy").unlink()
+    elif how == "array a folder":
+        (data / "error.npy").unlink()
+        (data / "error.npy").mkdir()
     elif how == "array truncated":
         os.truncate(data / "error.npy", 1000)
     elif how == "array of another shape":
@@ -109,6 +145,7 @@ DAMAGES = {
     "other version": "version 99, expected 1",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
+    "array a folder": "error.npy is damaged",
     "array truncated": "error.npy is damaged",
     "array of another shape": r"\(5, 5\), expected float32 \(129, 129\)",
 }
@@ -121,6 +158,53 @@ def test_a_damaged_store_is_a_clear_error(island, how):
         store.open_store(island)
     run_import(ImportSettings(source="island", size=129), island)  # and importing again mends it
     assert store.open_store(island).samples.shape == (129, 129)
+
+
+LATTICE = {"columns": 1, "rows": 1, "levels": 7, "step_x": 64.0, "step_y": 64.0}
+BAD_ENTRIES = [
+    *(("lattice", LATTICE | {"levels": levels}) for levels in (-3, 1_000_000, 7.0, True, "7", None)),
+    *(("lattice", LATTICE | {"step_x": step}) for step in (0, -1.0, math.nan, math.inf, 1e300, 10**400, "1", None)),
+    *(("lattice", LATTICE | {name: value}) for name in ("columns", "rows") for value in (0, -1, 2**40, 1.5)),
+    *(("lattice", value) for value in ([], 5, LATTICE | {"more": 1}, {"columns": 1})),
+    *(("origin", value) for value in ("abc", None, [1, 2], [1, 2, math.nan], [1, 2, "3"], [1, 2, 10**400], 5)),
+    *((name, value) for name in ("min_height", "range_base") for value in (math.nan, "1", None, True, [1])),
+    *(("max_height", value) for value in (math.inf, -1e9)),
+    *((name, value) for name in ("resample_max", "resample_rms", "range_step") for value in (-1, math.nan, "1")),
+    *(("filled", value) for value in (-1, 0.5, "0")),
+    *((name, value) for name in ("key", "crs", "digest") for value in (5, None, [])),
+    *(("report", value) for value in (5, None, [], DELETED)),
+    *(("provenance", value) for value in (None, 5, {"settings": None}, {"settings": {"source": 5}}, DELETED)),
+    *(("data", value) for value in ("", "..", "data-", "/tmp", 5, None, "data-" + "0" * 31 + "/")),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD_ENTRIES)
+def test_every_entry_is_checked(tiny, name, value):
+    content = json.loads((tiny / "store.json").read_text())
+    changed = content | {name: value}
+    if value is DELETED:
+        del changed[name]
+    (tiny / "store.json").write_text(json.dumps(changed))
+    for opened in (store.open_store, describe):
+        with pytest.raises(TerrainError, match="store.json is damaged") as caught:
+            opened(tiny)
+        assert ("min_height" if name == "max_height" else name) in str(caught.value) or "max_height" in str(
+            caught.value
+        )
+    (tiny / "store.json").write_text(json.dumps(content))
+
+
+def test_a_nested_json_and_a_pipe_are_no_store(tiny):
+    kept = (tiny / "store.json").read_text()
+    (tiny / "store.json").write_text("[" * 100_000)
+    with pytest.raises(TerrainError, match="cannot be read"):
+        store.open_store(tiny)
+    (tiny / "store.json").unlink()
+    os.mkfifo(tiny / "store.json")
+    with pytest.raises(TerrainError, match="not a regular file"):
+        store.open_store(tiny)
+    (tiny / "store.json").unlink()
+    (tiny / "store.json").write_text(kept)
 
 
 def test_describe_names_units_and_is_plain_data(island):

@@ -30,7 +30,14 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         settings.use_extent, settings.extent = True, (self.size, self.size)
         settings.height_scale = self.size / SIDE  # the island keeps its shape
         # With a window the import runs beside it and the mesh appears when it is done; without, now.
-        bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        try:
+            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        except RuntimeError as error:  # what the nested operator reports as an error
+            mesh = obj.data
+            bpy.data.objects.remove(obj)
+            bpy.data.meshes.remove(mesh)
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+            return {"CANCELLED"}
         return {"FINISHED"}
 
 

@@ -39,6 +39,11 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
         raise TerrainError(
             f"The scene {scene.name!r} has no camera to refine for; add a camera, or choose one on the terrain's panel."
         )
+    if camera.type != "CAMERA":
+        raise TerrainError(
+            f"The object {camera.name!r}, which the scene {scene.name!r} is seen through, is not a camera but of type "
+            f"{camera.type}; choose a camera for the scene, or on the terrain's panel."
+        )
     resolution = resolution or render_resolution(scene)
     evaluated = camera.evaluated_get(depsgraph)
     if not scene.render.use_multiview:
@@ -94,8 +99,9 @@ def view_from_region(space, region, region_3d) -> View:
     """What one 3D viewport shows now, camera view and its zoom included."""
     kind = PERSPECTIVE if region_3d.is_perspective else ORTHOGRAPHIC
     projection = np.array(region_3d.window_matrix, np.float64)
-    if region_3d.view_perspective == "CAMERA" and space.camera is not None:
-        clip = _clip(space.camera.data)
+    seen_through = space.camera if region_3d.view_perspective == "CAMERA" else None
+    if seen_through is not None and seen_through.type == "CAMERA":  # Blender also looks through lights and empties
+        clip = _clip(seen_through.data)
     elif kind == PERSPECTIVE:
         clip = _clip(space)
     else:

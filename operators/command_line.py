@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: `adaptive-terrain VERB`, and the same as `blender --command adaptive_terrain VERB`.
 
-Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage. bpy is imported only by what needs it.
+Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage. bpy is imported only by what needs it;
+the engine, whose import takes a moment, only where an interruption is told in one line.
 """
 
 import argparse
@@ -10,14 +11,13 @@ import time
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.importing import ImportSettings, describe, import_source
-from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
-from ..cbt_terrain.sources import RAW_TYPES, open_source
+from .argument_types import MAX_INT, argument, count, pair, path, positive
 from .console import Progress, duration
-from .exporting import FORMATS, export_frames, needs_blender, parse_formats, parse_frames
 
 PROGRAM = "adaptive-terrain"
 DEFAULT_RESOLUTION = (1920, 1080)
+MAX_PIXELS = 65_536  # a side, as in Blender
+MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
 
 
 class UsageError(Exception):
@@ -26,13 +26,11 @@ class UsageError(Exception):
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code."""
-    parser = build_parser()
     try:
-        arguments = parser.parse_args(argv)
+        arguments = build_parser().parse_args(argv)
+        arguments.run(arguments)
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
-    try:
-        arguments.run(arguments)
     except UsageError as error:
         print(f"{PROGRAM} {arguments.verb}: {error}", file=sys.stderr)
         return 2
@@ -46,6 +44,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ..cbt_terrain.sources import RAW_TYPES
+    from .exporting import FORMATS, parse_formats, parse_frames
+
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="A terrain of any size at exactly the detail that the camera can see."
     )
@@ -53,9 +55,12 @@ def build_parser() -> argparse.ArgumentParser:
 
     verb = _verb(verbs, "import", "turn a height map into a store", run_import)
     verb.add_argument("source", help="height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or `island`")
-    verb.add_argument("--store", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
-        "--extent", type=_pair("x", float), metavar="XxY", help="metres east and north, instead of the file's"
+        "--extent",
+        type=pair("x", float, float("inf")),
+        metavar="XxY",
+        help="metres east and north, instead of the file's",
     )
     verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
     verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
@@ -63,7 +68,9 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
-    verb.add_argument("--raw-size", type=_pair("x", int), metavar="WxH", help="samples of a RAW file (a square)")
+    verb.add_argument(
+        "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"
+    )
     verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
     verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
     verb.add_argument(
@@ -72,31 +79,34 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--seed", type=int, default=DEFAULT_SEED, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
 
     verb = _verb(verbs, "info", "say what a store, a height map or an exported .npz holds", run_info)
-    verb.add_argument("path", type=Path)
+    verb.add_argument("path", type=path)
 
     verb = _verb(verbs, "bake", "write one static mesh with a given largest vertical error", run_bake)
-    verb.add_argument("--store", type=Path, required=True, metavar="DIR")
-    verb.add_argument("--max-error", type=_positive, required=True, metavar="METRES", help="largest vertical error")
-    verb.add_argument("--out", type=Path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
-    verb.add_argument("--budget", type=int, metavar="N", help="triangles at most; the error reached is reported")
+    verb.add_argument("--store", type=path, required=True, metavar="DIR")
+    metres = positive(MAX_ERROR_M)
+    verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
+    verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
+    verb.add_argument("--budget", type=count, metavar="N", help="triangles at most; the error reached is reported")
 
     verb = _verb(verbs, "export", "write the terrain's mesh for each frame", run_export)
     source = verb.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=Path, metavar="X.blend", help="the terrains and the camera of a .blend file")
-    source.add_argument("--store", type=Path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
-    verb.add_argument("--frames", type=_argument(parse_frames), required=True, metavar="A-B[:S]")
-    verb.add_argument("--format", type=_argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
-    verb.add_argument("--out", type=Path, required=True, metavar="DIR")
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
+    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar="A-B[:S]")
+    verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
+    verb.add_argument("--out", type=path, required=True, metavar="DIR")
     verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
-    verb.add_argument("--path", type=Path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
-    verb.add_argument("--resolution", type=_pair("x", int), metavar="WxH", help="pixels (the scene's, or 1920x1080)")
-    verb.add_argument("--pixel-error", type=_positive, metavar="PX", help="screen error (the scene's, or 1)")
-    verb.add_argument("--budget", type=int, metavar="N", help="triangles at most")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    size = pair("x", int, MAX_PIXELS)
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    pixels = positive(MAX_ERROR_PX)
+    verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
+    verb.add_argument("--budget", type=count, metavar="N", help="triangles at most")
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
     verb = _verb(verbs, "demo", "the built-in island: 24 frames, pictures and a page", run_demo)
-    verb.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
+    verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
     return parser
 
 
@@ -108,6 +118,8 @@ def _verb(verbs, name: str, summary: str, run) -> argparse.ArgumentParser:
 
 
 def run_import(arguments) -> None:
+    from ..cbt_terrain.importing import ImportSettings, import_source
+
     settings = ImportSettings(
         source=arguments.source,
         raw_size=arguments.raw_size,
@@ -139,11 +151,15 @@ def run_info(arguments) -> None:
 
         print_fields(read_npz(arguments.path)["info"])
         return
+    from ..cbt_terrain.importing import describe
+
     print_fields(describe(arguments.path) if arguments.path.is_dir() else describe_source(arguments.path))
 
 
 def describe_source(path: Path) -> dict:
     """What a height map's header says."""
+    from ..cbt_terrain.sources import ImportSettings, open_source
+
     bpy = sys.modules.get("bpy")
     if path.suffix.lower() == ".exr" and bpy is not None and not bpy.app.module:
         # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
@@ -161,18 +177,21 @@ def describe_source(path: Path) -> dict:
 
 
 def run_bake(arguments) -> None:
+    from .exporting import FORMATS, check_target, figures, needs_blender, write_piece
+    from .frame_sources import baked_piece
+
     form = arguments.out.suffix[1:].lower()
     if form not in FORMATS:
         raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
-    from .exporting import figures, write_piece
-    from .frame_sources import baked_piece
-
+    check_target(arguments.out)
     piece = baked_piece(arguments.store, arguments.max_error, arguments.budget, needs_blender([form]))
     write_piece(piece, arguments.out)
     print(summary_line(arguments.out.name, [figures(piece)]))
 
 
 def run_export(arguments) -> None:
+    from .exporting import export_frames
+
     source = _export_source(arguments)
     bar = Progress(len(arguments.frames), "export", arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
@@ -192,6 +211,7 @@ def run_export(arguments) -> None:
 
 def _export_source(arguments):
     from ..cbt_terrain.criterion import Criterion
+    from .exporting import needs_blender
     from .frame_sources import SceneFrames, StoreFrames
 
     if arguments.scene:
@@ -227,6 +247,8 @@ def run_demo(arguments) -> None:
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
     """`frame 12: 184,302 triangles, bound 0.98 px, 31 ms`; of several terrains the sum and the largest bound."""
     parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {bound_text(terrains)}"]
+    if empty := [t["name"] for t in terrains if not t["triangles"]]:
+        parts.append(f"the clean-up leaves nothing of {' and '.join(empty)}")
     if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
         parts.append(f"limited by {' and '.join(name.replace('_', ' ') for name in limited)}")
     parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
@@ -254,38 +276,6 @@ def print_fields(fields: dict, indent: str = "") -> None:
             print(f"{indent}{name}: {', '.join(str(part) for part in value)}")
         elif value != "" and value is not None:
             print(f"{indent}{name}: {value}")
-
-
-def _argument(parse):
-    """Let argparse show what a parser's ValueError says."""
-
-    def checked(text: str):
-        try:
-            return parse(text)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-
-    return checked
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not more than 0")
-    return value
-
-
-def _pair(separator: str, kind):
-    def pair(text: str):
-        try:
-            first, second = (kind(part) for part in text.lower().split(separator))
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers with {separator!r} between") from None
-        if not (first > 0 and second > 0):
-            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers above 0")
-        return first, second
-
-    return pair
 
 
 if __name__ == "__main__":

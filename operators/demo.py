@@ -12,7 +12,7 @@ from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.importing import ImportSettings, import_source
 from .console import Progress
 from .demo_page import write_page
-from .exporting import export_frames
+from .exporting import export_frames, make_folder
 from .frame_sources import StoreFrames, need_bpy
 
 SIZE = 4097
@@ -41,7 +41,7 @@ FLIGHT = {
 def run(out: Path, show_progress: bool | None = None) -> None:
     """Import the island, export a flight of 24 frames, render pictures and write `index.html`, all into `out`."""
     need_bpy("The demo")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     steps: dict[str, float] = {}
     bar = Progress(sum(WEIGHT.values()) + WEIGHT["picture"] * (len(PICTURE_FRAMES) - 1), "demo", show_progress)
 

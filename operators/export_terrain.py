@@ -8,6 +8,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..cbt_terrain.errors import TerrainError
 from . import session
+from .request import RENDER
 
 
 class ExportTerrain(bpy.types.Operator, ExportHelper):
@@ -25,21 +26,38 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
         return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
 
     def execute(self, context):
-        from .exporting import FORMATS, write_piece
-        from .frame_sources import scene_piece
-
-        obj, path = context.object, Path(self.filepath)
         try:
-            if path.suffix[1:].lower() not in FORMATS:
-                raise TerrainError(f"The file {path.name!r} has no known suffix; expected one of {', '.join(FORMATS)}.")
-            piece = scene_piece(obj, context.evaluated_depsgraph_get(), context.scene.frame_current)
-            write_piece(piece, path)
-            self.report({"INFO"}, f"{path.name}: {piece.update.triangles:,} triangles")
-            session.update_object(obj)  # the viewport gets its own detail back
-        except TerrainError as error:
+            self._write(context, Path(self.filepath))
+        except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        finally:
+            self._restore_viewport(context.object)
         return {"FINISHED"}
+
+    def _write(self, context, path: Path):
+        from .exporting import FORMATS, check_target, figures, write_piece
+        from .frame_sources import scene_piece
+
+        if path.suffix[1:].lower() not in FORMATS:
+            raise TerrainError(f"The file {path.name!r} has no known suffix; expected one of {', '.join(FORMATS)}.")
+        check_target(path)
+        piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
+        write_piece(piece, path)
+        triangles = figures(piece)["triangles"]
+        if triangles:
+            self.report({"INFO"}, f"{path.name}: {triangles:,} triangles")
+        else:
+            self.report({"WARNING"}, f"{path.name}: the clean-up leaves nothing of the terrain; check its settings")
+
+    def _restore_viewport(self, obj):
+        """The viewport gets its own detail back, also when the export failed."""
+        if session.record_of(obj).status.mode != RENDER:
+            return
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
 
 
 def register() -> None:

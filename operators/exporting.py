@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
 
+import ctypes
 import hashlib
 import json
+import os
 import re
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
@@ -16,6 +19,9 @@ from .frame_sources import Piece
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 MAX_FRAMES = 1_000_000
+MAX_FRAME = 1_048_574  # what Blender holds
+# A partial file of a process that runs may be work in progress, also on another machine; after a day it is not.
+STALE_SECONDS = 86_400.0
 
 
 def parse_frames(text: str) -> range:
@@ -28,6 +34,8 @@ def parse_frames(text: str) -> range:
     step = int(match[3] or 1)
     if last < first or step < 1 or (last - first) // step >= MAX_FRAMES:
         raise ValueError(f"frames {text!r} go backwards, stand still or are more than {MAX_FRAMES:,}")
+    if max(abs(first), abs(last)) > MAX_FRAME:
+        raise ValueError(f"frames {text!r} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
     return range(first, last + 1, step)
 
 
@@ -56,23 +64,88 @@ def export_frames(
     """Write every frame of `source` (a StoreFrames or SceneFrames) into the folder `out`.
 
     A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and the digest of the
-    settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are.
+    settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are. Several
+    processes may write into one folder at once.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     settings = hashlib.blake2b(json.dumps(source.settings, sort_keys=True).encode(), digest_size=12).hexdigest()
     for frame in frames:
         summary_path = out / f"frame_{frame:04d}.json"
-        summary = _complete(summary_path, settings, formats) if resume else None
+        complete = _complete(summary_path, settings, formats)
+        summary = complete if resume else None
         if summary is None:
-            summary_path.unlink(missing_ok=True)
-            for interrupted in out.glob(f".partial-*_{frame:04d}.*"):
-                interrupted.unlink()
+            if complete is None:  # else it says of the files to come what it says of those that stand
+                summary_path.unlink(missing_ok=True)
+            _remove_interrupted(out, frame)
             summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
-            with written_beside(summary_path) as partial:
+            with _written(summary_path), written_beside(summary_path) as partial:
                 partial.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
             on_frame(frame, summary, False)
         else:
             on_frame(frame, summary, True)
+
+
+def make_folder(path: Path) -> None:
+    """The folder and those above it, as far as they are missing; raises TerrainError where that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise TerrainError(f"{path} is, or is inside, a file; expected a folder: choose another place.") from None
+    except OSError as error:
+        raise TerrainError(f"The folder {path} cannot be made ({error.strerror}); choose another place.") from None
+
+
+def check_target(path: Path) -> None:
+    """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
+    if not path.parent.is_dir():
+        raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
+    if path.is_dir():
+        raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
+
+
+@contextmanager
+def _written(path: Path):
+    """Failures to write `path` become one sentence that names it, whatever writes it."""
+    check_target(path)
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+    except RuntimeError as error:  # what Blender's exporters report; of a traceback, the last line
+        reason = (str(error).strip().splitlines() or ["no reason given"])[-1].removeprefix("Error: ")
+    else:
+        return
+    reason = str(reason).replace(f".partial-{os.getpid()}-", "")  # the user knows the file by its final name
+    raise TerrainError(f"{path} cannot be written ({reason}); check the disk, or choose another place.")
+
+
+def _remove_interrupted(out: Path, frame: int) -> None:
+    """Delete what killed exports have left of a frame; the files of processes that still write stay."""
+    for partial in out.glob(f".partial-*_{frame:04d}.*"):
+        owner = re.match(r"\.partial-(\d+)-", partial.name)
+        try:
+            stale = time.time() - partial.stat().st_mtime > STALE_SECONDS
+            # This process writes nothing now: what bears its number is of another, earlier one.
+            if stale or owner is None or int(owner[1]) == os.getpid() or not _is_running(int(owner[1])):
+                partial.unlink(missing_ok=True)
+        except OSError:
+            continue  # its writer has just renamed it, or holds it open
+
+
+def _is_running(pid: int) -> bool:
+    """Whether this machine has a process of this number."""
+    if sys.platform == "win32":  # where os.kill ends it
+        handle = ctypes.windll.kernel32.OpenProcess(0x1000, False, pid)  # PROCESS_QUERY_LIMITED_INFORMATION
+        if handle:
+            ctypes.windll.kernel32.CloseHandle(handle)
+        return bool(handle)
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
@@ -124,11 +197,23 @@ def write_piece(piece: Piece, path: Path) -> None:
     """Write one terrain to `path`; the suffix is the format."""
     form = path.suffix[1:].lower()
     if form == "npz":
-        write_npz(path, piece.surface, piece.origin, piece.info)
+        with _written(path):
+            write_npz(path, piece.surface, piece.origin, piece.info)
     elif form == "blend":
         write_blend(path)
     else:
         _write_with_blender(piece.obj, path, form)
+
+
+@contextmanager
+def _written_by_blender(path: Path):
+    """As `written_beside`; what Blender could not even begin is found out first, as its exporters print tracebacks."""
+    with written_beside(path) as partial:
+        partial.touch()
+        partial.unlink()
+        yield partial
+        if not partial.exists():
+            raise RuntimeError("Blender wrote nothing")
 
 
 def write_blend(path: Path) -> None:
@@ -136,7 +221,7 @@ def write_blend(path: Path) -> None:
     import bpy
 
     path = path.resolve()
-    with written_beside(path) as partial, quiet():
+    with _written(path), _written_by_blender(path) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
 
 
@@ -144,7 +229,7 @@ def _write_with_blender(obj, path: Path, form: str) -> None:
     """One object through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z."""
     import bpy
 
-    with written_beside(path) as partial, _only_selected(obj), quiet():
+    with _written(path), _written_by_blender(path) as partial, _only_selected(obj), quiet():
         name = str(partial.resolve())
         if form == "ply":
             bpy.ops.wm.ply_export(filepath=name, export_selected_objects=True, export_normals=True, export_uv=True)

@@ -47,7 +47,7 @@ class StoreFrames:
         self.terrain = Terrain(self.field)
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
-            "store": self.field.key,
+            "store": field_identity(self.field),
             "path": file_digest(path),
             "resolution": list(resolution),
             "criterion": asdict(criterion),
@@ -98,6 +98,7 @@ class SceneFrames:
             raise TerrainError(
                 f"The scene {self.scene.name!r} in {blend} has no adaptive terrain; add one and save it."
             )
+        _need_distinct_names(self.objects)
         self.camera = None
         if camera is not None:
             self.camera = self.scene.objects.get(camera)
@@ -108,8 +109,10 @@ class SceneFrames:
             _override(obj.adaptive_terrain.render, pixel_error, budget, meshlet)
         asked = {"camera": camera, "resolution": resolution, "pixel": pixel_error, "budget": budget, "meshlet": meshlet}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
-        fields = {name: session.open_field(bpy.path.abspath(store)).key for name, store in stores.items() if store}
-        self.settings = {"scene": file_digest(blend), "height_fields": fields, **asked}
+        fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
+        # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
+        linked = {library.filepath: _linked_digest(library) for library in bpy.data.libraries}
+        self.settings = {"scene": file_digest(blend), "libraries": linked, "height_fields": fields, **asked}
 
     def pieces(self, frame: int) -> Iterator[Piece]:
         """Every terrain of the scene at `frame`; its mesh is written first."""
@@ -124,8 +127,6 @@ class SceneFrames:
 
 def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[int, int] | None = None) -> Piece:
     """The terrain `obj` at the render's detail, its mesh written; `camera`, `resolution` replace the scene's."""
-    import bpy
-
     from . import session
     from .request import RENDER, gather
 
@@ -134,7 +135,7 @@ def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[in
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement) | {"frame": frame}
     surface = _surface_of(obj.data) if request.cleanup.active else update.surface
-    return Piece(bpy.path.clean_name(obj.name), surface, field.origin, update, info, obj)
+    return Piece(file_name(obj), surface, field.origin, update, info, obj)
 
 
 def baked_piece(store: Path, max_error_m: float, budget: int | None, in_blender: bool) -> Piece:
@@ -238,6 +239,40 @@ def new_object(name: str):
 def file_digest(path: Path) -> str:
     """Content of a file as a short hexadecimal text."""
     return hashlib.blake2b(Path(path).read_bytes(), digest_size=12).hexdigest()
+
+
+def field_identity(field) -> list:
+    """What an export takes from a height field; the key covers heights and spacing."""
+    return [field.key, field.origin.tolist(), field.crs]
+
+
+def file_name(obj) -> str:
+    """The object's name, without what a file name cannot hold."""
+    import bpy
+
+    return bpy.path.clean_name(obj.name)
+
+
+def _need_distinct_names(objects) -> None:
+    """Some file systems take upper and lower case for the same."""
+    seen = {}
+    for obj in objects:
+        other = seen.setdefault(file_name(obj).casefold(), obj)
+        if other != obj:
+            raise TerrainError(
+                f"The terrains {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
+                "rename one of them."
+            )
+
+
+def _linked_digest(library) -> str:
+    """Content of a linked library's file; empty where the file is missing."""
+    import bpy
+
+    try:
+        return file_digest(bpy.path.abspath(library.filepath))
+    except OSError:
+        return ""
 
 
 def _override(detail, pixel_error: float | None, budget: int | None, meshlet: int | None) -> None:

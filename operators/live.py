@@ -83,8 +83,10 @@ def _next_job() -> Job | None:
             continue
         try:
             request = gather(obj, depsgraph, VIEWPORT)
-        except TerrainError as error:
+        except Exception as error:
             _report(record, error)
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
             continue
         if request.key() != record.live_key:
             record.live_key = request.key()

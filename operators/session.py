@@ -60,8 +60,11 @@ _fields: dict[tuple[str, int], object] = {}
 
 
 def is_terrain(obj) -> bool:
-    """Whether the object is a terrain whose mesh may be written: neither it nor its mesh is linked from a library."""
-    return obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None and obj.data.library is None
+    """Whether the object is a terrain whose mesh may be written: neither it nor its mesh is linked from a library, or
+    overrides something linked (Cycles crashes on an overridden mesh that is written)."""
+    if obj.type != "MESH" or not obj.adaptive_terrain.enabled:
+        return False
+    return all(block.library is None and block.override_library is None for block in (obj, obj.data))
 
 
 def all_terrains() -> list:
@@ -163,8 +166,9 @@ def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
 
 
 def _own_mesh(obj) -> None:
-    """A linked duplicate of a terrain gets a mesh of its own: another place is another refinement."""
-    if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in all_terrains()):
+    """A terrain that shares its mesh gets one of its own: another place is another refinement, and the mesh of an
+    object that is no terrain is not ours to write."""
+    if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects):
         obj.data = obj.data.copy()
 
 

@@ -134,6 +134,16 @@ def test_case_32_no_camera_in_the_scene(scene, terrain):
     assert_refused_and_kept(terrain, "No camera is chosen")
 
 
+@pytest.mark.parametrize("kind", ["EMPTY", "LIGHT", "MESH"])
+def test_case_32_the_scenes_camera_is_none(scene, terrain, kind):
+    data = {"LIGHT": bpy.data.lights.new("Sun", "SUN"), "MESH": bpy.data.meshes.new("Cube")}.get(kind)
+    scene.camera = bpy.data.objects.new("Eye", data)
+    scene.collection.objects.link(scene.camera)
+    assert_refused_and_kept(terrain, f"'Eye'.*is not a camera but of type {kind}")
+    scene.render.use_multiview = True
+    assert_refused_and_kept(terrain, "is not a camera")
+
+
 @pytest.mark.parametrize("scale", [(-1, 1, 1), (1, 1, -1), (3.0, 0.25, 2.0), (-2.0, -0.5, 1.0)])
 def test_case_33_mirrored_and_stretched_terrain_has_normals_that_point_up(scene, terrain, scale):
     terrain.scale = scale

@@ -67,7 +67,7 @@ def final_meshes(out):
     return {path.name: path.read_bytes() for path in paths}
 
 
-def test_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
+def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
     out = tmp_path / "out"
     child = subprocess.run([sys.executable, "-c", SUICIDE, *arguments, "--out", str(out)], capture_output=True)
     assert child.returncode == -signal.SIGKILL
@@ -80,7 +80,7 @@ def test_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsy
     assert not list(out.glob(".partial-*"))
 
 
-def test_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
+def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
     """Killed again and again as soon as one more frame stands, at varied moments after it."""
     out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments]
     for round_ in range(3):
@@ -98,3 +98,22 @@ def test_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
     assert final_meshes(out) == undisturbed
     assert not list(out.glob(".partial-*"))
+
+
+def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    dead, alive, old = (out / f".partial-{pid}-terrain_0001.npz" for pid in (gone.pid, os.getppid(), "1"))
+    for partial in (dead, alive, old):
+        partial.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    assert command_line.main([*arguments, "--out", str(out)]) == 0
+    assert (dead.exists(), alive.exists(), old.exists()) == (False, True, False)
+    alive.unlink()
+    command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments, "--out", str(out)]
+    both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
+    assert [(child.communicate()[1], child.returncode) for child in both] == [(b"", 0)] * 2
+    assert final_meshes(out) == undisturbed
+    assert len(list(out.glob("frame_*.json"))) == FRAMES and not list(out.glob(".partial-*"))

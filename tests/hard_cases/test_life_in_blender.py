@@ -153,6 +153,28 @@ def test_case_47_append_and_link(scene, add_terrain, tmp_path):
         assert (len(terrain.data.polygons) > 0) is not link, "linked objects are left alone"
 
 
+def test_case_47_library_override_is_left_alone(scene, add_terrain, tmp_path):
+    session.update_object(add_terrain())
+    path = str(tmp_path / "library.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_there, here):
+        here.objects = ["Terrain", "Camera"]
+    terrain, camera = here.objects
+    mesh = terrain.data
+    bpy.context.scene.collection.objects.link(camera)
+    override = terrain.override_create(remap_local_usages=True)
+    bpy.context.scene.collection.objects.link(override)
+    assert override.library is None and not session.is_terrain(override)
+    override.data = mesh.override_create()
+    assert override.data.library is None and not session.is_terrain(override)
+    bpy.context.scene.camera = camera
+    before = digest(override)
+    override.adaptive_terrain.viewport.error_px = 9.0
+    bpy.context.scene.frame_set(2)
+    assert digest(override) == before
+
+
 def test_case_47_duplicate_and_delete(flight, add_terrain):
     terrain = add_terrain()
     flight.frame_set(2)

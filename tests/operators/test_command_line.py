@@ -304,3 +304,14 @@ def test_no_bar_where_no_terminal_is(capsys):
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "0 s"), (59, "59 s"), (125, "2:05 min"), (3725, "1:02 h")])
 def test_durations(seconds, text):
     assert duration(seconds) == text
+
+
+def test_a_file_where_a_folder_is_expected(export, tmp_path, capsys):
+    (tmp_path / "out").write_text("something")
+    code, said, _ = export("--frames", "1", "--format", "npz")
+    assert code == 1 and "expected a folder" in said.err and len(said.err.splitlines()) == 1
+    code, said, _ = export("--frames", "1", "--format", "npz", out="out/below")
+    assert code == 1 and "expected a folder" in said.err
+    pytest.importorskip("bpy")
+    assert command_line.main(["demo", "--out", str(tmp_path / "out")]) == 1
+    assert "expected a folder" in capsys.readouterr().err

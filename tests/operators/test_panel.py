@@ -90,3 +90,37 @@ def test_lock_interface_button(scene):
     scene.render.use_lock_interface = False
     bpy.ops.adaptive_terrain.lock_interface()
     assert scene.render.use_lock_interface is True
+
+
+def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_terrain, tmp_path, monkeypatch):
+    from adaptive_terrain.operators import exporting
+
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 8.0
+    viewport = session.update_object(terrain).triangles
+    with pytest.raises(RuntimeError, match="There is no folder"):
+        bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "missing" / "terrain.ply"))
+
+    def fail(piece, path):
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(exporting, "write_piece", fail)
+    with pytest.raises(RuntimeError, match="the disk is full") as failure:
+        bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "terrain.ply"))
+    assert "Traceback" not in str(failure.value)
+    assert len(terrain.data.polygons) == viewport
+
+
+def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
+    from adaptive_terrain.cbt_terrain.errors import TerrainError
+    from adaptive_terrain.operators import import_terrain
+
+    def fail(obj):
+        raise TerrainError("The disk is full.")
+
+    monkeypatch.setattr(import_terrain, "import_now", fail)
+    before = len(bpy.data.objects), len(bpy.data.meshes)
+    with pytest.raises(RuntimeError, match="The disk is full") as failure:
+        bpy.ops.mesh.adaptive_terrain_add()
+    assert "Traceback" not in str(failure.value)
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == before

@@ -105,6 +105,16 @@ def test_a_linked_duplicate_gets_a_mesh_of_its_own(scene, add_terrain):
     assert len(other.data.polygons) < len(terrain.data.polygons)
 
 
+def test_an_ordinary_object_keeps_the_mesh_that_it_shares(scene, add_terrain):
+    terrain = add_terrain()
+    shared = terrain.data
+    other = bpy.data.objects.new("Other", shared)
+    scene.collection.objects.link(other)
+    session.update_object(terrain)
+    assert other.data == shared != terrain.data
+    assert len(shared.polygons) == 0 < len(terrain.data.polygons)
+
+
 def test_clean_up_follows_the_settings(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the command line takes as an argument: each of these gives argparse a value or the reason why not."""
+
+import argparse
+import math
+from pathlib import Path
+
+MAX_INT = 2**31 - 1
+
+
+def argument(parse):
+    """Let argparse show what a parser's ValueError says."""
+
+    def checked(text: str):
+        try:
+            return parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return checked
+
+
+def positive(most: float):
+    """A number above 0, at most `most`."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f"{text} is not more than 0")
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{text} is more than {most:g}")
+        return value
+
+    return number
+
+
+def count(text: str) -> int:
+    """A number of things that Blender can hold."""
+    value = int(text)
+    if not 0 <= value <= MAX_INT:
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 and {MAX_INT:,}")
+    return value
+
+
+def path(text: str) -> Path:
+    """A path; an empty text would be the current folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("the name is empty")
+    return Path(text)
+
+
+def pair(separator: str, kind, most: float):
+    """Two finite numbers of `kind` above 0, at most `most`, with `separator` between."""
+
+    def checked(text: str):
+        try:
+            first, second = (kind(part) for part in text.lower().split(separator))
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers with {separator!r} between") from None
+        if not (first > 0 and second > 0):
+            raise argparse.ArgumentTypeError(f"{text!r} is not two numbers above 0")
+        if max(first, second) > most or math.inf in (first, second):
+            raise argparse.ArgumentTypeError(f"{text!r} has a number above {most:g}")
+        return first, second
+
+    return checked

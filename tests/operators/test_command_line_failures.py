@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line on bad input and in bad circumstances: one clear sentence, and nothing half-done."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from adaptive_terrain.operators import command_line
+
+BAKE = ["bake", "--store", "x", "--out", "a.npz"]
+EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ([*BAKE, "--max-error", "nan"], "nan is not more than 0"),
+        ([*BAKE, "--max-error", "inf"], "inf is more than 1e+09"),
+        ([*BAKE, "--max-error", "1", "--budget", "-1"], "-1 is not within 0"),
+        ([*EXPORT, "--frames", "1", "--pixel-error", "0"], "0 is not more than 0"),
+        ([*EXPORT, "--frames", "1", "--pixel-error", "nan"], "nan is not more than 0"),
+        ([*EXPORT, "--frames", "1", "--pixel-error", "2e6"], "2e6 is more than 1e+06"),
+        ([*EXPORT, "--frames", "1", "--budget", "99999999999"], "99999999999 is not within 0"),
+        ([*EXPORT, "--frames", "1", "--meshlet", "5"], "invalid choice: 5"),
+        ([*EXPORT, "--frames", "1", "--resolution", "65537x1"], "'65537x1' has a number above 65536"),
+        ([*EXPORT, "--frames", "1", "--resolution", "0x10"], "'0x10' is not two numbers above 0"),
+        ([*EXPORT, "--frames", "1048575"], "not within"),
+        ([*EXPORT, "--frames", "-1048575-1:1000"], "not within"),
+        ([*EXPORT, "--frames", "9" * 5000], "frames"),
+        (["import", "island", "--store", ""], "the name is empty"),
+        (["import", "island", "--store", "x", "--extent", "infx1"], "has a number above"),
+    ],
+)
+def test_numbers_out_of_range_are_wrong_usage(argv, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if "--frames" in argv:  # a value that starts with a minus sign needs the equals sign
+        at = argv.index("--frames")
+        argv = [*argv[:at], f"--frames={argv[at + 1]}", *argv[at + 2 :]]
+    assert command_line.main(argv) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_engine_is_imported_where_an_interruption_is_caught():
+    script = "import sys, adaptive_terrain.operators.command_line; sys.exit('warp' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 0
+
+
+def test_an_interruption_is_one_line(monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line, "build_parser", interrupted)
+    assert command_line.main(["info", "x"]) == 1
+    assert capsys.readouterr().err == "adaptive-terrain: stopped\n"
+
+
+@pytest.mark.parametrize("form", ["npz", "ply", "obj", "glb", "stl", "blend"])
+def test_what_cannot_be_written_is_one_sentence(store, tmp_path, capfd, form):
+    if form != "npz":
+        pytest.importorskip("bpy")
+    long_name = "n" * 245 + f".{form}"  # fits, but with nothing before it
+    for out, message in (
+        (tmp_path / "missing" / f"a.{form}", "There is no folder"),
+        (tmp_path / long_name, f"{form} cannot be written"),
+    ):
+        assert command_line.main(["bake", "--store", store, "--max-error", "9", "--out", str(out)]) == 1
+        said = capfd.readouterr().err.splitlines()
+        assert message in said[-1] and ".partial" not in said[-1] and "Traceback" not in "".join(said), said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_terrains_of_one_file_name_are_refused(scene, add_terrain, tmp_path, capsys):
+    import bpy
+
+    add_terrain("A/B")
+    add_terrain("a_b")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    out = tmp_path / "out"
+    argv = ["export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz", "--out", out]
+    assert command_line.main([str(argument) for argument in argv]) == 1
+    said = capsys.readouterr().err
+    assert "'A/B'" in said and "'a_b'" in said and "rename" in said
+    assert not out.exists()
+
+
+def test_resume_sees_a_new_height_map_and_a_changed_library(scene, add_terrain, tmp_path, capsys):
+    import bpy
+
+    def rebuild(path, height):
+        samples = np.full((9, 9), height, np.float32)
+        samples[4, 4] += 5
+        np.save(tmp_path / "map.npy", samples)
+        assert command_line.main(["import", str(tmp_path / "map.npy"), "--store", str(path)]) == 0
+
+    rebuild(tmp_path / "map.store", 1.0)
+    add_terrain().adaptive_terrain.store = str(tmp_path / "map.store")
+    library = tmp_path / "library.blend"
+    rig = bpy.data.objects.new("Rig", None)
+    bpy.data.libraries.write(str(library), {rig})
+    bpy.data.objects.remove(rig)
+    with bpy.data.libraries.load(str(library), link=True) as (_there, here):
+        here.objects = ["Rig"]
+    scene.collection.objects.link(here.objects[0])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    argv = ["export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz", "--resume"]
+
+    def complete():
+        capsys.readouterr()
+        assert command_line.main([str(argument) for argument in [*argv, "--out", tmp_path / "out"]]) == 0
+        return "complete before" in capsys.readouterr().out
+
+    assert [complete(), complete()] == [False, True]
+    rebuild(tmp_path / "map.store", 2.0)
+    assert [complete(), complete()] == [False, True]
+    moved = bpy.data.objects.new("Rig", None)
+    moved.location.x = 5.0
+    moved.name = "Rig"
+    bpy.data.libraries.write(str(library), {moved})
+    assert [complete(), complete()] == [False, True]
+
+
+def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, capsys):
+    import bpy
+
+    cleanup = add_terrain("Hills").adaptive_terrain.cleanup
+    cleanup.use_below, cleanup.below = True, 1e5
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    argv = ["export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz,ply,stl,glb,obj"]
+    code = command_line.main([str(argument) for argument in [*argv, "--out", tmp_path / "out"]])
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert "frame 1: 0 triangles" in said.out and "leaves nothing of Hills" in said.out

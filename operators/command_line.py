@@ -6,6 +6,7 @@ the engine, whose import takes a moment, only where an interruption is told in o
 """
 
 import argparse
+import os
 import sys
 import time
 from pathlib import Path
@@ -153,7 +154,7 @@ def run_info(arguments) -> None:
         return
     from ..cbt_terrain.importing import describe
 
-    print_fields(describe(arguments.path) if arguments.path.is_dir() else describe_source(arguments.path))
+    print_fields(describe(arguments.path) if os.path.isdir(arguments.path) else describe_source(arguments.path))
 
 
 def describe_source(path: Path) -> dict:
@@ -161,7 +162,7 @@ def describe_source(path: Path) -> dict:
     from ..cbt_terrain.sources import ImportSettings, open_source
 
     bpy = sys.modules.get("bpy")
-    if path.suffix.lower() == ".exr" and bpy is not None and not bpy.app.module:
+    if path.suffix.lower() == ".exr" and bpy is not None and bpy.app.binary_path:
         # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
         raise TerrainError(f"{path} is an EXR file, which is not opened inside Blender; import it first.")
     raster = open_source(ImportSettings(source=str(path)))

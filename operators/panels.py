@@ -227,13 +227,4 @@ class OutputPanel(_TerrainPanel, bpy.types.Panel):
 
 
 CLASSES = (TerrainPanel, StatisticsPanel, SourcePanel, CameraPanel, ViewportPanel, RenderPanel, MeshPanel, OutputPanel)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -41,13 +41,4 @@ class LockInterface(bpy.types.Operator):
 
 
 CLASSES = (UpdateTerrain, LockInterface)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

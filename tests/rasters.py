@@ -4,6 +4,8 @@
 import warnings
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
+from adaptive_terrain.cbt_terrain.store import open_store
 
 
 def jacksboro():
@@ -39,3 +41,9 @@ def write_exr(path, **channels):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}).write(str(path))
     return path
+
+
+def imported(tmp_path, source, **settings):
+    """The height field and the report of an import in this process, into tmp_path / "store"."""
+    report = run_import(ImportSettings(source=str(source), **settings), tmp_path / "store")
+    return open_store(tmp_path / "store"), report

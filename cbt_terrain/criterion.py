@@ -18,6 +18,8 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # What is asked is kept between these: the finest and the coarsest mesh that there can be.
 SMALLEST, LARGEST = 1e-30, 1e30
+# How many times coarser a terrain may be of which nothing is in view.
+HIDDEN = 1e90
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,11 @@ class Criterion:
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
-def localise(
-    view: View, placement: np.ndarray, steps: tuple[float, float], box: np.ndarray, criterion: Criterion
-) -> LocalView:
+def localise(view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion) -> LocalView:
     """The view from the terrain's own space, as the kernels read it.
 
-    `placement` float64 [4, 4] takes the terrain's space to the world, `steps` are the metres of one lattice unit in x
-    and y, `box` float64 [2, 3] is everything that the terrain may occupy in its own space.
+    `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
+    terrain may occupy in its own space.
     """
     to_camera = view.world_to_camera @ placement
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -89,11 +89,10 @@ def localise(
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
-    east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
     factor = min(criterion.off_screen_factor, LARGEST)
     if factor > 1 and _outside(planes, box):
-        factor = math.inf  # nothing of this terrain is in view: the smallest mesh will do
+        factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
     try:
         eye = -np.linalg.solve(linear, shift)
     except np.linalg.LinAlgError:
@@ -104,14 +103,10 @@ def localise(
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
         "depth": [*-linear[2], -shift[2]],
-        "pixels2": pixels**2,
-        "secant2": secant2,
+        "pixel2": 1 / (pixels**2 * secant2 * stretch[2] ** 2),
         "cosine2": 1 / secant2,
         "near2": near**2,
-        "vertical2": stretch[2] ** 2,
-        "diagonal2": max(np.sum((east + north) ** 2), np.sum((east - north) ** 2)),
-        "axis2": max(np.sum(east**2), np.sum(north**2)),
-        "off_screen2": 1.0 / factor**2,
+        "off_screen2": factor**2,
         "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
     }
     local = LocalView()
@@ -123,6 +118,17 @@ def localise(
             )
         setattr(local, name, value)
     return local
+
+
+def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
+    """Squared diagonal and squared side of a lattice unit, the longer ones, in camera space.
+
+    `steps` are the metres of one lattice unit in x and y. In metres of the terrain's height, as all of `LocalView`.
+    """
+    linear = (view.world_to_camera @ placement)[:3, :3] / np.linalg.norm((view.world_to_camera @ placement)[:3, 2])
+    east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
+    diagonal2 = max(np.sum((east + north) ** 2), np.sum((east - north) ** 2))
+    return float(diagonal2), float(max(np.sum(east**2), np.sum(north**2)))
 
 
 def frustum_planes(view: View, guard_deg: float) -> np.ndarray:

@@ -3,11 +3,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import warp as wp
 
 from ..kernels import refine as kernels
+from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.criterion import Asked, Domain
 from . import launch
 from .buffers import Buffers, shared
@@ -93,6 +95,8 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
+        self._bands = wp.empty(16 * 64, dtype=wp.vec2d, device="cpu")
+        self._depths = wp.empty(16 * 64, dtype=wp.vec4i, device="cpu")
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -118,7 +122,7 @@ class Refinement:
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
         cuts = self._cuts()
         while True:
-            walks = self._walks(cuts, max_depth, max_leaves)
+            walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine")
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
@@ -133,12 +137,12 @@ class Refinement:
         The leaf count falls as the limit rises, so the answer, the lowest fitting step, does not depend on where the
         search starts; it starts at the last answer because cameras move little.
         """
-        walk = self._walks([0, 0], max_depth, max_leaves)[0]
+        walks = self._walks(self._cuts(), max_depth, max_leaves, capacity=0)
 
         def fits(step: int) -> bool:
             asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
-            launch.once(kernels.count, [domain, asked, walk], step="budget")
-            return int(self.buffers.numpy("counts")[0]) <= max_leaves
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget")
+            return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum()) <= max_leaves
 
         self._step = _lowest(fits, self._step)
         asked.limit = 2.0 ** (2 * self._step / STEPS_PER_OCTAVE) if self._step <= MAX_STEP else np.inf
@@ -155,9 +159,10 @@ class Refinement:
         inner = [tree.cell_of_leaf(leaves * i // self.threads) >> 6 << 6 for i in range(1, self.threads)]
         return [0, *sorted(set(inner) - {0}), end]
 
-    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int) -> list[kernels.Walk]:
+    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[kernels.Walk]:
+        """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""
         slices, squares = len(cuts) - 1, self.lattice.squares
-        stride = self._capacity + 2 * squares + 8
+        stride = capacity + 2 * squares + 8
         get = self.buffers.get
         sides = get("sides", slices * 4 * squares, wp.int32)
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
@@ -166,12 +171,14 @@ class Refinement:
             w = kernels.Walk()
             w.first_cell, w.end_cell = cuts[k], cuts[k + 1]
             w.cell_bits, w.max_depth = self._cell_bits, max_depth
-            w.leaf_capacity, w.leaf_limit, w.leaf_base = self._capacity, max_leaves, k * stride
+            w.leaf_capacity, w.leaf_limit, w.leaf_base = capacity, max_leaves, k * stride
             w.slot, w.grid = k, int(squares > 1)
             w.code, w.point = get("code", slices * stride, wp.uint16), get("point", slices * stride, wp.vec2i)
             w.word_index = get("word_index", slices * stride, wp.int64)
             w.word_bits = get("word_bits", slices * stride, wp.uint64)
-            w.stack, w.states = get("walk_stack", slices * 64, wp.vec4i), get("walk_states", slices * 64, wp.int32)
+            w.stack, w.aside = get("walk_stack", slices * 64, wp.vec4i), get("walk_aside", slices * 64, wp.int32)
+            w.bands, w.depths, w.blocks = self._bands, self._depths, _blocks()
+            w.errors = get("walk_errors", slices * 64, wp.float32)
             w.sides = sides[k * 4 * squares : (k + 1) * 4 * squares]
             w.counts, w.bounds = get("counts", slices * 4, wp.int64), get("bounds", slices * 6, wp.float64)
             walks.append(w)
@@ -217,3 +224,35 @@ def _lowest(fits, start: int) -> int:
         if low >= 0 and high <= MAX_STEP:
             step = (low + high) // 2
     return high
+
+
+@cache
+def _blocks() -> Blocks:
+    """What n even bisections make of a triangle in each state of the curve: see kernels/block.py."""
+    # States of the children, off the leftmost spine of the tree (left_state and right_state in kernels/refine.py).
+    left_state, right_state = (2, 3, 0, 1, 2, 2), (4, 5, 5, 5, 0, 1)
+    codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
+
+    def bisect(left, apex, right, state: int, n: int) -> None:
+        if n == 0:
+            codes.append(state)
+            if state % 2 == 0:  # its third edge is new, and so is the end of it
+                legs.append(apex if state == kernels.HYP_LEG else right)
+            return
+        middle = tuple((a + b) // 2 for a, b in zip(left, right, strict=True))
+        bisect(left, middle, apex, left_state[state], n - 1)
+        bisect(apex, middle, right, right_state[state], n - 1)
+
+    for n in range(MAX_BISECTIONS + 1):
+        unit = 1 << ((n + 1) // 2)
+        for state in range(6):
+            first_leaf.append(len(codes))
+            first_vertex.append(len(legs))
+            bisect((unit, 0), (0, 0), (0, unit), state, n)
+            vertices.append(len(legs) - first_vertex[-1])
+    blocks = Blocks()
+    for name, values in (("first_leaf", first_leaf), ("first_vertex", first_vertex), ("vertices", vertices)):
+        setattr(blocks, name, wp.array(np.array(values, np.int32), dtype=wp.int32, device="cpu"))
+    blocks.code = wp.array(np.array(codes, np.uint16), dtype=wp.uint16, device="cpu")
+    blocks.leg = wp.array(np.array(legs, np.int32), dtype=wp.vec2i, device="cpu")
+    return blocks

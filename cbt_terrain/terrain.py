@@ -11,7 +11,7 @@ import warp as wp
 from ..kernels.criterion import Asked, LocalView
 from . import launch
 from .buffers import Buffers
-from .criterion import Criterion, localise
+from .criterion import Criterion, localise, unit_lengths
 from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
@@ -98,7 +98,10 @@ class Terrain:
         domain = make_domain(self.field, criterion.meshlet, vertical_scale, vertical_offset)
         steps = (domain.unit_x, domain.unit_y)
         views = views if criterion.needs_view else ()
-        asked = _pack(criterion, [localise(v, placement, steps, box, criterion) for v in views])
+        asked = _pack(criterion, [localise(v, placement, box, criterion) for v in views])
+        if criterion.edge_px or criterion.area_px:
+            lengths = [unit_lengths(v, placement, steps) for v in views]
+            asked.diagonal2, asked.axis2 = (max(of_one) for of_one in zip(*lengths, strict=True))
         depth = self._max_depth(criterion)
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
@@ -111,14 +114,17 @@ class Terrain:
             self._shape_key = shape
         error_px2, total_px2, edge_px2, area_px2, metres, total_metres = (float(b) for b in leaves.bounds)
         excess = max(
-            error_px2 * asked.error, edge_px2 * asked.edge, area_px2 * asked.area, metres * metres * asked.vertical
+            error_px2 / asked.error_px2,
+            edge_px2 / asked.edge_px2,
+            2 * area_px2 / asked.area_px2,
+            metres * metres / asked.metres2,
         )
         limited = ""
         if relaxed > 1:
             limited = "max_triangles"
         elif excess > 1:
             limited = "max_depth"
-        elif max(total_px2 * asked.error, total_metres**2 * asked.vertical) > 1:
+        elif max(total_px2 / asked.error_px2, total_metres**2 / asked.metres2) > 1:
             limited = "resampling"
         return Update(
             surface,
@@ -166,13 +172,13 @@ def _max_leaves(criterion: Criterion) -> int:
 def _pack(criterion: Criterion, views: list[LocalView]) -> Asked:
     asked = Asked()
 
-    def inverse(value: float) -> float:
-        return 1.0 / value if value > 0 else 0.0
+    def squared(value: float) -> float:
+        return value**2 if value > 0 else math.inf
 
     asked.view_count = len(views)
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
-    asked.error, asked.edge = inverse(criterion.error_px**2), inverse(criterion.edge_px**2)
-    asked.area, asked.vertical = inverse(criterion.area_px), inverse(criterion.error_m**2)
+    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px)
+    asked.area_px2, asked.metres2 = 2 * squared(math.sqrt(criterion.area_px)), squared(criterion.error_m)
     asked.limit = 1.0
     views = views or [LocalView()]
     asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")

@@ -19,21 +19,17 @@ planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
 @wp.struct
 class LocalView:
-    """A view from the terrain's own space."""
+    """A view from the terrain's own space. Lengths of camera space are in metres of the terrain's height."""
 
     kind: wp.int32
     plane_count: wp.int32
     eye: wp.vec3d  # metres
     weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
     depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres
-    pixels2: wp.float64  # squared pixels per unit tangent, per metre or per radian
-    secant2: wp.float64  # squared largest distance over depth inside the frame
-    cosine2: wp.float64  # its inverse
+    pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth, of a panorama at unit distance
+    cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
-    vertical2: wp.float64  # squared metres of camera space per squared metre of height
-    diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
-    axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
-    off_screen2: wp.float64  # what the squared measures of a box outside the frustum are multiplied by
+    off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
     planes: planes_type  # positive towards the frustum
 
 
@@ -64,91 +60,74 @@ class Domain:
 
 @wp.struct
 class Asked:
-    """What is asked, as factors that make every squared measure 1 at the limit; 0 is off."""
+    """What is asked, squared; infinity is off."""
 
     view_count: wp.int32
     measures_edges: wp.int32
-    error: wp.float64
-    edge: wp.float64
-    area: wp.float64
-    vertical: wp.float64
-    limit: wp.float64  # above this a diamond is split: 1, or more to meet a budget
+    error_px2: wp.float64
+    metres2: wp.float64
+    edge_px2: wp.float64
+    area_px2: wp.float64  # twice the area: squared legs of a right triangle
+    limit: wp.float64  # all of these times this: 1, or more to meet a budget
+    diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
+    axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
     view: LocalView  # the first view
     views: wp.array(dtype=LocalView)  # all of them
 
 
 @wp.func
-def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float64:
+def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
+    """wp.min without its care for NaN, which costs four instructions for one; NaN in `a` gives `b`."""
+    return wp.where(a < b, a, b)
+
+
+@wp.func
+def larger(a: wp.float64, b: wp.float64) -> wp.float64:
+    """As `smaller`, of wp.max."""
+    return wp.where(a > b, a, b)
+
+
+@wp.func
+def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
-    e = wp.float64(0.0)
+    e = wp.float32(0.0)
     row = domain.columns << domain.levels
     if i >= 0 and j >= 0 and i < row and j < (domain.rows << domain.levels):
-        e = wp.float64(domain.error[domain.offsets[2 * domain.levels + 1] + wp.int64(j) * wp.int64(row) + wp.int64(i)])
+        e = domain.error[domain.offsets[2 * domain.levels + 1] + wp.int64(j) * wp.int64(row) + wp.int64(i)]
     return e
 
 
 @wp.func
-def node(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Error in metres, heights and half-width (lattice units) of the box of the diamond split at (x, y)."""
+def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
+    """Where the arrays hold the diamond split at (x, y), down to the raster's cells."""
     half = (depth - 1) >> 1
-    odd = depth & 1
-    s = wp.int32(1) << (domain.unit_bits - half - 1)  # half a side of the cell, or half the edge
-    # Offsets to the vertices below add up to 3 s from a cell's centre and 2 s from an edge's middle, in each axis.
-    reach = 2 * s + odd * s
-    error = wp.float64(0.0)
-    low = wp.float64(0.0)
-    high = wp.float64(0.0)
-    if depth <= 2 * domain.levels:
-        index = wp.int64(0)
-        if odd == 1:
-            shift = domain.unit_bits - half
-            index = wp.int64(y >> shift) * wp.int64(domain.columns << half) + wp.int64(x >> shift)
-        else:
-            shift = domain.unit_bits - half - 1
-            index = wp.int64(y >> shift) * wp.int64((domain.columns << half) + 1) + wp.int64(x >> (shift + 1))
-        index += domain.offsets[depth]
-        error = wp.float64(domain.error[index])
-        low = domain.range_base + wp.float64(domain.ranges[index + index]) * domain.range_step
-        high = domain.range_base + wp.float64(domain.ranges[index + index + wp.int64(1)]) * domain.range_step
+    even = 1 - (depth & 1)
+    shift = domain.unit_bits - half - even
+    row = wp.int64(y >> shift) * wp.int64((domain.columns << half) + even)
+    return domain.offsets[depth] + row + wp.int64(x >> (shift + even))
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+    error = wp.float32(0.0)
+    finer = depth - 2 * domain.levels - 1
+    if finer <= 0:
+        error = domain.error[place(domain, x, y, depth)]
     else:
         bits = domain.unit_bits - domain.levels
         i = x >> bits
         j = y >> bits
         error = cell_error(domain, i, j)
-        finer = half - domain.levels
-        if odd == 0:
+        if (depth & 1) == 0:
             # the middle of an edge that two raster cells share
             if (i << bits) == x:
                 error = wp.max(error, cell_error(domain, i - 1, j))
             if (j << bits) == y:
                 error = wp.max(error, cell_error(domain, i, j - 1))
-            finer += 1
         # A bilinear patch halved has a quarter of the twist.
-        error = error / wp.float64(wp.int64(1) << wp.int64(2 * finer))
-        i0 = wp.max((x - reach) >> bits, 0)
-        j0 = wp.max((y - reach) >> bits, 0)
-        ahead = (wp.int32(1) << bits) - 1
-        i1 = wp.min((x + reach + ahead) >> bits, domain.width - 1)
-        j1 = wp.min((y + reach + ahead) >> bits, domain.height - 1)
-        first = domain.samples[wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0)]
-        least = first
-        most = first
-        for b in range(j0, j1 + 1):
-            row = wp.int64(b) * wp.int64(domain.width)
-            for a in range(i0, i1 + 1):
-                h = domain.samples[row + wp.int64(a)]
-                least = wp.min(least, h)
-                most = wp.max(most, h)
-        low = wp.float64(least)
-        high = wp.float64(most)
-    return error, low, high, reach
-
-
-@wp.func
-def excess(asked: Asked, error_px2: wp.float64, edge_px2: wp.float64, area_px2: wp.float64, metres: wp.float64):
-    """The measures over what was asked, squared: criteria combine by max."""
-    r = wp.max(error_px2 * asked.error, metres * metres * asked.vertical)
-    return wp.max(r, wp.max(edge_px2 * asked.edge, area_px2 * asked.area))
+        error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
+    return error
 
 
 @wp.struct
@@ -157,111 +136,183 @@ class Diamond:
 
     low: wp.vec3d  # its box, metres of the terrain's space
     high: wp.vec3d
-    error: wp.float64  # metres, as the criterion weighs it
-    total: wp.float64  # metres, all of it
-    odd: wp.int32  # 1: its longest edge is a cell's diagonal, 0: a side
-    side2: wp.float64  # squared lattice units of that cell's side, or of the edge
     rise: wp.float64  # metres, the most that an edge of it can climb
 
 
 @wp.func
-def measure_in(view: LocalView, asked: Asked, d: Diamond):
-    """Squared pixels of weighed error, of all error and of the longest edge, square pixels of area."""
-    zero = wp.float64(0.0)
-    # Squared distance of camera space from the eye to the box.
-    dx = wp.max(wp.max(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
-    dy = wp.max(wp.max(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
-    dz = wp.max(wp.max(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
-    far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
-    far2 = wp.max(far2, view.near2)
-    # Squared pixels per metre: a segment of length e at depth z and distance d moves by at most f e d / z^2.
-    per2 = view.pixels2
-    if view.kind == PERSPECTIVE:
-        deep = view.depth[3] + wp.min(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
-        deep += wp.min(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
-        deep += wp.min(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
-        deep = wp.max(deep, zero)
-        per2 = per2 * view.secant2 / wp.max(deep * deep, far2 * view.cosine2)
-    elif view.kind == PANORAMIC:
-        per2 = per2 / far2
-    error_px2 = per2 * (view.vertical2 * (d.error * d.error))
-    total_px2 = per2 * (view.vertical2 * (d.total * d.total))
-    edge_px2 = zero
-    area_px2 = zero
-    if asked.measures_edges == 1:
-        long2 = view.diagonal2 * d.side2
-        legs2 = view.axis2 * d.side2
-        if d.odd == 0:
-            long2 = legs2
-            legs2 = view.diagonal2 * d.side2 * wp.float64(0.25)
-        rise2 = view.vertical2 * (d.rise * d.rise)
-        edge_px2 = per2 * (long2 + rise2)
-        area_px2 = per2 * (legs2 + rise2) * wp.float64(0.5)
-    # Outside one of the frustum's planes? It matters only where the diamond would be split.
-    if excess(asked, error_px2, edge_px2, area_px2, zero) > asked.limit:
-        for p in range(view.plane_count):
-            plane = view.planes[p]
-            side = plane[3] + wp.max(plane[0] * d.low[0], plane[0] * d.high[0])
-            side += wp.max(plane[1] * d.low[1], plane[1] * d.high[1])
-            side += wp.max(plane[2] * d.low[2], plane[2] * d.high[2])
-            if side < zero:
-                error_px2 *= view.off_screen2
-                total_px2 *= view.off_screen2
-                edge_px2 *= view.off_screen2
-                area_px2 *= view.off_screen2
-                break
-    return error_px2, total_px2, edge_px2, area_px2
+def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
+    """The box of the diamond split at (x, y)."""
+    half = (depth - 1) >> 1
+    odd = depth & 1
+    s = wp.int32(1) << (domain.unit_bits - half - 1)  # half a side of the cell, or half the edge
+    # Offsets to the vertices below add up to 3 s from a cell's centre and 2 s from an edge's middle, in each axis.
+    reach = 2 * s + odd * s
+    low = wp.float64(0.0)
+    high = wp.float64(0.0)
+    if depth <= 2 * domain.levels:
+        index = wp.int64(2) * place(domain, x, y, depth)
+        low = domain.range_base + wp.float64(domain.ranges[index]) * domain.range_step
+        high = domain.range_base + wp.float64(domain.ranges[index + wp.int64(1)]) * domain.range_step
+    else:
+        bits = domain.unit_bits - domain.levels
+        i0 = wp.max((x - reach) >> bits, 0)
+        j0 = wp.max((y - reach) >> bits, 0)
+        ahead = (wp.int32(1) << bits) - 1
+        i1 = wp.min((x + reach + ahead) >> bits, domain.width - 1)
+        j1 = wp.min((y + reach + ahead) >> bits, domain.height - 1)
+        least = domain.samples[wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0)]
+        most = least
+        for b in range(j0, j1 + 1):
+            row = wp.int64(b) * wp.int64(domain.width)
+            for a in range(i0, i1 + 1):
+                h = domain.samples[row + wp.int64(a)]
+                least = wp.where(h < least, h, least)
+                most = wp.where(h > most, h, most)
+        low = wp.float64(least)
+        high = wp.float64(most)
+    d = Diamond()
+    z0 = low * domain.height_scale + domain.height_offset
+    z1 = high * domain.height_scale + domain.height_offset
+    d.low = wp.vec3d(
+        domain.west + wp.float64(x - reach) * domain.unit_x,
+        domain.south + wp.float64(y - reach) * domain.unit_y,
+        smaller(z0, z1),
+    )
+    d.high = wp.vec3d(
+        domain.west + wp.float64(x + reach) * domain.unit_x,
+        domain.south + wp.float64(y + reach) * domain.unit_y,
+        larger(z0, z1),
+    )
+    d.rise = d.high[2] - d.low[2]
+    if depth > 2 * domain.levels:
+        # Inside a bilinear patch heights change in proportion to |dx| + |dy|.
+        part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
+        d.rise = d.rise * smaller(wp.float64(1 + odd) / part, wp.float64(1.0))
+    return d
 
 
 @wp.func
-def measure(domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """What the views make of the diamond split at (x, y).
+def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
+    """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
+    side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
+    side2 = side * side
+    long2 = asked.diagonal2 * side2
+    legs2 = asked.axis2 * side2
+    if (depth & 1) == 0:
+        long2 = legs2
+        legs2 = asked.diagonal2 * side2 * wp.float64(0.25)
+    return long2, legs2
 
-    Returns squared pixels of weighed error and of all error, squared pixels of the longest edge, square pixels of area,
-    and metres of both errors; each the largest of all views.
+
+@wp.func
+def metres2_of(domain: Domain, error: wp.float32):
+    """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
 
     All error is the diamond's own and what resampling moved. The second part cannot be refined away: where it alone
     comes near what was asked, the weighed error asks for a quarter of that from the first, and no more.
     """
-    error, low, high, reach = node(domain, x, y, depth)
-    scale = wp.abs(domain.height_scale)
-    total = (error + domain.extra_error) * scale
-    weighed = wp.min(total, wp.float64(4.0) * error * scale)
-    error_px2 = wp.float64(0.0)
-    total_px2 = wp.float64(0.0)
-    edge_px2 = wp.float64(0.0)
-    area_px2 = wp.float64(0.0)
+    e = wp.float64(error)
+    total = (e + domain.extra_error) * domain.height_scale
+    own = wp.float64(4.0) * e * domain.height_scale
+    total2 = total * total
+    return smaller(total2, own * own), total2
+
+
+@wp.func
+def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
+    """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum.
+
+    A segment of length e at depth z and distance r moves by at most f e r / z^2 pixels. `clear`: the frustum is known
+    to hold the box.
+    """
+    zero = wp.float64(0.0)
+    pixel2 = view.pixel2
+    if view.kind != ORTHOGRAPHIC:
+        # Squared distance of camera space from the eye to the box.
+        dx = larger(larger(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
+        dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
+        dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
+        far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+        far2 = larger(far2, view.near2)
+        if view.kind == PERSPECTIVE:
+            deep = view.depth[3] + smaller(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+            deep += smaller(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+            deep += smaller(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+            deep = larger(deep, zero)
+            far2 = larger(deep * deep, far2 * view.cosine2)
+        pixel2 = pixel2 * far2
+    if clear == 0:
+        for p in range(view.plane_count):
+            plane = view.planes[p]
+            side = plane[3] + larger(plane[0] * d.low[0], plane[0] * d.high[0])
+            side += larger(plane[1] * d.low[1], plane[1] * d.high[1])
+            side += larger(plane[2] * d.low[2], plane[2] * d.high[2])
+            if side < zero:
+                pixel2 = pixel2 * view.off_screen2
+                break
+    return pixel2
+
+
+@wp.func
+def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
+    """Squared metres that a pixel spans at most, in whatever box inside this one; and whether the frustum holds it."""
+    zero = wp.float64(0.0)
+    pixel2 = view.pixel2
+    if view.kind != ORTHOGRAPHIC:
+        dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
+        dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
+        dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
+        far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+        far2 = larger(far2, view.near2)
+        if view.kind == PERSPECTIVE:
+            deep = view.depth[3] + larger(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+            deep += larger(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+            deep += larger(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+            deep = larger(deep, zero)
+            far2 = larger(deep * deep, far2 * view.cosine2)
+        pixel2 = pixel2 * far2
+    inside = wp.int32(1)
+    if clear == 0:
+        for p in range(view.plane_count):
+            plane = view.planes[p]
+            side = plane[3] + smaller(plane[0] * d.low[0], plane[0] * d.high[0])
+            side += smaller(plane[1] * d.low[1], plane[1] * d.high[1])
+            side += smaller(plane[2] * d.low[2], plane[2] * d.high[2])
+            if side < zero:
+                pixel2 = pixel2 * view.off_screen2
+                inside = 0
+                break
+    return pixel2, inside
+
+
+@wp.func
+def finest(asked: Asked, d: Diamond, clear: wp.int32) -> wp.float64:
+    """Squared metres of the finest pixel that any view has on the box; the first view is at hand."""
+    pixel2 = wp.float64(wp.inf)
     if asked.view_count > 0:
-        d = Diamond()
-        z0 = low * domain.height_scale + domain.height_offset
-        z1 = high * domain.height_scale + domain.height_offset
-        d.low = wp.vec3d(
-            domain.west + wp.float64(x - reach) * domain.unit_x,
-            domain.south + wp.float64(y - reach) * domain.unit_y,
-            wp.min(z0, z1),
-        )
-        d.high = wp.vec3d(
-            domain.west + wp.float64(x + reach) * domain.unit_x,
-            domain.south + wp.float64(y + reach) * domain.unit_y,
-            wp.max(z0, z1),
-        )
-        d.error = weighed
-        d.total = total
-        half = (depth - 1) >> 1
-        d.odd = depth & 1
-        side = wp.float64(wp.int32(1) << (domain.unit_bits - half))
-        d.side2 = side * side
-        d.rise = d.high[2] - d.low[2]
-        if depth > 2 * domain.levels:
-            # Inside a bilinear patch heights change in proportion to |dx| + |dy|.
-            part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
-            d.rise = d.rise * wp.min(wp.float64(1 + d.odd) / part, wp.float64(1.0))
-        # The first view is at hand; further ones are looked up.
-        error_px2, total_px2, edge_px2, area_px2 = measure_in(asked.view, asked, d)
+        pixel2 = finest_in(asked.view, d, clear)
         for v in range(1, asked.view_count):
-            e2, t2, l2, a2 = measure_in(asked.views[v], asked, d)
-            error_px2 = wp.max(error_px2, e2)
-            total_px2 = wp.max(total_px2, t2)
-            edge_px2 = wp.max(edge_px2, l2)
-            area_px2 = wp.max(area_px2, a2)
-    return error_px2, total_px2, edge_px2, area_px2, weighed, total
+            pixel2 = smaller(pixel2, finest_in(asked.views[v], d, clear))
+    return pixel2
+
+
+@wp.func
+def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
+    """As `coarsest_in`, of the view that has the finest pixels there; inside if all frustums hold the box."""
+    pixel2 = wp.float64(wp.inf)
+    inside = wp.int32(1)
+    if asked.view_count > 0:
+        pixel2, inside = coarsest_in(asked.view, d, clear)
+        for v in range(1, asked.view_count):
+            p2, i = coarsest_in(asked.views[v], d, clear)
+            pixel2 = smaller(pixel2, p2)
+            inside = inside & i
+    return pixel2, inside
+
+
+@wp.func
+def too_coarse(asked: Asked, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64):
+    """Whether a diamond is to be split, where a pixel spans sqrt(pixel2): criteria combine by or."""
+    px2 = asked.limit * pixel2
+    coarse = metres2 > px2 * asked.error_px2 or metres2 > asked.limit * asked.metres2
+    return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2

@@ -13,7 +13,20 @@ the opposite direction, last edge first.
 
 import warp as wp
 
-from .criterion import Asked, Domain, excess, measure
+from .block import MAX_BISECTIONS, Blocks, write_leaves, write_vertices, write_words
+from .criterion import (
+    Asked,
+    Domain,
+    coarsest,
+    diamond_at,
+    error_at,
+    finest,
+    larger,
+    metres2_of,
+    sizes,
+    smaller,
+    too_coarse,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,6 +54,13 @@ GIVE_ABOVE = wp.constant(4)
 TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has made
 
 
+ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
+BELOW = wp.constant(wp.float64(1.0 - 1e-9))
+
+
+EVERY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
+
+
 @wp.struct
 class Walk:
     """Where one slice of the curve writes, and how far it may."""
@@ -59,7 +79,11 @@ class Walk:
     word_index: wp.array(dtype=wp.int64)
     word_bits: wp.array(dtype=wp.uint64)
     stack: wp.array(dtype=wp.vec4i)
-    states: wp.array(dtype=wp.int32)
+    aside: wp.array(dtype=wp.int32)
+    errors: wp.array(dtype=wp.float32)
+    bands: wp.array(dtype=wp.vec2d)
+    depths: wp.array(dtype=wp.vec4i)
+    blocks: Blocks
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
     bounds: wp.array(dtype=wp.float64)  # per slice: largest of all that `measure` returns
@@ -78,15 +102,15 @@ def left_state(state: wp.int32) -> wp.int32:
 
 
 @wp.func
-def right_state(state: wp.int32, heap: wp.uint64) -> wp.int32:
-    """State of child 1."""
+def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
+    """State of child 1 of the triangle whose first deepest cell is `cell`."""
     old = state & 1
     s = LEG_HYP + old
     if state >= LEG_HYP:
         s = LEG_LEG + old
     elif state >= HYP_LEG:
         s = LEG_HYP + 1
-        if (heap & (heap - wp.uint64(1))) == wp.uint64(0):
+        if cell == wp.uint64(0):
             s = LEG_HYP  # the curve starts on the border: the other half of its entry edge was never passed
     return s
 
@@ -120,9 +144,31 @@ def border_role(
     return role
 
 
+@wp.func
+def first_within(
+    asked: Asked,
+    unit_bits: wp.int32,
+    depth: wp.int32,
+    end: wp.int32,
+    climb2: wp.float64,
+    edge2: wp.float64,
+    area2: wp.float64,
+) -> wp.int32:
+    """The first depth after `depth`, `end` at most, where edges and areas are within these."""
+    found = depth + 1
+    looking = wp.int32(1)
+    while looking == 1 and found < end:
+        long2, legs2 = sizes(asked, unit_bits, found)
+        if long2 + climb2 > edge2 or legs2 + climb2 > area2:
+            found += 1
+        else:
+            looking = 0
+    return found
+
+
 @wp.kernel
 def walk(domain: Domain, asked: Asked, w: Walk):
-    """Refine the leaves whose first deepest cell lies in the slice; what does not fit is counted all the same."""
+    """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""
     columns = domain.columns
     side = wp.int32(1) << domain.unit_bits
     cells = wp.uint64(1) << wp.uint64(w.cell_bits)
@@ -132,83 +178,216 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     words = wp.int64(0)
     word = wp.int64(-1)
     bits = wp.uint64(0)
-    worst_error = wp.float64(0.0)
-    worst_total = wp.float64(0.0)
-    worst_edge = wp.float64(0.0)
-    worst_area = wp.float64(0.0)
-    worst_metres = wp.float64(0.0)
-    worst_total_metres = wp.float64(0.0)
+    # Maxima over the leaves.
+    worst_px2 = wp.float64(0.0)
+    worst_total_px2 = wp.float64(0.0)
+    worst_long_px2 = wp.float64(0.0)
+    worst_legs_px2 = wp.float64(0.0)
+    worst_error = wp.float32(0.0)
+    split_error2 = asked.limit * asked.error_px2
+    split_metres2 = asked.limit * asked.metres2
     place = w.slot * 64
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     start = w.first_cell & (cells - wp.uint64(1))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and leaves <= w.leaf_limit:
         row = square / columns
         column = square - row * columns
-        corner = wp.vec2i(column << domain.unit_bits, row << domain.unit_bits)
+        x0 = column << domain.unit_bits
+        y0 = row << domain.unit_bits
         square_cell = wp.uint64(square) << wp.uint64(w.cell_bits)
-        # Descend to the leaf that holds cell `start`, then go on along the curve.
-        heap = wp.uint64(1)
-        depth = wp.int32(0)
-        state = wp.int32(0)
-        left = wp.vec2i(0, 0)
-        apex = wp.vec2i(0, 0)
-        right = wp.vec2i(0, 0)
+        # The first of the square's two halves, the other put aside; nothing is certain of either.
+        cell = wp.uint64(0)
+        depth = wp.int32(1)
+        state = wp.int32(LEG_HYP)
+        left_x = x0
+        left_y = y0 + side
+        apex_x = x0
+        apex_y = y0
+        right_x = x0 + side
+        right_y = y0
+        top = wp.int32(1)
+        w.stack[place] = wp.vec4i(x0 + side, y0 + side, x0, y0 + side)
+        w.aside[place] = HYP_LEG | (1 << 3)
+        error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
+        w.errors[place] = error
+        band_at = wp.int32(0)
+        finest2 = wp.float64(0.0)
+        coarsest2 = wp.float64(wp.inf)
+        clear = wp.int32(0)
+        split_depth = wp.int32(0)
+        leaf_depth = 1 << 30
+        even_depth = wp.int32(0)
+        w.bands[place] = wp.vec2d(finest2, coarsest2)
+        w.depths[place] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
         inside = wp.int32(1)
         while inside == 1 and leaves <= w.leaf_limit:
+            size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
+            x = (left_x + right_x) >> 1
+            y = (left_y + right_y) >> 1
             split = wp.int32(0)
-            middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
-            error_px2 = wp.float64(0.0)
-            total_px2 = wp.float64(0.0)
-            edge_px2 = wp.float64(0.0)
-            area_px2 = wp.float64(0.0)
-            metres = wp.float64(0.0)
-            total_metres = wp.float64(0.0)
-            if depth == 0:
-                split = 1
-            else:
-                error_px2, total_px2, edge_px2, area_px2, metres, total_metres = measure(
-                    domain, asked, middle[0], middle[1], depth
-                )
-                if depth < w.max_depth and excess(asked, error_px2, edge_px2, area_px2, metres) > asked.limit:
+            known = wp.int32(1)
+            metres2, total2 = metres2_of(domain, error)
+            if depth < w.max_depth:
+                if depth < split_depth or metres2 > smaller(split_error2 * coarsest2, split_metres2):
                     split = 1
+                    if even_depth < 0 and leaf_depth - depth > 3:
+                        known = 0  # a narrower band may leave the depth in no doubt
+                elif not (metres2 <= smaller(split_error2 * finest2, split_metres2)):
+                    known = 0
+            if split == 0:
+                if depth < leaf_depth or not (metres2 <= worst_px2 * finest2 and total2 <= worst_total_px2 * finest2):
+                    known = 0
+            if known == 0:
+                diamond = diamond_at(domain, x, y, depth)
+                pixel2 = finest(asked, diamond, clear)
+                long2, legs2 = sizes(asked, domain.unit_bits, depth)
+                climb2 = diamond.rise * diamond.rise
+                if depth < w.max_depth and too_coarse(asked, pixel2, metres2, long2 + climb2, legs2 + climb2):
+                    split = 1
+                    coarse2, clear = coarsest(asked, diamond, clear)
+                    finest2 = pixel2 * BELOW
+                    coarsest2 = coarse2 * ABOVE
+                    band_at = top
+                    split_depth = 0
+                    leaf_depth = 0
+                    even_depth = 0
+                    if asked.measures_edges == 1:
+                        split_depth = first_within(
+                            asked,
+                            domain.unit_bits,
+                            depth,
+                            w.max_depth,
+                            wp.float64(0.0),
+                            asked.limit * asked.edge_px2 * coarsest2,
+                            asked.limit * asked.area_px2 * coarsest2,
+                        )
+                        leaf_depth = first_within(
+                            asked,
+                            domain.unit_bits,
+                            depth,
+                            w.max_depth,
+                            climb2,
+                            asked.limit * asked.edge_px2 * finest2,
+                            asked.limit * asked.area_px2 * finest2,
+                        )
+                        leaf_depth = wp.max(
+                            leaf_depth,
+                            first_within(
+                                asked,
+                                domain.unit_bits,
+                                depth,
+                                w.max_depth + 1,
+                                climb2,
+                                worst_long_px2 * finest2,
+                                worst_legs_px2 * finest2,
+                            ),
+                        )
+                        # No error below asks for a split or is a new maximum: depths alone decide.
+                        if metres2 <= smaller(smaller(split_error2 * finest2, split_metres2), worst_px2 * finest2):
+                            if total2 <= worst_total_px2 * finest2 and error <= worst_error:
+                                even_depth = wp.where(split_depth == leaf_depth, leaf_depth, -1)
+                    w.bands[place + band_at] = wp.vec2d(finest2, coarsest2)
+                    w.depths[place + band_at] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
+                elif cell >= start:
+                    near2 = pixel2 * BELOW
+                    if metres2 > worst_px2 * near2:
+                        worst_px2 = larger(worst_px2, metres2 / pixel2)
+                    if total2 > worst_total_px2 * near2:
+                        worst_total_px2 = larger(worst_total_px2, total2 / pixel2)
+                    if long2 + climb2 > worst_long_px2 * near2:
+                        worst_long_px2 = larger(worst_long_px2, (long2 + climb2) / pixel2)
+                    if legs2 + climb2 > worst_legs_px2 * near2:
+                        worst_legs_px2 = larger(worst_legs_px2, (legs2 + climb2) / pixel2)
+            levels = even_depth - depth
+            if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and cell > wp.uint64(0) and cell >= start:
+                low_x = wp.min(wp.min(left_x, right_x), apex_x)
+                high_x = wp.max(wp.max(left_x, right_x), apex_x)
+                low_y = wp.min(wp.min(left_y, right_y), apex_y)
+                high_y = wp.max(wp.max(left_y, right_y), apex_y)
+                bordering = low_x == x0 or low_y == y0 or high_x == x0 + side or high_y == y0 + side
+                ends = cell + size == cells or square_cell + cell + size > w.end_cell
+                if size >= wp.uint64(64) and not (ends or (w.grid == 1 and bordering)):
+                    count = 1 << levels
+                    entry = 6 * levels + state
+                    created = w.blocks.vertices[entry]
+                    step = size >> wp.uint64(levels)
+                    if leaves + wp.int64(count) <= w.leaf_capacity:
+                        if word >= wp.int64(0):
+                            w.word_index[w.leaf_base + words] = word
+                            w.word_bits[w.leaf_base + words] = bits
+                            words += wp.int64(1)
+                            word = wp.int64(-1)
+                        extra = (wp.uint32(even_depth & 1) << wp.uint32(PARITY)) | (
+                            wp.uint32(even_depth) << wp.uint32(DEPTH_SHIFT)
+                        )
+                        write_leaves(w.blocks, entry, count, wp.uint16(extra), w.code, w.leaf_base + leaves)
+                        apex = wp.vec2i(apex_x, apex_y)
+                        write_vertices(
+                            w.blocks,
+                            entry,
+                            (levels + 1) >> 1,
+                            apex,
+                            wp.vec2i(left_x - apex_x, left_y - apex_y),
+                            wp.vec2i(right_x - apex_x, right_y - apex_y),
+                            w.point,
+                            w.leaf_base + vertices,
+                        )
+                        at = (square_cell + cell) >> wp.uint64(6)
+                        if step >= wp.uint64(64):
+                            write_words(
+                                wp.int64(at),
+                                wp.int64(step >> wp.uint64(6)),
+                                wp.uint64(1),
+                                count,
+                                w.word_index,
+                                w.word_bits,
+                                w.leaf_base + words,
+                            )
+                            words += wp.int64(count)
+                        else:
+                            n = wp.int32(size >> wp.uint64(6))
+                            write_words(
+                                wp.int64(at),
+                                wp.int64(1),
+                                EVERY // ((wp.uint64(1) << step) - wp.uint64(1)),
+                                n,
+                                w.word_index,
+                                w.word_bits,
+                                w.leaf_base + words,
+                            )
+                            words += wp.int64(n)
+                    leaves += wp.int64(count)
+                    vertices += wp.int64(created)
+                    edges += wp.int64(count + created)
+                    split = 2
             if split == 1:
-                bit = (start >> wp.uint64(w.cell_bits - depth - 1)) & wp.uint64(1)
-                if depth == 0:
-                    w.stack[place] = wp.vec4i(corner[0] + side, corner[1] + side, corner[0], corner[1] + side)
-                    w.states[place] = HYP_LEG
-                    left = wp.vec2i(corner[0], corner[1] + side)
-                    apex = corner
-                    right = wp.vec2i(corner[0] + side, corner[1])
-                    state = LEG_HYP
-                    if bit == wp.uint64(1):
-                        left = right
-                        apex = wp.vec2i(corner[0] + side, corner[1] + side)
-                        right = wp.vec2i(corner[0], corner[1] + side)
-                        state = HYP_LEG
-                else:
-                    if bit == wp.uint64(0):
-                        w.stack[place + depth] = wp.vec4i(middle[0], middle[1], right[0], right[1])
-                        w.states[place + depth] = right_state(state, heap)
-                        state = left_state(state)
-                        right = apex
-                    else:
-                        left = apex
-                        state = right_state(state, heap)
-                    apex = middle
-                heap = (heap << wp.uint64(1)) | bit
                 depth += 1
+                near_error = wp.float32(0.0)  # where only depths decide, errors need not be read
+                next_error = wp.float32(0.0)
+                if even_depth == 0:
+                    near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
+                    next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
+                if cell + (size >> wp.uint64(1)) > start:
+                    w.stack[place + top] = wp.vec4i(x, y, right_x, right_y)
+                    w.aside[place + top] = right_state(state, cell) | (depth << 3) | (band_at << 9)
+                    w.errors[place + top] = next_error
+                    error = near_error
+                    top += 1
+                    state = left_state(state)
+                    right_x = apex_x
+                    right_y = apex_y
+                else:  # on the way to the slice's first cell
+                    state = right_state(state, cell)
+                    left_x = apex_x
+                    left_y = apex_y
+                    error = next_error
+                    cell += size >> wp.uint64(1)
+                apex_x = x
+                apex_y = y
             else:
-                cell = (heap << wp.uint64(w.cell_bits - depth)) - cells
-                if cell >= start:
-                    worst_error = wp.max(worst_error, error_px2)
-                    worst_total = wp.max(worst_total, total_px2)
-                    worst_edge = wp.max(worst_edge, edge_px2)
-                    worst_area = wp.max(worst_area, area_px2)
-                    worst_metres = wp.max(worst_metres, metres)
-                    worst_total_metres = wp.max(worst_total_metres, total_metres)
-                    room = wp.int32(0)
-                    if leaves < w.leaf_capacity:
-                        room = 1
+                if split == 0 and cell >= start:
+                    worst_error = wp.where(error > worst_error, error, worst_error)
+                    room = wp.where(leaves < w.leaf_capacity, 1, 0)
                     code = (
                         wp.uint32(state)
                         | (wp.uint32(depth & 1) << wp.uint32(PARITY))
@@ -217,17 +396,17 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     passage = state & 6
                     if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
                         code = code | (wp.uint32(1) << wp.uint32(FIRST))
-                        end = apex
+                        end = wp.vec2i(apex_x, apex_y)
                         if passage == HYP_LEG:
-                            end = right
+                            end = wp.vec2i(right_x, right_y)
                         if column > 0:
                             w.sides[4 * square] = w.sides[4 * square] + 1
                         else:
                             edges += wp.int64(1)
                             if room == 1:
-                                w.point[w.leaf_base + vertices] = left
+                                w.point[w.leaf_base + vertices] = wp.vec2i(left_x, left_y)
                             vertices += wp.int64(1)
-                            if row > 0 and end[1] == corner[1]:
+                            if row > 0 and end[1] == y0:
                                 code = code | (wp.uint32(1) << wp.uint32(CORNER))
                             else:
                                 if room == 1:
@@ -235,16 +414,28 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                                 vertices += wp.int64(1)
                     if (state & 1) == 0:
                         # the third edge: left - apex, apex - right or right - left; its far end is the new vertex
-                        p = apex
-                        q = right
-                        if passage == HYP_LEG:
-                            p = left
-                            q = apex
-                        elif passage == LEG_LEG:
-                            p = left
+                        p_x = apex_x
+                        p_y = apex_y
+                        q_x = right_x
+                        q_y = right_y
+                        if passage != LEG_HYP:
+                            p_x = left_x
+                            p_y = left_y
+                            if passage == HYP_LEG:
+                                q_x = apex_x
+                                q_y = apex_y
                         role = INNER
                         if w.grid == 1:
-                            role = border_role(p, q, corner, side, column, row, columns, domain.rows)
+                            role = border_role(
+                                wp.vec2i(p_x, p_y),
+                                wp.vec2i(q_x, q_y),
+                                wp.vec2i(x0, y0),
+                                side,
+                                column,
+                                row,
+                                columns,
+                                domain.rows,
+                            )
                             if role != INNER and role != TO_CORNER:
                                 w.sides[4 * square + role - 1] = w.sides[4 * square + role - 1] + 1
                         code = code | (wp.uint32(role) << wp.uint32(BORDER))
@@ -252,10 +443,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                             edges += wp.int64(1)
                             if role != TO_CORNER:
                                 if room == 1:
-                                    w.point[w.leaf_base + vertices] = q
+                                    w.point[w.leaf_base + vertices] = wp.vec2i(q_x, q_y)
                                 vertices += wp.int64(1)
                     edges += wp.int64(1)  # the edge through which the curve leaves
-                    if (heap & (heap + wp.uint64(1))) == wp.uint64(0):
+                    if cell + size == cells:
                         code = code | (wp.uint32(1) << wp.uint32(LAST))
                         if row < domain.rows - 1:
                             w.sides[4 * square + 3] = w.sides[4 * square + 3] + 1
@@ -271,22 +462,33 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     if room == 1:
                         w.code[w.leaf_base + leaves] = wp.uint16(code)
                     leaves += wp.int64(1)
-                # Climb to the next triangle that was put aside.
-                while (heap & wp.uint64(1)) == wp.uint64(1) and depth > 0:
-                    heap = heap >> wp.uint64(1)
-                    depth -= 1
-                if depth == 0:
+                # On along the curve, to the next triangle that was put aside.
+                cell += size
+                if top == 0 or square_cell + cell >= w.end_cell:
                     inside = 0
                 else:
-                    heap += wp.uint64(1)
-                    left = right
-                    aside = w.stack[place + depth - 1]
-                    state = w.states[place + depth - 1]
-                    apex = wp.vec2i(aside[0], aside[1])
-                    right = wp.vec2i(aside[2], aside[3])
-                    start = (heap << wp.uint64(w.cell_bits - depth)) - cells
-                    if square_cell + start >= w.end_cell:
-                        inside = 0
+                    top -= 1
+                    left_x = right_x
+                    left_y = right_y
+                    corners = w.stack[place + top]
+                    apex_x = corners[0]
+                    apex_y = corners[1]
+                    right_x = corners[2]
+                    right_y = corners[3]
+                    kept = w.aside[place + top]
+                    error = w.errors[place + top]
+                    state = kept & 7
+                    depth = (kept >> 3) & 63
+                    if (kept >> 9) != band_at:
+                        band_at = kept >> 9
+                        band = w.bands[place + band_at]
+                        finest2 = band[0]
+                        coarsest2 = band[1]
+                        kept_depths = w.depths[place + band_at]
+                        split_depth = kept_depths[0]
+                        leaf_depth = kept_depths[1]
+                        even_depth = kept_depths[2]
+                        clear = kept_depths[3]
         square += 1
         start = wp.uint64(0)
     if word >= wp.int64(0) and leaves <= w.leaf_capacity:
@@ -299,62 +501,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     w.counts[c + 2] = edges
     w.counts[c + 3] = words
     b = 6 * w.slot
-    w.bounds[b] = worst_error
-    w.bounds[b + 1] = worst_total
-    w.bounds[b + 2] = worst_edge
-    w.bounds[b + 3] = worst_area
-    w.bounds[b + 4] = worst_metres
-    w.bounds[b + 5] = worst_total_metres
-
-
-@wp.kernel
-def count(domain: Domain, asked: Asked, w: Walk):
-    """Only count the leaves, all squares, and stop soon after `leaf_limit`."""
-    side = wp.int32(1) << domain.unit_bits
-    leaves = wp.int64(0)
-    place = w.slot * 64
-    squares = domain.columns * domain.rows
-    for square in range(squares):
-        row = square / domain.columns
-        column = square - row * domain.columns
-        x = column << domain.unit_bits
-        y = row << domain.unit_bits
-        for root in range(2):
-            left = wp.vec2i(x, y + side)
-            apex = wp.vec2i(x, y)
-            right = wp.vec2i(x + side, y)
-            if root == 1:
-                left = right
-                apex = wp.vec2i(x + side, y + side)
-                right = wp.vec2i(x, y + side)
-            top = wp.int32(0)
-            depth = wp.int32(1)
-            inside = wp.int32(1)
-            while inside == 1 and leaves <= w.leaf_limit:
-                middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
-                split = wp.int32(0)
-                if depth < w.max_depth:
-                    error_px2, total_px2, edge_px2, area_px2, metres, total_metres = measure(
-                        domain, asked, middle[0], middle[1], depth
-                    )
-                    if excess(asked, error_px2, edge_px2, area_px2, metres) > asked.limit:
-                        split = 1
-                if split == 1:
-                    w.stack[place + top] = wp.vec4i(middle[0], middle[1], right[0], right[1])
-                    w.states[place + top] = depth + 1
-                    top += 1
-                    right = apex
-                    apex = middle
-                    depth += 1
-                else:
-                    leaves += wp.int64(1)
-                    if top == 0:
-                        inside = 0
-                    else:
-                        top -= 1
-                        left = right
-                        aside = w.stack[place + top]
-                        apex = wp.vec2i(aside[0], aside[1])
-                        right = wp.vec2i(aside[2], aside[3])
-                        depth = w.states[place + top]
-    w.counts[4 * w.slot] = leaves
+    metres2, total2 = metres2_of(domain, worst_error)
+    w.bounds[b] = worst_px2
+    w.bounds[b + 1] = worst_total_px2
+    w.bounds[b + 2] = worst_long_px2
+    w.bounds[b + 3] = worst_legs_px2 * wp.float64(0.5)
+    w.bounds[b + 4] = wp.sqrt(metres2)
+    w.bounds[b + 5] = wp.sqrt(total2)

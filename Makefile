@@ -13,7 +13,7 @@ help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
 	@echo "make fuzz       10,000 random views"
-	@echo "make bench      what an update costs on this machine"
+	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 
@@ -27,7 +27,7 @@ fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views
 
 bench: $(READY)
-	$(PY) -m benchmarks
+	$(PY) -m adaptive_terrain.operators.command_line bench $(BENCH)
 
 lint: $(READY)
 	$(PY) -m ruff check .

@@ -20,8 +20,10 @@ class HeightField:
     """A terrain ready for refinement; arrays may be memory-mapped and are never written.
 
     samples: float32 [height, width] metres, row 0 south, column 0 west.
-    error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py).
-    ranges: uint16 [diamonds above the raster's cells, 2]; a height is range_base + q * range_step metres.
+    error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py; the order of both
+    is that of lattice.py).
+    ranges: uint16 [lattice.range_count, 2], diamonds above the raster's cells; a height is range_base + q * range_step
+    metres.
     resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     key: identifies the content: equal keys, equal terrains.
@@ -113,7 +115,7 @@ def build(
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
     base, step = hierarchy.range_scale(low, high)
-    ranges = allocate("ranges", (lattice.node_offset(lattice.cell_depth), 2), np.dtype(np.uint16))
+    ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     on_progress(0.4)
     error = allocate("error", (lattice.node_count,), np.dtype(np.float32))

@@ -23,6 +23,7 @@ import warp as wp
 from ..kernels import expand as expand_kernels
 from ..kernels import hierarchy as kernels
 from ..kernels import ranges as range_kernels
+from ..kernels.layout import Depth
 from . import launch
 from .lattice import Lattice
 
@@ -40,40 +41,53 @@ def _shared(array: np.ndarray, dtype) -> wp.array:
     return wp.array(array.reshape(-1), dtype=dtype, device=launch.DEVICE, copy=False)
 
 
-def _levels(lattice: Lattice, values: np.ndarray, dtype, deepest: int) -> list:
-    """Warp views of depths 1 .. deepest of `values` (entry 0 unused)."""
-    offsets = lattice.offsets()
-    return [None] + [_shared(values[offsets[d] : offsets[d + 1]], dtype) for d in range(1, deepest + 1)]
+def _depth(lattice: Lattice, depth: int) -> Depth:
+    """Where the arrays hold the diamonds of one depth (1 .. cell_depth)."""
+    base, pages = lattice.layout()
+    group = lattice.group(depth)
+    place = Depth()
+    place.base, place.pages = int(base[group]), int(pages[group])
+    if depth == lattice.cell_depth:
+        place.first, place.step = 0, 1
+        return place
+    # Vertices of the group from a corner to the middle of a side: one, or two in the coarser half of the group.
+    half = 1 << (lattice.levels - 1 - (depth - 1) // 2) % 2
+    place.first, place.step = (half, 2 * half) if depth % 2 else (0, half)
+    return place
+
+
+def _extent(lattice: Lattice, depth: int) -> tuple[int, int, int]:
+    """Columns and rows of the cells whose centres are at a depth or its children, and the items of a launch over it."""
+    columns, rows = lattice.columns << depth // 2, lattice.rows << depth // 2
+    return columns, rows, columns * rows if depth % 2 else (columns // 2 + 1) * (rows + 1)
 
 
 def build_errors(
     samples: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int, on_progress: Progress = _ignore
 ) -> None:
-    """Fill `errors` (float32 [lattice.node_count], metres) for `samples` (float32 [height, width], metres)."""
-    h = _shared(samples, wp.float32)
+    """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres)."""
+    h, out = _shared(samples, wp.float32), _shared(errors, wp.float32)
     width = lattice.width
-    level = _levels(lattice, errors, wp.float32, lattice.cell_depth)
 
     def spread(kernel, count: int, inputs: list, cost: float) -> None:
-        launch.spread(kernel, count, inputs, step="error hierarchy", threads=threads, cost=cost)
+        launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
     cells_x, cells_y = lattice.width - 1, lattice.height - 1
-    cells = level[lattice.cell_depth]
-    spread(kernels.twists, cells_y, [h, width, cells], 0.5 * cells_x)
+    finer = _depth(lattice, lattice.cell_depth)
+    spread(kernels.twists, cells_y, [h, width, finer], 0.5 * cells_x)
     blocks = -(-cells_x // COLUMN_BLOCK)
-    spread(kernels.saturate_columns, blocks, [cells_x, cells_y, COLUMN_BLOCK, cells], 0.2 * COLUMN_BLOCK * cells_y)
-    for j in reversed(range(lattice.levels)):
-        half = 1 << (lattice.levels - j - 1)
-        columns, rows = lattice.columns << (j + 1), lattice.rows << (j + 1)
-        count = level[2 * j + 2].size
-        cost = 1.0 + 0.2 * half * half
-        spread(
-            kernels.side_errors, count, [h, width, columns, rows, half, level[2 * j + 3], level[2 * j + 2]], 2 * cost
-        )
-        columns, rows = columns // 2, rows // 2
-        inputs = [h, width, columns, 2 * half, int(j == 0), level[2 * j + 2], level[2 * j + 1]]
-        spread(kernels.centre_errors, columns * rows, inputs, 4 * cost)
-        on_progress(1.0 - j / lattice.levels)
+    spread(kernels.saturate_columns, blocks, [cells_x, cells_y, COLUMN_BLOCK, finer], 0.2 * COLUMN_BLOCK * cells_y)
+    for depth in range(lattice.cell_depth - 1, 0, -1):
+        own = _depth(lattice, depth)
+        columns, rows, count = _extent(lattice, depth)
+        side = 1 << (lattice.levels - (depth - 1) // 2)
+        cost = 1.0 + 0.05 * side * side
+        if depth % 2:
+            spread(kernels.centre_errors, count, [h, width, columns, side, int(depth == 1), finer, own], 4 * cost)
+        else:
+            spread(kernels.side_errors, count, [h, width, columns, rows, side // 2, finer, own], 2 * cost)
+        finer = own
+        on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
@@ -81,29 +95,27 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
 
     Each pass gives a diamond the largest error of its children, which keeps parents above children.
     """
-    level = _levels(lattice, errors, wp.float32, lattice.cell_depth)
-    cells = level[lattice.cell_depth]
-    columns, rows = lattice.width - 1, lattice.height - 1
+    out = _shared(errors, wp.float32)
+    cells, before = _depth(lattice, lattice.cell_depth), _depth(lattice, lattice.cell_depth)
+    before.base = 0
+
+    def spread(kernel, count: int, inputs: list) -> None:
+        launch.spread(kernel, count, [*inputs, out], step="meshlet errors", threads=threads)
+
     for step in range(2 * meshlet):
         for depth in range(1, lattice.cell_depth):
-            across = lattice.columns << ((depth - 1) // 2)
+            columns, rows, count = _extent(lattice, depth)
+            places = [_depth(lattice, depth + 1), _depth(lattice, depth)]
             if depth % 2:
-                kernel, inputs = expand_kernels.raise_centres, [across]
+                spread(expand_kernels.raise_centres, count, [columns, *places])
             else:
-                kernel, inputs = expand_kernels.raise_sides, [2 * across, lattice.rows << (depth // 2)]
-            inputs += [level[depth + 1], level[depth]]
-            launch.spread(kernel, level[depth].size, inputs, step="meshlet errors", threads=threads)
+                spread(expand_kernels.raise_sides, count, [columns, rows, *places])
         # A cell's diamond and the side diamonds one bisection below it have the same error, so cells move in every
         # other pass, by two bisections at once.
         if step % 2 == 0:
-            old = wp.clone(cells)
-            launch.spread(
-                expand_kernels.raise_cells,
-                cells.size,
-                [columns, rows, old, cells],
-                step="meshlet errors",
-                threads=threads,
-            )
+            columns, rows, count = _extent(lattice, lattice.cell_depth)
+            old = wp.clone(out[lattice.range_count :])
+            spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells])
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:
@@ -117,21 +129,23 @@ def range_scale(low: float, high: float) -> tuple[float, float]:
 def build_ranges(
     samples: np.ndarray, lattice: Lattice, base: float, step: float, ranges: np.ndarray, threads: int
 ) -> None:
-    """Fill `ranges` (uint16 [diamonds above the raster's cells, 2]): base + q * step encloses the surface."""
+    """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface."""
     if lattice.levels == 0:
         return
-    level = _levels(lattice, ranges, wp.uint16, lattice.cell_depth - 1)
+    out = _shared(ranges, wp.uint16)
 
     def spread(kernel, count: int, inputs: list, cost: float = 1.0) -> None:
-        launch.spread(kernel, count, inputs, step="height ranges", threads=threads, cost=cost)
+        launch.spread(kernel, count, [*inputs, out], step="height ranges", threads=threads, cost=cost)
 
-    finest = level[-1]
-    inputs = [_shared(samples, wp.float32), lattice.width, lattice.height, wp.float64(base), wp.float64(step), finest]
+    finer = _depth(lattice, lattice.cell_depth - 1)
+    h = _shared(samples, wp.float32)
+    inputs = [h, lattice.width, lattice.height, wp.float64(base), wp.float64(step), finer]
     spread(range_kernels.finest_ranges, lattice.height, inputs, 3.0 * lattice.width)
     for depth in range(lattice.cell_depth - 2, 0, -1):
-        across = lattice.columns << ((depth - 1) // 2)
+        own = _depth(lattice, depth)
+        columns, rows, count = _extent(lattice, depth)
         if depth % 2:
-            kernel, inputs = range_kernels.centre_ranges, [across]
+            spread(range_kernels.centre_ranges, count, [columns, finer, own])
         else:
-            kernel, inputs = range_kernels.side_ranges, [2 * across, lattice.rows << (depth // 2)]
-        spread(kernel, level[depth].size // 2, [*inputs, level[depth + 1], level[depth]])
+            spread(range_kernels.side_ranges, count, [columns, rows, finer, own])
+        finer = own

@@ -15,22 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from . import child
 from . import store as stores
 from .errors import TerrainError
 from .sources import ImportSettings
 
-# The child loads the package from its folder, whatever its name is in this process (`bl_ext....` in Blender).
-BOOTSTRAP = """
-import importlib.util, sys
-spec = importlib.util.spec_from_file_location(
-    "adaptive_terrain", sys.argv[1] + "/__init__.py", submodule_search_locations=[sys.argv[1]])
-sys.modules["adaptive_terrain"] = package = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(package)
-from adaptive_terrain.cbt_terrain.import_process import child_main
-child_main()
-"""
-# A GDAL or PROJ database of the host does not fit the child's own library.
-FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
 POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
 
@@ -69,19 +58,10 @@ class ImportJob:
         self._start()
 
     def _start(self) -> None:
-        environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
-        environment["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
-        package = Path(__file__).resolve().parent.parent
         self._errors = tempfile.TemporaryFile()
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", BOOTSTRAP, str(package)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._errors,
-                env=environment,
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-            )
+            pipe = subprocess.PIPE
+            self._process = child.start("cbt_terrain.import_process", stdin=pipe, stdout=pipe, stderr=self._errors)
             request = {
                 "settings": dataclasses.asdict(self._settings),
                 "store": str(self._store.absolute()),

@@ -126,7 +126,7 @@ def describe(path: str | os.PathLike) -> dict:
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **content["report"],
         "origin": content["origin"],
-        "largest_error_m": float(field.error[: field.lattice.squares].max()),
+        "largest_error_m": float(field.error[field.lattice.root_entries].max()),
         "key": field.key,
     }
 
@@ -148,8 +148,7 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
 
 def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
-    cells = lattice.node_count - lattice.node_offset(lattice.cell_depth)
-    needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * (lattice.node_count - cells)
+    needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * lattice.range_count
     needed += 0 if fits else 4 * width * height
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free

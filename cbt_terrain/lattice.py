@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lattice: a grid of root squares whose sides are a power of two of raster cells, and the order of its diamonds.
+"""The lattice: a grid of root squares whose sides are a power of two of raster cells, and the places of its diamonds.
 
 A diamond is the pair of triangles that share a longest edge; splitting it makes one vertex, the edge's middle, so one
-entry per diamond is one entry per vertex. Entries are kept level by level, coarsest first: a walk from the root touches
-few cache lines and few pages however large the raster is.
+entry per diamond is one entry per vertex. Above the raster's cells that vertex is a sample, and every sample is the
+split vertex of at most one diamond. Inside a square of side 2^k samples depth 2q + 1 (q = 0 .. k - 1) holds the centres
+of cells of side 2^(k-q), depth 2q + 2 the middles of their sides, and depth 2k + 1 the centres of the raster's cells.
+
+A walk goes from a diamond to its children, one or two bisections below and next to it, so what it reads together lies
+together. Group g holds the four depths with q = k - 1 - 2g and q = k - 2 - 2g: of the samples at multiples of 4^g all
+but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4, a cache line of float32 each, and
+pages of 8 x 8 tiles, the system's page: a line holds four bisections of one place, and as much of a memory-mapped array
+is read as the walk has gone through. The centres of the raster's cells follow as an image of their own. Entries of no
+diamond (one in sixteen: the vertices of the next group; and what fills the pages at the rim) are 0.
 """
 
 import math
@@ -14,6 +22,8 @@ import numpy as np
 # A raster that needs more root squares than this along its short side is resampled instead: the coarsest mesh has two
 # triangles a root square.
 MAX_SHORT_SIDE_SQUARES = 16
+# Vertices along the side of a page of the arrays of diamonds.
+PAGE = 32
 
 
 @dataclass(frozen=True)
@@ -50,29 +60,57 @@ class Lattice:
         """Depth, inside a square, of the diamonds whose longest edge is the diagonal of one raster cell."""
         return 2 * self.levels + 1
 
-    def level_shape(self, depth: int) -> tuple[int, int]:
-        """Rows and row length of the array of diamonds at `depth` (1 .. cell_depth) inside a square.
+    @property
+    def groups(self) -> int:
+        """Groups of depths above the raster's cells: two cell sizes each, the last one may have only one."""
+        return (self.levels + 1) // 2
 
-        Odd depths hold the centres of square cells; even depths the middles of their sides, two lattice rows a cell,
-        where a row between cells is one entry longer than a row through centres (the last entry is then unused).
+    def group(self, depth: int) -> int:
+        """The group of a depth (1 .. cell_depth); the raster's cells count as one more, the last."""
+        return self.groups if depth == self.cell_depth else (self.levels - 1 - (depth - 1) // 2) // 2
+
+    def layout(self) -> tuple[np.ndarray, np.ndarray]:
+        """First entries, int64 [groups + 2], and pages in a row, int32 [groups + 1], of the groups and then the cells.
+
+        The last of the first entries is the total. Inside a group the order is that of `kernels/layout.py`.
         """
-        half = (depth - 1) // 2
-        if depth % 2:
-            return self.rows << half, self.columns << half
-        return (self.rows << (half + 1)) + 1, (self.columns << half) + 1
+        sizes, pages = [0], []
+        for group in range(self.groups + 1):
+            cells = group == self.groups
+            wide, high = (count - 1 if cells else ((count - 1) >> 2 * group) + 1 for count in (self.width, self.height))
+            pages.append(-(-wide // PAGE))
+            sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
+        return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
 
-    def offsets(self) -> np.ndarray:
-        """int64 [cell_depth + 2]: first entry of each depth (entry 0 unused), then the total."""
-        sizes = [0] + [math.prod(self.level_shape(d)) for d in range(1, self.cell_depth + 1)]
-        return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    def index(self, depth: int, i, j) -> np.ndarray:
+        """Entries, int64, of the diamonds of `depth` (1 .. cell_depth) that are split at the samples (i, j).
 
-    def node_offset(self, depth: int) -> int:
-        return int(self.offsets()[depth])
+        i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
+        """
+        base, pages = self.layout()
+        group = self.group(depth)
+        shift = 0 if depth == self.cell_depth else 2 * group
+        x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
+        page = (y >> 5) * pages[group] + (x >> 5)
+        return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
+
+    @property
+    def root_entries(self) -> np.ndarray:
+        """Entries, int64 [rows, columns], of the root squares' own diamonds: all others are below them."""
+        side = 1 << self.levels
+        return self.index(
+            1, np.arange(self.columns) * side + side // 2, np.arange(self.rows)[:, None] * side + side // 2
+        )
+
+    @property
+    def range_count(self) -> int:
+        """Entries of the array of height ranges: the groups, without the raster's cells."""
+        return int(self.layout()[0][-2])
 
     @property
     def node_count(self) -> int:
-        """Diamonds down to the single cells of the raster."""
-        return int(self.offsets()[-1])
+        """Entries of an error hierarchy."""
+        return int(self.layout()[0][-1])
 
 
 def fit(width: int, height: int) -> tuple[int, int, int]:

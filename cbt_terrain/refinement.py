@@ -77,7 +77,9 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.extra_error = field.resample_max
-    domain.offsets = shared(lattice.offsets(), wp.int64)
+    base, pages = lattice.layout()
+    domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.error = shared(field.error_for(meshlet), wp.float32)
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
     domain.samples = shared(field.samples.reshape(-1), wp.float32)
@@ -95,7 +97,7 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
-        self._bands = wp.empty(16 * 64, dtype=wp.vec2d, device="cpu")
+        self._bands = wp.empty(16 * 64, dtype=wp.vec3d, device="cpu")
         self._depths = wp.empty(16 * 64, dtype=wp.vec4i, device="cpu")
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:

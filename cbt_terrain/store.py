@@ -3,8 +3,8 @@
 
     STORE/store.json            what it holds, and the name of the folder of arrays
     STORE/data-*/samples.npy    float32 [height, width]
-    STORE/data-*/error.npy      float32 [nodes]
-    STORE/data-*/ranges.npy     uint16 [nodes above the raster's cells, 2]
+    STORE/data-*/error.npy      float32 [lattice.node_count], in the order of lattice.py
+    STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
 
 A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
@@ -26,7 +26,7 @@ from .heightfield import HeightField
 from .lattice import Lattice
 from .store_entries import check_entries, is_data_name
 
-VERSION = 1
+VERSION = 2
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 # A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
@@ -77,7 +77,7 @@ def _open(path: Path) -> HeightField:
         samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
         lattice=lattice,
         error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
-        ranges=_map(folder / "ranges.npy", (lattice.node_offset(lattice.cell_depth), 2), np.uint16),
+        ranges=_map(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),

@@ -2,7 +2,6 @@
 """From leaves to the arrays that Blender keeps: welding, meshlets, displacement."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import warp as wp
@@ -11,9 +10,11 @@ from ..kernels import displace as displace_kernels
 from ..kernels import join as join_kernels
 from ..kernels import meshlet as meshlet_kernels
 from ..kernels import weld as weld_kernels
+from ..kernels import weld_state
 from ..kernels.criterion import Domain
 from . import launch
-from .buffers import Buffers, shared
+from .buffers import Buffers
+from .meshlet_template import template
 from .refinement import Leaves
 
 
@@ -41,186 +42,142 @@ class Surface:
         return self.corner_verts.reshape(-1, 3)
 
 
-def build_surface(leaves: Leaves, domain: Domain, meshlet: int, buffers: Buffers, threads: int) -> Surface:
-    """Weld the leaves, expand them to meshlets, displace the points."""
-    mesh, triangles = _weld(leaves, domain, buffers, threads)
-    # Points were written slice by slice; expanded ones lie in a row.
-    runs = [(int(base), int(n)) for base, n in zip(leaves.base, leaves.counts[:, 1], strict=True)]
-    prefix = "leaf_"
-    if meshlet:
-        _gather_points(runs, mesh, buffers)
-        mesh, triangles = _expand(mesh, triangles, meshlet, buffers, threads)
-        runs, prefix = [(0, mesh.vertices)], "mesh_"
-    positions = buffers.get("positions", mesh.vertices, wp.vec3f)
-    normals = buffers.get("normals", mesh.vertices, wp.vec3f)
-    uv = buffers.get("uv", mesh.vertices, wp.vec2f)
-    first = 0
-    for base, n in runs:
-        inputs = [domain, base, first, mesh.point, positions, normals, uv]
-        launch.spread(displace_kernels.displace, n, inputs, step="displace", threads=threads, cost=4.0)
-        first += n
-    memory = buffers.numpy
-    return Surface(
-        memory("positions")[: mesh.vertices],
-        memory("normals")[: mesh.vertices],
-        memory("uv")[: mesh.vertices],
-        memory(prefix + "corner_verts")[: 3 * triangles],
-        memory(prefix + "corner_edges")[: 3 * triangles],
-        memory(prefix + "edges")[: mesh.edge_count],
-        memory(prefix + "level")[:triangles],
-    )
+class SurfaceBuilder:
+    """Builds surfaces in memory of its own: once that is large enough, a build allocates no array."""
 
+    def __init__(self, buffers: Buffers, threads: int):
+        self._buffers = buffers
+        self._threads = threads
+        self._weld = weld_state.Weld()
+        self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
+        self._points = displace_kernels.Points()
 
-def _mesh(prefix: str, vertices: int, edges: int, triangles: int, buffers: Buffers) -> meshlet_kernels.Mesh:
-    mesh = meshlet_kernels.Mesh()
-    mesh.vertices, mesh.edge_count = vertices, edges
-    mesh.corner_verts = buffers.get(prefix + "corner_verts", 3 * triangles, wp.int32)
-    mesh.corner_edges = buffers.get(prefix + "corner_edges", 3 * triangles, wp.int32)
-    mesh.edges = buffers.get(prefix + "edges", edges, wp.vec2i)
-    mesh.level = buffers.get(prefix + "level", triangles, wp.int32)
-    return mesh
-
-
-def _weld(leaves: Leaves, domain: Domain, buffers: Buffers, threads: int) -> tuple[meshlet_kernels.Mesh, int]:
-    """Number vertices and edges along the curve, each slice from its exact base, and join the slices."""
-    slices, squares = len(leaves.counts), domain.columns * domain.rows
-    triangles, vertices, edges = (int(n) for n in leaves.counts[:, :3].sum(axis=0))
-    mesh = _mesh("leaf_", vertices, edges, triangles, buffers)
-    mesh.point = buffers.get("point", 0, wp.vec2i)
-    n = leaves.counts[:, 0]
-    right_base = np.concatenate([[0], np.cumsum(leaves.sides[:, 2])]).astype(np.int32)
-    above_base = (right_base[-1] + np.concatenate([[0], np.cumsum(leaves.sides[:, 3])])).astype(np.int32)
-    first = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(leaves.counts[:, :3], axis=0)])
-    # Open edges and imports of a slice are at most one and three a leaf; memory is committed as they come.
-    stack_base = 2 * np.concatenate([[0], np.cumsum(n + 1)])
-    import_base = np.concatenate([[0], np.cumsum(2 * n + 8)])
-    fix_base = np.concatenate([[0], np.cumsum(3 * n + 8)])
-    work = []
-    for k in range(slices):
-        w = weld_kernels.Weld()
-        w.columns, w.rows, w.leaves, w.leaf_base = domain.columns, domain.rows, int(n[k]), int(leaves.base[k])
-        w.triangle, w.vertex, w.edge = (int(i) for i in first[k])
-        w.square, w.slot = int(leaves.squares[k]), k
-        w.stack_base, w.stack_size = int(stack_base[k]), int(n[k]) + 1
-        w.import_base, w.fix_base = int(import_base[k]), int(fix_base[k])
-        w.code = buffers.get("code", 0, wp.uint16)
-        w.before = shared(leaves.before.reshape(-1), wp.int32)
-        w.right_base, w.above_base = shared(right_base, wp.int32), shared(above_base, wp.int32)
-        w.side = buffers.get("side", int(above_base[-1]) + 1, wp.vec2i)
-        w.corners = buffers.get("corners", 2 * squares, wp.int32)
-        w.stack = buffers.get("weld_stack", int(stack_base[-1]), wp.vec2i)
-        w.imports = buffers.get("imports", int(import_base[-1]), wp.vec2i)
-        w.fixes = buffers.get("fixes", int(fix_base[-1]), wp.int32)
-        w.ends = buffers.get("ends", slices * weld_kernels.ENDS, wp.int32)
-        w.corner_verts, w.corner_edges = mesh.corner_verts, mesh.corner_edges
-        w.edges, w.level = mesh.edges, mesh.level
-        work.append(w)
-    launch.slices(weld_kernels.weld, [[w] for w in work], step="weld")
-    if slices > 1:
-        s = join_kernels.Slices()
-        s.count, s.joined_size = slices, triangles + 1
-        rows = np.stack([leaves.squares, stack_base[:-1], n + 1, import_base[:-1]], axis=1).astype(np.int32)
-        s.rows, s.starts = shared(rows, wp.vec4i), shared(leaves.starts.astype(np.int32), wp.int32)
-        s.joined = buffers.get("joined", 2 * (triangles + 1), wp.vec2i)
-        s.found = buffers.get("found", int(import_base[-1]), wp.vec2i)
-        launch.once(join_kernels.resolve, [s, work[0]], step="weld")
-        launch.slices(join_kernels.patch, [[w, s.found] for w in work], step="weld")
-    return mesh, triangles
-
-
-def _gather_points(runs: list[tuple[int, int]], mesh: meshlet_kernels.Mesh, buffers: Buffers) -> None:
-    """Bring the slices' points into one row, where edges and leaves can look them up."""
-    mesh.point = buffers.get("leaf_point", mesh.vertices, wp.vec2i)
-    points, to, first = buffers.numpy("point"), buffers.numpy("leaf_point"), 0
-    for base, n in runs:
-        to[first : first + n] = points[base : base + n]
-        first += n
-
-
-def _expand(
-    source: meshlet_kernels.Mesh, leaves: int, meshlet: int, buffers: Buffers, threads: int
-) -> tuple[meshlet_kernels.Mesh, int]:
-    """Every leaf to 4**meshlet triangles."""
-    t = _template(meshlet)
-    n = t.segments
-    vertices = source.vertices + source.edge_count * (n - 1) + leaves * t.inner_points
-    edges, triangles = source.edge_count * n + leaves * t.inner_lines, leaves * t.triangles
-    out = _mesh("mesh_", vertices, edges, triangles, buffers)
-    out.point = buffers.get("mesh_point", vertices, wp.vec2i)
-    buffers.numpy("mesh_point")[: source.vertices] = buffers.numpy("leaf_point")[: source.vertices]
-    launch.spread(
-        meshlet_kernels.expand_edges, source.edge_count, [n, source, out], step="meshlets", threads=threads, cost=n / 2
-    )
-    pieces = threads if leaves * t.triangles >= launch.SLICE_ITEMS else 1
-    cuts = [leaves * i // pieces for i in range(pieces + 1)]
-    scratch = max(t.points, t.lines)
-    points = buffers.get("template_points", pieces * scratch, wp.int32)
-    lines = buffers.get("template_lines", pieces * scratch, wp.int32)
-    launch.slices(
-        meshlet_kernels.expand_leaves,
-        [[cuts[k], cuts[k + 1], k * scratch, t, source, out, 2 * meshlet, points, lines] for k in range(pieces)],
-        step="meshlets",
-    )
-    return out, triangles
-
-
-@cache
-def _template(meshlet: int) -> meshlet_kernels.Template:
-    """What `2 meshlet` bisections make of one triangle, in barycentric coordinates of n-ths."""
-    n = 1 << meshlet
-    triangles = [((n, 0, 0), (0, n, 0), (0, 0, n))]
-    for _ in range(2 * meshlet):
-        triangles = [
-            child
-            for left, apex, right in triangles
-            for middle in [tuple((x + y) // 2 for x, y in zip(left, right, strict=True))]
-            for child in ((left, middle, apex), (apex, middle, right))
-        ]
-    # Side 0 runs from left to apex (no right in it), 1 from apex to right, 2 from right to left.
-    sides = ((2, 1), (0, 2), (1, 0))  # (coordinate that is zero, coordinate that counts the place)
-    point_of, point_class, weights = {}, [], []
-    line_of, line_class, ends = {}, [], []
-
-    def point(b: tuple[int, int, int]) -> int:
-        if b not in point_of:
-            point_of[b] = len(point_of)
-            on = [s for s, (zero, _) in enumerate(sides) if b[zero] == 0]
-            if n in b:
-                point_class.append((0, b.index(n), 0))
-            elif on:
-                point_class.append((1, on[0], b[sides[on[0]][1]]))
-            else:
-                point_class.append((2, len(weights), 0))
-                weights.append(b)
-        return point_of[b]
-
-    def line(p: tuple[int, int, int], q: tuple[int, int, int]) -> int:
-        key = (min(p, q), max(p, q))
-        if key not in line_of:
-            line_of[key] = len(line_of)
-            on = [s for s, (zero, _) in enumerate(sides) if p[zero] == 0 and q[zero] == 0]
-            if on:
-                place = sides[on[0]][1]
-                line_class.append((1, on[0], min(p[place], q[place])))
-            else:
-                line_class.append((2, len(ends), 0))
-                ends.append((point(p), point(q)))
-        return line_of[key]
-
-    corners = [[point(b) for b in triangle] for triangle in triangles]
-    lines = [[line(a, b), line(b, c), line(c, a)] for a, b, c in triangles]
-
-    def table(rows: list, dtype, columns: int) -> wp.array:
-        return wp.array(
-            np.array(rows, np.int32).reshape(-1, columns) if columns > 1 else np.array(rows, np.int32).ravel(),
-            dtype=dtype,
-            device="cpu",
+    def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
+        """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
+        slices = leaves.counts.tolist()
+        triangles, vertices, edges, _ = (sum(column) for column in zip(*slices, strict=True))
+        prefix = "leaf_"
+        self._weld_slices(leaves, domain, triangles, vertices, edges)
+        # Points lie slice by slice; those of meshlets in one row.
+        runs, point = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)], "point"
+        if meshlet:
+            triangles, vertices, edges = self._expand(runs, triangles, vertices, edges, meshlet)
+            prefix, runs, point = "mesh_", [(0, vertices)], "mesh_point"
+        self._displace(runs, domain, vertices, point)
+        memory = self._buffers.numpy
+        return Surface(
+            memory("positions")[:vertices],
+            memory("normals")[:vertices],
+            memory("uv")[:vertices],
+            memory(prefix + "corner_verts")[: 3 * triangles],
+            memory(prefix + "corner_edges")[: 3 * triangles],
+            memory(prefix + "edges")[:edges],
+            memory(prefix + "level")[:triangles],
         )
 
-    t = meshlet_kernels.Template()
-    t.segments, t.triangles, t.points, t.lines = n, len(triangles), len(point_of), len(line_of)
-    t.inner_points, t.inner_lines = len(weights), len(ends)
-    t.corners, t.sides = table(corners, wp.int32, 1), table(lines, wp.int32, 1)
-    t.point_class, t.line_class = table(point_class, wp.vec3i, 3), table(line_class, wp.vec3i, 3)
-    t.weights, t.ends = table(weights, wp.vec3i, 3), table(ends, wp.vec2i, 2)
-    return t
+    def _weld_slices(self, leaves: Leaves, domain: Domain, triangles: int, vertices: int, edges: int) -> None:
+        """Number vertices and edges along the curve, each slice from its exact base, and join the slices."""
+        get, w = self._buffers.get, self._weld
+        slices, squares = len(leaves.counts), domain.columns * domain.rows
+        side_base = get("side_base", 2 * squares + 1, wp.int32)
+        ends = self._buffers.numpy("side_base")
+        ends[0] = 0
+        np.cumsum(leaves.sides.T[2:], dtype=np.int32, out=ends[1 : 2 * squares + 1])
+        # A place in each list for every leaf, and some: memory is committed as it is touched.
+        room = triangles + weld_state.SPARE * slices
+        w.columns, w.rows = domain.columns, domain.rows
+        _bind(
+            w,
+            counts=self._table("slice_counts", leaves.counts, wp.int64),
+            leaf_base=self._table("slice_base", leaves.base, wp.int64),
+            squares=self._table("slice_squares", leaves.squares, wp.int32),
+            before=self._table("slice_before", leaves.before, wp.int32),
+            side_base=side_base,
+            code=get("code", 0, wp.uint16),
+            side=get("side", int(ends[2 * squares]), wp.vec2i),
+            corners=get("corners", 2 * squares, wp.int32),
+            stack=get("weld_stack", 2 * room, wp.vec2i),
+            imports=get("imports", 2 * room, wp.vec2i),
+            fixes=get("fixes", room, wp.int32),
+            state=get("weld_state", (slices + 1) * weld_state.STATE_SIZE, wp.int32),
+            **self._mesh_arrays("leaf_", triangles, edges),
+        )
+        launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld")
+        if slices > 1:
+            open_edges, found = get("open_edges", 2 * room, wp.vec2i), get("found", 2 * room, wp.vec2i)
+            launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld")
+
+    def _expand(
+        self, runs: list[tuple[int, int]], leaves: int, vertices: int, edges: int, meshlet: int
+    ) -> tuple[int, int, int]:
+        """Every leaf to 4**meshlet triangles; returns how many triangles, vertices and edges there are."""
+        get, t, coarse, fine = self._buffers.get, template(meshlet), self._coarse, self._fine
+        n = t.segments
+        triangles = leaves * t.triangles
+        all_vertices = vertices + edges * (n - 1) + leaves * t.inner_points
+        all_edges = edges * n + leaves * t.inner_lines
+        coarse.vertices, coarse.edge_count = vertices, edges
+        point = get("mesh_point", all_vertices, wp.vec2i)
+        _bind(coarse, point=point, **self._mesh_arrays("leaf_", leaves, edges))
+        _bind(fine, point=point, **self._mesh_arrays("mesh_", triangles, all_edges))
+        # The leaves' own points first, in one row, where edges and leaves can look them up.
+        source, to, first = self._buffers.numpy("point"), self._buffers.numpy("mesh_point"), 0
+        for base, count in runs:
+            to[first : first + count] = source[base : base + count]
+            first += count
+        pieces = self._pieces(triangles)
+        room = t.points + t.lines
+        numbers = get("template_numbers", pieces * room, wp.int32)
+        inputs = [
+            [*_piece(edges, k, pieces), *_piece(leaves, k, pieces), k * room, t, coarse, fine, numbers]
+            for k in range(pieces)
+        ]
+        launch.slices(meshlet_kernels.expand, inputs, step="meshlets")
+        return triangles, all_vertices, all_edges
+
+    def _displace(self, runs: list[tuple[int, int]], domain: Domain, vertices: int, point: str) -> None:
+        """Positions, normals and uv of runs of points (base, count)."""
+        get, p = self._buffers.get, self._points
+        pieces = self._pieces(vertices) if len(runs) == 1 else 1
+        _bind(
+            p,
+            point=get(point, 0, wp.vec2i),
+            positions=get("positions", vertices, wp.vec3f),
+            normals=get("normals", vertices, wp.vec3f),
+            uv=get("uv", vertices, wp.vec2f),
+        )
+        inputs, first = [], 0
+        for base, n in runs:
+            inputs += [[*_piece(n, k, pieces), base, first, domain, p] for k in range(pieces)]
+            first += n
+        launch.slices(displace_kernels.displace, inputs, step="displace")
+
+    def _mesh_arrays(self, prefix: str, triangles: int, edges: int) -> dict[str, wp.array]:
+        get = self._buffers.get
+        return {
+            "corner_verts": get(prefix + "corner_verts", 3 * triangles, wp.int32),
+            "corner_edges": get(prefix + "corner_edges", 3 * triangles, wp.int32),
+            "edges": get(prefix + "edges", edges, wp.vec2i),
+            "level": get(prefix + "level", triangles, wp.int32),
+        }
+
+    def _table(self, name: str, values: np.ndarray, dtype) -> wp.array:
+        """A small table in memory that lasts."""
+        table = self._buffers.get(name, values.size, dtype)
+        self._buffers.numpy(name)[: values.size] = values.reshape(-1)
+        return table
+
+    def _pieces(self, items: int) -> int:
+        return self._threads if items >= launch.SLICE_ITEMS else 1
+
+
+def _piece(count: int, k: int, pieces: int) -> tuple[int, int]:
+    """The k-th of even pieces of a range: where it begins and ends."""
+    return count * k // pieces, count * (k + 1) // pieces
+
+
+def _bind(struct, **arrays: wp.array) -> None:
+    """Set the arrays that are not the struct's already: setting one costs as much as a launch."""
+    for name, array in arrays.items():
+        if getattr(struct, name) is not array:
+            setattr(struct, name, array)

@@ -15,7 +15,7 @@ from .criterion import Criterion, localise, unit_lengths
 from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
-from .surface import Surface, build_surface
+from .surface import Surface, SurfaceBuilder
 from .view import View
 
 
@@ -54,6 +54,7 @@ class Terrain:
         self.threads = launch.default_threads() if threads is None else max(1, threads)
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
+        self._builder = SurfaceBuilder(self._buffers, self.threads)
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
@@ -110,7 +111,7 @@ class Terrain:
         surface = self._last.surface if self._last else None
         if changed:
             self._shape_key = None
-            surface = build_surface(leaves, domain, criterion.meshlet, self._buffers, self.threads)
+            surface = self._builder.build(leaves, domain, criterion.meshlet)
             self._shape_key = shape
         error_px2, total_px2, edge_px2, area_px2, metres, total_metres = (float(b) for b in leaves.bounds)
         excess = max(

@@ -8,6 +8,9 @@ same way. All that is done with them below is monotone, also in rounded arithmet
 
 import warp as wp
 
+from .layout import tile_index
+from .unchecked import height_at
+
 wp.set_module_options({"enable_backward": False})
 
 PERSPECTIVE = wp.constant(0)
@@ -52,7 +55,10 @@ class Domain:
     range_base: wp.float64
     range_step: wp.float64
     extra_error: wp.float64  # metres, before scaling: what resampling at import has moved
-    offsets: wp.array(dtype=wp.int64)
+    base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
+    pages: wp.array(dtype=wp.int32)  # ... and pages in a row
+    cell_base: wp.int64  # the same of the raster's cells
+    cell_pages: wp.int32
     error: wp.array(dtype=wp.float32)
     ranges: wp.array(dtype=wp.uint16)
     samples: wp.array(dtype=wp.float32)
@@ -91,20 +97,17 @@ def larger(a: wp.float64, b: wp.float64) -> wp.float64:
 def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
     e = wp.float32(0.0)
-    row = domain.columns << domain.levels
-    if i >= 0 and j >= 0 and i < row and j < (domain.rows << domain.levels):
-        e = domain.error[domain.offsets[2 * domain.levels + 1] + wp.int64(j) * wp.int64(row) + wp.int64(i)]
+    if i >= 0 and j >= 0 and i < (domain.columns << domain.levels) and j < (domain.rows << domain.levels):
+        e = height_at(domain.error, domain.cell_base + tile_index(i, j, domain.cell_pages))
     return e
 
 
 @wp.func
 def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Where the arrays hold the diamond split at (x, y), down to the raster's cells."""
-    half = (depth - 1) >> 1
-    even = 1 - (depth & 1)
-    shift = domain.unit_bits - half - even
-    row = wp.int64(y >> shift) * wp.int64((domain.columns << half) + even)
-    return domain.offsets[depth] + row + wp.int64(x >> (shift + even))
+    """Where the arrays hold the diamond split at (x, y), above the raster's cells: see kernels/layout.py."""
+    group = (domain.levels - 1 - ((depth - 1) >> 1)) >> 1
+    shift = domain.unit_bits - domain.levels + 2 * group
+    return domain.base[group] + tile_index(x >> shift, y >> shift, domain.pages[group])
 
 
 @wp.func
@@ -112,8 +115,8 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
     """Saturated error of the diamond split at (x, y): metres, before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
-    if finer <= 0:
-        error = domain.error[place(domain, x, y, depth)]
+    if finer < 0:
+        error = height_at(domain.error, place(domain, x, y, depth))
     else:
         bits = domain.unit_bits - domain.levels
         i = x >> bits

@@ -4,75 +4,120 @@
 import warp as wp
 
 from .criterion import Domain
+from .unchecked import height_at, pair_at, prefetch, put_vec2, put_vec3
 
 wp.set_module_options({"enable_backward": False})
 
+AHEAD = wp.constant(32)
+
+
+@wp.struct
+class Points:
+    """Points of the lattice, and what becomes of them."""
+
+    point: wp.array(dtype=wp.vec2i)
+    positions: wp.array(dtype=wp.vec3f)
+    normals: wp.array(dtype=wp.vec3f)
+    uv: wp.array(dtype=wp.vec2f)
+
 
 @wp.func
-def sample(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float64:
-    return wp.float64(domain.samples[wp.int64(j) * wp.int64(domain.width) + wp.int64(i)])
+def height(samples: wp.array(dtype=wp.float32), i: wp.int64) -> wp.float64:
+    return wp.float64(height_at(samples, i))
 
 
 @wp.func
-def gradient(domain: Domain, i: wp.int32, j: wp.int32) -> wp.vec2d:
-    """Metres a cell at a sample: central differences, one-sided on the border."""
-    i0 = wp.max(i - 1, 0)
-    i1 = wp.min(i + 1, domain.width - 1)
-    j0 = wp.max(j - 1, 0)
-    j1 = wp.min(j + 1, domain.height - 1)
-    gx = (sample(domain, i1, j) - sample(domain, i0, j)) / wp.float64(i1 - i0)
-    gy = (sample(domain, i, j1) - sample(domain, i, j0)) / wp.float64(j1 - j0)
-    return wp.vec2d(gx, gy)
+def on_sample(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+    """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
+    row = wp.int64(columns)
+    at = wp.int64(j) * row + wp.int64(i)
+    west = at - wp.int64(1)
+    east = at + wp.int64(1)
+    south = at - row
+    north = at + row
+    per_x = wp.float64(0.5)
+    per_y = wp.float64(0.5)
+    if i == 0 or j == 0 or i == columns - 1 or j == rows - 1:
+        if i == 0:
+            west = at
+            per_x = wp.float64(1.0)
+        if i == columns - 1:
+            east = at
+            per_x = wp.float64(1.0)
+        if j == 0:
+            south = at
+            per_y = wp.float64(1.0)
+        if j == rows - 1:
+            north = at
+            per_y = wp.float64(1.0)
+    gx = (height(samples, east) - height(samples, west)) * per_x
+    gy = (height(samples, north) - height(samples, south)) * per_y
+    return wp.vec3d(height(samples, at), gx, gy)
+
+
+@wp.func
+def in_cell(
+    samples: wp.array(dtype=wp.float32),
+    columns: wp.int32,
+    rows: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
+    s: wp.float64,
+    t: wp.float64,
+):
+    """Height and gradient inside cell (i, j), bilinear between its four samples."""
+    whole = wp.float64(1.0)
+    south = on_sample(samples, columns, rows, i, j) * ((whole - s) * (whole - t))
+    south += on_sample(samples, columns, rows, i + 1, j) * (s * (whole - t))
+    north = on_sample(samples, columns, rows, i, j + 1) * ((whole - s) * t)
+    north += on_sample(samples, columns, rows, i + 1, j + 1) * (s * t)
+    return south + north
 
 
 @wp.kernel
 def displace(
-    offset: wp.int32,
-    domain: Domain,
-    point_base: wp.int64,
-    vertex_base: wp.int32,
-    point: wp.array(dtype=wp.vec2i),
-    positions: wp.array(dtype=wp.vec3f),
-    normals: wp.array(dtype=wp.vec3f),
-    uv: wp.array(dtype=wp.vec2f),
+    first: wp.int32, end: wp.int32, point_base: wp.int64, vertex_base: wp.int32, domain: Domain, points: Points
 ):
-    """Everything in float64 about the local origin, cast to float32 last; bilinear between samples."""
-    v = wp.tid() + offset
-    p = point[point_base + wp.int64(v)]
+    """Everything in float64 about the local origin, cast to float32 last."""
     bits = domain.unit_bits - domain.levels
-    one = wp.float64(wp.int32(1) << bits)
-    i = wp.min(p[0] >> bits, domain.width - 2)
-    j = wp.min(p[1] >> bits, domain.height - 2)
-    # exact: a power of two below float64's 53 bits
-    s = wp.float64(p[0] - (i << bits)) / one
-    t = wp.float64(p[1] - (j << bits)) / one
-    h = wp.float64(0.0)
-    g = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
+    cell = wp.int32(1) << bits
+    columns = domain.width
+    rows = domain.height
+    samples = domain.samples
     whole = wp.float64(1.0)
-    if (s == wp.float64(0.0) or s == whole) and (t == wp.float64(0.0) or t == whole):
-        i += wp.int32(s)
-        j += wp.int32(t)
-        h = sample(domain, i, j)
-        g = gradient(domain, i, j)
-    else:
-        a = (whole - s) * (whole - t)
-        b = s * (whole - t)
-        c = (whole - s) * t
-        d = s * t
-        h = sample(domain, i, j) * a + sample(domain, i + 1, j) * b
-        h += sample(domain, i, j + 1) * c + sample(domain, i + 1, j + 1) * d
-        g = gradient(domain, i, j) * a + gradient(domain, i + 1, j) * b
-        g += gradient(domain, i, j + 1) * c + gradient(domain, i + 1, j + 1) * d
-    x = domain.west + wp.float64(p[0]) * domain.unit_x
-    y = domain.south + wp.float64(p[1]) * domain.unit_y
-    z = h * domain.height_scale + domain.height_offset
-    o = vertex_base + v
-    positions[o] = wp.vec3f(wp.float32(x), wp.float32(y), wp.float32(z))
-    nx = -g[0] * domain.height_scale / (domain.unit_x * one)
-    ny = -g[1] * domain.height_scale / (domain.unit_y * one)
-    n = wp.normalize(wp.vec3d(nx, ny, whole))
-    normals[o] = wp.vec3f(wp.float32(n[0]), wp.float32(n[1]), wp.float32(n[2]))
-    uv[o] = wp.vec2f(
-        wp.float32(wp.float64(p[0]) / (one * wp.float64(domain.width - 1))),
-        wp.float32(wp.float64(p[1]) / (one * wp.float64(domain.height - 1))),
-    )
+    units = wp.float64(cell)
+    part = whole / units  # exact: a power of two
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    per_width = part / wp.float64(columns - 1)
+    per_height = part / wp.float64(rows - 1)
+    last = wp.int64(end - 1)
+    for v in range(first, end):
+        k = point_base + wp.int64(v)
+        q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
+        near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
+        prefetch(samples, near)
+        prefetch(samples, near - wp.int64(columns))
+        prefetch(samples, near + wp.int64(columns))
+        p = pair_at(points.point, k)
+        x = p[0]
+        y = p[1]
+        g = wp.vec3d()
+        if ((x | y) & (cell - 1)) == 0:
+            g = on_sample(samples, columns, rows, x >> bits, y >> bits)
+        else:
+            i = wp.min(x >> bits, columns - 2)
+            j = wp.min(y >> bits, rows - 2)
+            s = wp.float64(x - (i << bits)) * part
+            t = wp.float64(y - (j << bits)) * part
+            g = in_cell(samples, columns, rows, i, j, s, t)
+        px = domain.west + wp.float64(x) * domain.unit_x
+        py = domain.south + wp.float64(y) * domain.unit_y
+        pz = g[0] * domain.height_scale + domain.height_offset
+        nx = -g[1] * slope_x
+        ny = -g[2] * slope_y
+        nz = whole / wp.sqrt(nx * nx + ny * ny + whole)
+        o = vertex_base + v
+        put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
+        put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
+        put_vec2(points.uv, o, wp.vec2f(wp.float32(wp.float64(x) * per_width), wp.float32(wp.float64(y) * per_height)))

@@ -3,49 +3,51 @@
 
 import warp as wp
 
-from .hierarchy import around, side_point
+from .hierarchy import around, beside, side_point
+from .layout import Depth, entry
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def raise_centres(offset: int, columns: int, finer: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)):
+def raise_centres(offset: int, columns: int, finer: Depth, own: Depth, errors: wp.array(dtype=wp.float32)):
     """Cell centres take the largest value of their four children."""
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
-    below = 2 * cy * (columns + 1) + cx
-    beside = below + columns + 1
-    across = wp.max(finer[below], finer[below + 2 * (columns + 1)])
-    errors[t] = wp.max(across, wp.max(finer[beside], finer[beside + 1]))
+    errors[entry(own, cx, cy)] = beside(errors, finer, cx, cy)
 
 
 @wp.kernel
-def raise_sides(
-    offset: int, columns: int, rows: int, finer: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)
-):
+def raise_sides(offset: int, columns: int, rows: int, finer: Depth, own: Depth, errors: wp.array(dtype=wp.float32)):
     """Side middles take the largest value of their up to four children."""
     t = offset + wp.tid()
     p = side_point(t, columns / 2 + 1)
     if p[0] <= columns:
-        errors[t] = around(finer, p[0], p[1], columns, rows)
+        errors[entry(own, p[0], p[1])] = around(errors, finer, p[0], p[1], columns, rows)
 
 
 @wp.kernel
 def raise_cells(
-    offset: int, columns: int, rows: int, old: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)
+    offset: int,
+    columns: int,
+    rows: int,
+    before: Depth,
+    old: wp.array(dtype=wp.float32),
+    own: Depth,
+    errors: wp.array(dtype=wp.float32),
 ):
     """Cells of the raster take a quarter of the largest of themselves and their neighbours: two bisections below."""
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
-    largest = old[t]
+    largest = old[entry(before, cx, cy)]
     if cx > 0:
-        largest = wp.max(largest, old[t - 1])
+        largest = wp.max(largest, old[entry(before, cx - 1, cy)])
     if cx < columns - 1:
-        largest = wp.max(largest, old[t + 1])
+        largest = wp.max(largest, old[entry(before, cx + 1, cy)])
     if cy > 0:
-        largest = wp.max(largest, old[t - columns])
+        largest = wp.max(largest, old[entry(before, cx, cy - 1)])
     if cy < rows - 1:
-        largest = wp.max(largest, old[t + columns])
-    errors[t] = largest * wp.float32(0.25)
+        largest = wp.max(largest, old[entry(before, cx, cy + 1)])
+    errors[entry(own, cx, cy)] = largest * wp.float32(0.25)

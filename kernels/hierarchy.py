@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the error hierarchy and of the height ranges of a raster; the method is in `cbt_terrain/hierarchy.py`.
 
-Heights `h` are one flat array, row 0 south, `width` samples a row. Diamonds are indexed as in `cbt_terrain/lattice.py`.
+Heights `h` are one flat array, row 0 south, `width` samples a row. Errors are one array in the order of
+`cbt_terrain/lattice.py`; kernels work on one depth of it at a time.
 All arithmetic on heights is float64: planes through float32 samples at power-of-two distances are then exact, so that a
 flat or planar map has an error of exactly zero.
 """
 
 import warp as wp
+
+from .layout import Depth, entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -89,6 +92,15 @@ def diagonal_error(
     return largest
 
 
+@wp.func
+def beside(errors: wp.array(dtype=wp.float32), sides: Depth, cx: int, cy: int):
+    """Largest value of the middles of the four sides of a cell."""
+    across = wp.max(errors[entry(sides, 2 * cx + 1, 2 * cy)], errors[entry(sides, 2 * cx + 1, 2 * cy + 2)])
+    return wp.max(
+        across, wp.max(errors[entry(sides, 2 * cx, 2 * cy + 1)], errors[entry(sides, 2 * cx + 2, 2 * cy + 1)])
+    )
+
+
 @wp.kernel
 def centre_errors(
     offset: int,
@@ -97,7 +109,8 @@ def centre_errors(
     columns: int,
     side: int,
     root: int,
-    finer: wp.array(dtype=wp.float32),
+    finer: Depth,
+    own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
     """Diamonds at the centres of cells of `side` samples (at least 2), `columns` cells a row.
@@ -137,11 +150,7 @@ def centre_errors(
             middle = h00 + (h11 - h10) / n * v + slope * v
             largest = wp.max(largest, row_error(h, row + j, side + 1 - j, middle, slope))
         largest = diagonal_error(h, south, 1, width, side, h00, (h11 - h00) / n, largest)
-    own = round_up(largest)
-    below = 2 * cy * (columns + 1) + cx
-    own = wp.max(own, wp.max(finer[below], finer[below + 2 * (columns + 1)]))
-    beside = below + columns + 1
-    errors[t] = wp.max(own, wp.max(finer[beside], finer[beside + 1]))
+    errors[entry(own, cx, cy)] = wp.max(round_up(largest), beside(errors, finer, cx, cy))
 
 
 @wp.func
@@ -189,7 +198,7 @@ def upright_base_error(h: wp.array(dtype=wp.float32), width: int, centre: int, h
 
 
 @wp.func
-def around(values: wp.array(dtype=wp.float32), x: int, y: int, columns: int, rows: int):
+def around(errors: wp.array(dtype=wp.float32), centres: Depth, x: int, y: int, columns: int, rows: int):
     """Largest value of the up to four cells that meet in the lattice point (x, y)."""
     largest = wp.float32(0.0)
     for j in range(2):
@@ -197,13 +206,16 @@ def around(values: wp.array(dtype=wp.float32), x: int, y: int, columns: int, row
             cx = x - i
             cy = y - j
             if cx >= 0 and cx < columns and cy >= 0 and cy < rows:
-                largest = wp.max(largest, values[cy * columns + cx])
+                largest = wp.max(largest, errors[entry(centres, cx, cy)])
     return largest
 
 
 @wp.func
 def side_point(t: int, stride: int):
-    """Lattice point (x, y), x + y odd, of entry `t` of a level of side middles with `stride` entries a row."""
+    """Lattice point (x, y), x + y odd, of number `t` of the middles of sides, `stride` a row.
+
+    A row between cells has one more than a row through centres, where the last number is beyond the east end.
+    """
     y = t / stride
     return wp.vec2i(2 * (t - y * stride) + ((y + 1) & 1), y)
 
@@ -216,7 +228,8 @@ def side_errors(
     columns: int,
     rows: int,
     half: int,
-    finer: wp.array(dtype=wp.float32),
+    finer: Depth,
+    own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
     """Diamonds at the middles of cells' sides, `half` samples from the ends of the side.
@@ -228,7 +241,6 @@ def side_errors(
     x = p[0]
     y = p[1]
     if x > columns:
-        errors[t] = wp.float32(0.0)  # the unused last entry of a row
         return
     centre = y * half * width + x * half
     largest = wp.float64(0.0)
@@ -248,36 +260,40 @@ def side_errors(
             largest = wp.max(largest, upright_base_error(h, width, centre, half, -1))
         if x < columns:
             largest = wp.max(largest, upright_base_error(h, width, centre, half, 1))
-    errors[t] = wp.max(round_up(largest), around(finer, x, y, columns, rows))
+    errors[entry(own, x, y)] = wp.max(round_up(largest), around(errors, finer, x, y, columns, rows))
 
 
 @wp.kernel
-def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, errors: wp.array(dtype=wp.float32)):
+def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Row `offset + tid` of cells: a quarter of each twist, saturated along the row to a quarter of its neighbours'."""
     cy = offset + wp.tid()
-    cells = width - 1
-    before = wp.float32(0.0)
-    for cx in range(cells):
+    columns = width - 1
+    last = wp.float32(0.0)
+    for cx in range(columns):
         at = cy * width + cx
         near = wp.float64(h[at]) - wp.float64(h[at + 1])
         far = wp.float64(h[at + width + 1]) - wp.float64(h[at + width])
-        before = wp.max(round_up(wp.abs(near + far) * wp.float64(0.25)), before * wp.float32(0.25))
-        errors[cy * cells + cx] = before
-    for i in range(cells - 1):
-        at = cy * cells + cells - 2 - i
-        errors[at] = wp.max(errors[at], errors[at + 1] * wp.float32(0.25))
+        last = wp.max(round_up(wp.abs(near + far) * wp.float64(0.25)), last * wp.float32(0.25))
+        errors[entry(cells, cx, cy)] = last
+    for i in range(columns):
+        cell = entry(cells, columns - 1 - i, cy)
+        last = wp.max(errors[cell], last * wp.float32(0.25))
+        errors[cell] = last
 
 
 @wp.kernel
-def saturate_columns(offset: int, columns: int, rows: int, block: int, errors: wp.array(dtype=wp.float32)):
+def saturate_columns(
+    offset: int, columns: int, rows: int, block: int, cells: Depth, errors: wp.array(dtype=wp.float32)
+):
     """Block `offset + tid` of columns: each cell to at least a quarter of its southern and northern neighbours."""
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, columns)
     for i in range(rows - 1):
-        at = (i + 1) * columns
         for x in range(x0, x1):
-            errors[at + x] = wp.max(errors[at + x], errors[at - columns + x] * wp.float32(0.25))
+            cell = entry(cells, x, i + 1)
+            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, i)] * wp.float32(0.25))
     for i in range(rows - 1):
-        at = (rows - 2 - i) * columns
+        cy = rows - 2 - i
         for x in range(x0, x1):
-            errors[at + x] = wp.max(errors[at + x], errors[at + columns + x] * wp.float32(0.25))
+            cell = entry(cells, x, cy)
+            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, cy + 1)] * wp.float32(0.25))

@@ -2,12 +2,13 @@
 """Kernels of the ranges of heights: for every diamond above the raster's cells, two uint16 that enclose its surface.
 
 A height is `base + q * step`; the lower number is rounded down and the upper one up, so the range encloses. `ranges`
-are flat: lower and upper of one diamond lie side by side. Diamonds are indexed as in `cbt_terrain/lattice.py`.
+are flat: lower and upper of one diamond lie side by side, diamonds in the order of `cbt_terrain/lattice.py`.
 """
 
 import warp as wp
 
 from .hierarchy import side_point
+from .layout import Depth, entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,6 +53,7 @@ def finest_ranges(
     height: int,
     base: wp.float64,
     step: wp.float64,
+    own: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
     """Row `offset + tid` of samples: diamonds about those with x + y odd, from all samples within two of them.
@@ -61,7 +63,6 @@ def finest_ranges(
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    first = y * ((width - 1) / 2 + 1)
     # A window of five columns moves along the row; beyond an end the last column counts again.
     a = column_range(h, 0, width, y, height)
     b = a
@@ -78,44 +79,48 @@ def finest_ranges(
         if ((x + y) & 1) == 1:
             low = wp.min(wp.min(wp.min(a[0], b[0]), wp.min(c[0], d[0])), e[0])
             high = wp.max(wp.max(wp.max(a[1], b[1]), wp.max(c[1], d[1])), e[1])
-            at = 2 * (first + x / 2)
+            at = wp.int64(2) * entry(own, x, y)
             ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
-            ranges[at + 1] = quantise_up(wp.float64(high), base, step, per_step)
+            ranges[at + wp.int64(1)] = quantise_up(wp.float64(high), base, step, per_step)
+
+
+@wp.func
+def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
+    """The range `a` widened to that of the diamond at an entry."""
+    at = wp.int64(2) * index
+    return wp.vec2us(wp.min(a[0], ranges[at]), wp.max(a[1], ranges[at + wp.int64(1)]))
 
 
 @wp.kernel
-def centre_ranges(offset: int, columns: int, finer: wp.array(dtype=wp.uint16), ranges: wp.array(dtype=wp.uint16)):
+def centre_ranges(offset: int, columns: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Cell centres: the union of their four children, the middles of the cell's sides."""
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
-    south = 2 * (2 * cy * (columns + 1) + cx)
-    west = south + 2 * (columns + 1)
-    north = south + 4 * (columns + 1)
-    low = wp.min(wp.min(finer[south], finer[north]), wp.min(finer[west], finer[west + 2]))
-    high = wp.max(wp.max(finer[south + 1], finer[north + 1]), wp.max(finer[west + 1], finer[west + 3]))
-    ranges[2 * t] = low
-    ranges[2 * t + 1] = high
+    r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
+    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy))
+    r = unite(r, ranges, entry(finer, 2 * cx, 2 * cy + 1))
+    r = unite(r, ranges, entry(finer, 2 * cx + 2, 2 * cy + 1))
+    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy + 2))
+    at = wp.int64(2) * entry(own, cx, cy)
+    ranges[at] = r[0]
+    ranges[at + wp.int64(1)] = r[1]
 
 
 @wp.kernel
-def side_ranges(
-    offset: int, columns: int, rows: int, finer: wp.array(dtype=wp.uint16), ranges: wp.array(dtype=wp.uint16)
-):
+def side_ranges(offset: int, columns: int, rows: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Side middles: the union of their up to four children, the centres of the `columns` x `rows` cells around them."""
     t = offset + wp.tid()
     p = side_point(t, columns / 2 + 1)
     if p[0] > columns:
         return
-    low = wp.uint16(65535)
-    high = wp.uint16(0)
+    r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
     for j in range(2):
         for i in range(2):
             cx = p[0] - i
             cy = p[1] - j
             if cx >= 0 and cx < columns and cy >= 0 and cy < rows:
-                at = 2 * (cy * columns + cx)
-                low = wp.min(low, finer[at])
-                high = wp.max(high, finer[at + 1])
-    ranges[2 * t] = low
-    ranges[2 * t + 1] = high
+                r = unite(r, ranges, entry(finer, cx, cy))
+    at = wp.int64(2) * entry(own, p[0], p[1])
+    ranges[at] = r[0]
+    ranges[at + wp.int64(1)] = r[1]

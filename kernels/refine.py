@@ -81,7 +81,7 @@ class Walk:
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
     errors: wp.array(dtype=wp.float32)
-    bands: wp.array(dtype=wp.vec2d)
+    bands: wp.array(dtype=wp.vec3d)
     depths: wp.array(dtype=wp.vec4i)
     blocks: Blocks
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
@@ -212,12 +212,13 @@ def walk(domain: Domain, asked: Asked, w: Walk):
         w.errors[place] = error
         band_at = wp.int32(0)
         finest2 = wp.float64(0.0)
-        coarsest2 = wp.float64(wp.inf)
+        split_above2 = wp.float64(wp.inf)
+        leaf_up_to2 = wp.float64(-1.0)
         clear = wp.int32(0)
         split_depth = wp.int32(0)
         leaf_depth = 1 << 30
         even_depth = wp.int32(0)
-        w.bands[place] = wp.vec2d(finest2, coarsest2)
+        w.bands[place] = wp.vec3d(finest2, split_above2, leaf_up_to2)
         w.depths[place] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
         inside = wp.int32(1)
         while inside == 1 and leaves <= w.leaf_limit:
@@ -228,11 +229,11 @@ def walk(domain: Domain, asked: Asked, w: Walk):
             known = wp.int32(1)
             metres2, total2 = metres2_of(domain, error)
             if depth < w.max_depth:
-                if depth < split_depth or metres2 > smaller(split_error2 * coarsest2, split_metres2):
+                if depth < split_depth or metres2 > split_above2:
                     split = 1
                     if even_depth < 0 and leaf_depth - depth > 3:
                         known = 0  # a narrower band may leave the depth in no doubt
-                elif not (metres2 <= smaller(split_error2 * finest2, split_metres2)):
+                elif metres2 > leaf_up_to2:
                     known = 0
             if split == 0:
                 if depth < leaf_depth or not (metres2 <= worst_px2 * finest2 and total2 <= worst_total_px2 * finest2):
@@ -247,6 +248,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     coarse2, clear = coarsest(asked, diamond, clear)
                     finest2 = pixel2 * BELOW
                     coarsest2 = coarse2 * ABOVE
+                    leaf_up_to2 = smaller(split_error2 * finest2, split_metres2)
+                    split_above2 = smaller(split_error2 * coarsest2, split_metres2)
                     band_at = top
                     split_depth = 0
                     leaf_depth = 0
@@ -283,10 +286,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                             ),
                         )
                         # No error below asks for a split or is a new maximum: depths alone decide.
-                        if metres2 <= smaller(smaller(split_error2 * finest2, split_metres2), worst_px2 * finest2):
+                        if metres2 <= smaller(leaf_up_to2, worst_px2 * finest2):
                             if total2 <= worst_total_px2 * finest2 and error <= worst_error:
                                 even_depth = wp.where(split_depth == leaf_depth, leaf_depth, -1)
-                    w.bands[place + band_at] = wp.vec2d(finest2, coarsest2)
+                    w.bands[place + band_at] = wp.vec3d(finest2, split_above2, leaf_up_to2)
                     w.depths[place + band_at] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
                 elif cell >= start:
                     near2 = pixel2 * BELOW
@@ -412,39 +415,36 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                                 if room == 1:
                                     w.point[w.leaf_base + vertices] = end
                                 vertices += wp.int64(1)
-                    if (state & 1) == 0:
-                        # the third edge: left - apex, apex - right or right - left; its far end is the new vertex
-                        p_x = apex_x
-                        p_y = apex_y
-                        q_x = right_x
-                        q_y = right_y
-                        if passage != LEG_HYP:
-                            p_x = left_x
-                            p_y = left_y
-                            if passage == HYP_LEG:
-                                q_x = apex_x
-                                q_y = apex_y
-                        role = INNER
-                        if w.grid == 1:
-                            role = border_role(
-                                wp.vec2i(p_x, p_y),
-                                wp.vec2i(q_x, q_y),
-                                wp.vec2i(x0, y0),
-                                side,
-                                column,
-                                row,
-                                columns,
-                                domain.rows,
-                            )
-                            if role != INNER and role != TO_CORNER:
-                                w.sides[4 * square + role - 1] = w.sides[4 * square + role - 1] + 1
+                    # The third edge, if it is new: left - apex, apex - right or right - left, to the new vertex q.
+                    new_edge = 1 - (state & 1)
+                    new_vertex = new_edge
+                    q_x = wp.where(passage == HYP_LEG, apex_x, right_x)
+                    q_y = wp.where(passage == HYP_LEG, apex_y, right_y)
+                    if w.grid == 1 and new_edge == 1:
+                        p_x = wp.where(passage == LEG_HYP, apex_x, left_x)
+                        p_y = wp.where(passage == LEG_HYP, apex_y, left_y)
+                        role = border_role(
+                            wp.vec2i(p_x, p_y),
+                            wp.vec2i(q_x, q_y),
+                            wp.vec2i(x0, y0),
+                            side,
+                            column,
+                            row,
+                            columns,
+                            domain.rows,
+                        )
                         code = code | (wp.uint32(role) << wp.uint32(BORDER))
-                        if role != TAKE_LEFT and role != TAKE_BELOW:
-                            edges += wp.int64(1)
-                            if role != TO_CORNER:
-                                if room == 1:
-                                    w.point[w.leaf_base + vertices] = wp.vec2i(q_x, q_y)
-                                vertices += wp.int64(1)
+                        if role != INNER and role != TO_CORNER:
+                            w.sides[4 * square + role - 1] = w.sides[4 * square + role - 1] + 1
+                        if role == TAKE_LEFT or role == TAKE_BELOW:
+                            new_edge = 0
+                            new_vertex = 0
+                        if role == TO_CORNER:
+                            new_vertex = 0
+                    if room == 1:
+                        w.point[w.leaf_base + vertices] = wp.vec2i(q_x, q_y)  # stays only if it is new
+                    vertices += wp.int64(new_vertex)
+                    edges += wp.int64(new_edge)
                     edges += wp.int64(1)  # the edge through which the curve leaves
                     if cell + size == cells:
                         code = code | (wp.uint32(1) << wp.uint32(LAST))
@@ -483,7 +483,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         band_at = kept >> 9
                         band = w.bands[place + band_at]
                         finest2 = band[0]
-                        coarsest2 = band[1]
+                        split_above2 = band[1]
+                        leaf_up_to2 = band[2]
                         kept_depths = w.depths[place + band_at]
                         split_depth = kept_depths[0]
                         leaf_depth = kept_depths[1]

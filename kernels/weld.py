@@ -7,325 +7,271 @@ vertex, which leaves an open edge on that border's stack, or over the edge on to
 every vertex and every edge gets its number once. Edges on the sides that two root squares share are kept per side
 instead, since the later square passes them last edge first.
 
-Slices of the curve are welded side by side. What a slice needs from earlier ones is an import: it gets the negative
-number -1 - i, i being its place in the slice's list; join.py finds what each stands for.
+Slices of the curve are welded side by side, each from exact bases (weld_state.py), and joined afterwards (join.py).
 """
 
 import warp as wp
 
 from .refine import (
     BORDER,
-    CORNER,
     DEPTH_SHIFT,
     FIRST,
     GIVE_ABOVE,
     GIVE_RIGHT,
     HYP_LEG,
     LAST,
+    LEG_HYP,
     LEG_LEG,
     PARITY,
     TAKE_BELOW,
     TAKE_LEFT,
     TO_CORNER,
 )
+from .unchecked import code_at, packed_at, put, put_packed
+from .weld_border import corner_below, enter, give_above, give_right, take_side
+from .weld_state import (
+    END_FRONT,
+    END_TOPS,
+    FIRST_OWN,
+    FIXES,
+    FRONT,
+    LEFT,
+    RESTARTED,
+    SQUARE,
+    STATE_SIZE,
+    Weld,
+    ask,
+    ask_stack,
+    base_of,
+    stack_base,
+)
 
 wp.set_module_options({"enable_backward": False})
 
-# What an import asks for.
-FRONT = wp.constant(0)  # value 0, 1: that vertex of the front, 2: its edge
-STACK = wp.constant(1)  # + side (1 or 2): the value-th edge from the top of the stack
-SIDE = wp.constant(3)  # entry `value` of the shared sides
-UPPER_LEFT = wp.constant(4)  # upper left corner of square `value`
-UPPER_RIGHT = wp.constant(5)
-
-# Columns of a slice's ends.
-END_FRONT, END_TOPS, END_POPS = wp.constant(0), wp.constant(3), wp.constant(5)
-END_RESTARTED, END_IMPORTS, END_FIXES = wp.constant(7), wp.constant(8), wp.constant(9)
-ENDS = wp.constant(10)
+PASSAGE = wp.constant(6)  # a leaf's word without the rest
+SHAPE = wp.constant(PASSAGE | 1 << PARITY)
+RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST
 
 
-@wp.struct
-class Weld:
-    """One slice: what it reads, where its numbers begin, and what it shares."""
+def by_shape(value) -> int:
+    """A table of two bits for every shape, the passage and parity that a leaf's word holds, to be shifted by SHAPE."""
+    shapes = [(passage, odd) for passage in (LEG_LEG, HYP_LEG, LEG_HYP) for odd in (0, 1)]
+    return sum(value(passage, odd) << (passage | odd << PARITY) for passage, odd in shapes)
 
-    columns: wp.int32
-    rows: wp.int32
-    leaves: wp.int32
-    leaf_base: wp.int64
-    triangle: wp.int32  # first triangle, vertex and edge of the slice
-    vertex: wp.int32
-    edge: wp.int32
-    square: wp.int32  # the square in which the slice begins
-    slot: wp.int32
-    stack_base: wp.int32  # two stacks of stack_size entries (edge, vertex) from here
-    stack_size: wp.int32
-    import_base: wp.int32
-    fix_base: wp.int32
-    code: wp.array(dtype=wp.uint16)
-    before: wp.array(dtype=wp.int32)  # [slices, 4]: edges of that square's sides passed by earlier slices
-    right_base: wp.array(dtype=wp.int32)  # per square: first entry of its right side, then one past its last
-    above_base: wp.array(dtype=wp.int32)
-    side: wp.array(dtype=wp.vec2i)  # edges of the shared sides, each with the vertex where it was begun
-    corners: wp.array(dtype=wp.int32)  # per square: upper left and upper right vertex
-    stack: wp.array(dtype=wp.vec2i)
-    imports: wp.array(dtype=wp.vec2i)
-    fixes: wp.array(dtype=wp.int32)
-    ends: wp.array(dtype=wp.int32)
-    corner_verts: wp.array(dtype=wp.int32)
-    corner_edges: wp.array(dtype=wp.int32)
-    edges: wp.array(dtype=wp.vec2i)
-    level: wp.array(dtype=wp.int32)
+
+def first_corner(passage: int, odd: int) -> int:
+    """Where the left vertex of the front is stored: left, apex, right at odd depths, and mirrored at even ones."""
+    return 2 if passage == HYP_LEG else 1 - odd
+
+
+SIDES = wp.constant(by_shape(lambda passage, odd: 1 - odd if passage == LEG_LEG else odd))
+FIRST_CORNER = wp.constant(by_shape(first_corner))
+SECOND_CORNER = wp.constant(by_shape(lambda passage, odd: (first_corner(passage, odd) + 1) % 3))
+THIRD_CORNER = wp.constant(by_shape(lambda passage, odd: (first_corner(passage, odd) + 2) % 3))
+# Two int32 in an int64: the low and the high one.
+LOW = wp.constant(wp.int64(0xFFFFFFFF))
+SIGNS = wp.constant(wp.int64(-(1 << 63) | 1 << 31))
+ONE_EACH = wp.constant(wp.int64(1 << 32 | 1))
 
 
 @wp.func
-def ask(w: Weld, n: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
-    """Write import number n and return the number that stands for it."""
-    w.imports[w.import_base + n] = wp.vec2i(kind, value)
-    return -1 - n
+def packed(low: wp.int32, high: wp.int32) -> wp.int64:
+    return (wp.int64(low) & LOW) | (wp.int64(high) << wp.int64(32))
+
+
+@wp.func
+def low_of(pair: wp.int64) -> wp.int32:
+    return wp.int32(pair)
+
+
+@wp.func
+def high_of(pair: wp.int64) -> wp.int32:
+    return wp.int32(pair >> wp.int64(32))
+
+
+@wp.func
+def side_of(code: wp.int32) -> wp.int32:
+    """The side, 0 or 1, whose vertex of the front a leaf moves."""
+    return (SIDES >> (code & SHAPE)) & 1
+
+
+@wp.func
+def write_triangle(
+    w: Weld,
+    t: wp.int32,
+    code: wp.int32,
+    side: wp.int32,
+    front0: wp.int32,
+    front1: wp.int32,
+    far: wp.int32,
+    entry: wp.int32,
+    third: wp.int32,
+    leave: wp.int32,
+):
+    """Front and far vertex are counter-clockwise; the passage says which of them is stored first."""
+    shape = code & SHAPE
+    o = wp.int64(3) * wp.int64(t)
+    o0 = o + wp.int64((FIRST_CORNER >> shape) & 3)
+    o1 = o + wp.int64((SECOND_CORNER >> shape) & 3)
+    o2 = o + wp.int64((THIRD_CORNER >> shape) & 3)
+    put(w.corner_verts, o0, front0)
+    put(w.corner_verts, o1, front1)
+    put(w.corner_verts, o2, far)
+    put(w.corner_edges, o0, entry)
+    put(w.corner_edges, o1, wp.where(side == 0, leave, third))
+    put(w.corner_edges, o2, wp.where(side == 0, third, leave))
+    put(w.level, wp.int64(t), (code >> DEPTH_SHIFT) & 63)
 
 
 @wp.kernel
-def weld(w: Weld):
-    before_left = w.before[4 * w.slot]
-    before_below = w.before[4 * w.slot + 1]
-    before_right = w.before[4 * w.slot + 2]
-    before_above = w.before[4 * w.slot + 3]
-    square = w.square
-    row = square / w.columns
-    column = square - row * w.columns
-    # edges of this square's sides passed so far
-    left = before_left
-    below = before_below
-    right = before_right
-    above = before_above
-    vertices = w.vertex
-    edges = w.edge
-    imports = wp.int32(0)
-    fixes = wp.int32(0)
-    top0 = wp.int32(0)
-    top1 = wp.int32(0)
-    pops0 = wp.int32(0)
-    pops1 = wp.int32(0)
-    restarted = wp.int32(0)
-    started = wp.int32(0)
-    # the first square of which this slice has made the upper left corner
-    first_own = square + 1
-    if (w.code[w.leaf_base] >> wp.uint16(FIRST)) & wp.uint16(1) == wp.uint16(1):
-        first_own = square
+def weld(slot: wp.int32, w: Weld):
+    b = base_of(w.counts, slot)
+    leaves = wp.int32(w.counts[4 * slot])
+    leaf_base = w.leaf_base[slot]
+    e = STATE_SIZE * slot
+    for i in range(STATE_SIZE):
+        w.state[e + i] = 0
+    for i in range(4):
+        w.state[e + LEFT + i] = w.before[4 * slot + i]
+    vertices = b.vertex
+    edges = b.edge
+    # places of the next open edges of the two stacks
+    bottom0 = stack_base(b.room, leaves, 0)
+    bottom1 = stack_base(b.room, leaves, 1)
+    next0 = bottom0
+    next1 = bottom1
+    # what is below looks like an import, so that no leaf closes it unseen
+    w.stack[bottom0 - 1] = wp.vec2i(-1, -1)
+    w.stack[bottom1 - 1] = wp.vec2i(-1, -1)
     front0 = wp.int32(0)
     front1 = wp.int32(0)
     entry = wp.int32(0)
-    for k in range(w.leaves):
-        code = wp.int32(w.code[w.leaf_base + wp.int64(k)])
-        state = code & 7
-        passage = state & 6
-        odd = (code >> PARITY) & 1
-        role = (code >> BORDER) & 7
-        if ((code >> FIRST) & 1) == 1:
-            if started == 1:
-                square += 1
-            row = square / w.columns
-            column = square - row * w.columns
-            left = 0
-            below = 0
-            right = 0
-            above = 0
-            top0 = 0
-            top1 = 0
-            restarted = 1
-            # The entry edge is the first of the left side: from the upper left corner down.
-            corner = wp.int32(0)
-            end = wp.int32(0)
-            if column > 0:
-                at = w.right_base[square] - 1  # sides lie square by square: the left neighbour's last entry
-                left = 1
-                if square - 1 > w.square or (square - 1 == w.square and at - w.right_base[square - 1] >= before_right):
-                    corner = w.corners[2 * square - 1]
-                    entry = w.side[at][0]
-                    end = w.side[at][1]
-                else:
-                    corner = ask(w, imports, UPPER_RIGHT, square - 1)
-                    end = ask(w, imports + 1, SIDE, at)
-                    entry = end
-                    imports += 2
-            else:
-                corner = vertices
-                vertices += 1
-                if ((code >> CORNER) & 1) == 1:
-                    if square - w.columns >= first_own:
-                        end = w.corners[2 * (square - w.columns)]
-                    else:
-                        end = ask(w, imports, UPPER_LEFT, square - w.columns)
-                        imports += 1
-                else:
-                    end = vertices
-                    vertices += 1
-                entry = edges
-                edges += 1
-                w.edges[entry] = wp.vec2i(corner, end)
-                if end < 0:
-                    w.fixes[w.fix_base + fixes] = -1 - entry
-                    fixes += 1
-            w.corners[2 * square] = corner
-            corner_side = odd
-            if passage != HYP_LEG:
-                corner_side = 1 - odd
-            front0 = corner
-            front1 = end
-            if corner_side == 1:
-                front0 = end
-                front1 = corner
-        elif started == 0:
-            front0 = ask(w, 0, FRONT, 0)
-            front1 = ask(w, 1, FRONT, 1)
-            entry = ask(w, 2, FRONT, 2)
-            imports = 3
-        started = 1
-        # The side whose front vertex moves.
-        side = odd
-        if passage == LEG_LEG:
-            side = 1 - odd
-        moved = front0
-        pivot = front1
-        if side == 1:
-            moved = front1
-            pivot = front0
-        far = wp.int32(0)
-        third = wp.int32(0)
-        if (state & 1) == 0:
-            if role == TAKE_LEFT or role == TAKE_BELOW:
-                owner = square - 1
-                at = wp.int32(0)
-                own = wp.int32(0)
-                if role == TAKE_LEFT:
-                    at = w.right_base[square] - 1 - left
-                    left += 1
-                    if owner > w.square or (owner == w.square and at - w.right_base[owner] >= before_right):
-                        own = 1
-                else:
-                    owner = square - w.columns
-                    at = w.above_base[owner + 1] - 1 - below
-                    below += 1
-                    if owner > w.square or (owner == w.square and at - w.above_base[owner] >= before_above):
-                        own = 1
-                if own == 1:
-                    third = w.side[at][0]
-                    far = w.side[at][1]
-                else:
-                    third = ask(w, imports, SIDE, at)
+    starts = wp.int32(w.code[leaf_base]) >> FIRST & 1
+    if starts == 1:
+        w.state[e + SQUARE] = w.squares[slot] - 1
+        w.state[e + FIRST_OWN] = w.squares[slot]
+    else:
+        w.state[e + SQUARE] = w.squares[slot]
+        w.state[e + FIRST_OWN] = w.squares[slot] + 1
+        front0 = ask(w, b, e, FRONT, 0)
+        front1 = ask(w, b, e, FRONT, 1)
+        entry = ask(w, b, e, FRONT, 2)
+    k = wp.int32(0)
+    while k < leaves:
+        # Ordinary leaves. Pairs share a register each: the front's vertices, the stacks' next places, the next edge and
+        # vertex. No branch on `new`, which no processor foresees: what is written in vain is overwritten.
+        front = packed(front0, front1)
+        open = packed(next0, next1)
+        made = packed(edges, vertices)
+        while k < leaves:
+            code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
+            side = side_of(code)
+            shift = wp.int64(side << 5)
+            new = wp.int64(1 - (code & 1))
+            at = (open >> shift) & LOW
+            closed = packed_at(w.stack, at - wp.int64(1))
+            across = closed ^ ((closed ^ made) & -new)  # third edge and far vertex; `where` would become a branch
+            if (code & RARE) != 0 or ((front | across) & SIGNS) != wp.int64(0):
+                break
+            far64 = across >> wp.int64(32)
+            moved64 = (front >> shift) & LOW
+            edge64 = made & LOW
+            leave64 = edge64 + new
+            put_packed(w.edges, edge64, moved64 | (far64 << wp.int64(32)))
+            put_packed(w.stack, at, (across & LOW) | (moved64 << wp.int64(32)))
+            write_triangle(
+                w,
+                b.triangle + k,
+                code,
+                side,
+                low_of(front),
+                high_of(front),
+                high_of(across),
+                low_of(made) - 1,
+                low_of(across),
+                wp.int32(leave64),
+            )
+            front = (front & ~(LOW << shift)) | (far64 << shift)
+            put_packed(w.edges, leave64, front)
+            open += (new + new - wp.int64(1)) << shift
+            made += new * ONE_EACH + wp.int64(1)
+            k += 1
+        front0 = low_of(front)
+        front1 = high_of(front)
+        next0 = low_of(open)
+        next1 = high_of(open)
+        edges = low_of(made)
+        vertices = high_of(made)
+        entry = wp.where(k > 0, edges - 1, entry)
+        if k < leaves:
+            # The first or last of a square, on a side that squares share, or with an import.
+            code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
+            passage = code & PASSAGE
+            if ((code >> FIRST) & 1) == 1:
+                for i in range(4):
+                    w.state[e + LEFT + i] = 0
+                w.state[e + SQUARE] = w.state[e + SQUARE] + 1
+                w.state[e + RESTARTED] = 1
+                next0 = bottom0
+                next1 = bottom1
+                corner, end, entry, vertices, edges = enter(w, b, e, slot, code, vertices, edges)
+                front0 = corner
+                front1 = end
+                if (passage == HYP_LEG) == (((code >> PARITY) & 1) == 1):
+                    front0 = end
+                    front1 = corner
+            side = side_of(code)
+            top = wp.where(side == 0, next0, next1)
+            moved = wp.where(side == 0, front0, front1)
+            pivot = wp.where(side == 0, front1, front0)
+            role = (code >> BORDER) & 7
+            third = edges
+            far = vertices
+            step = wp.int32(0)
+            if (code & 1) == 1:
+                step = -1
+                third = w.stack[top - 1][0]
+                far = w.stack[top - 1][1]
+                if top == wp.where(side == 0, bottom0, bottom1):
+                    step = 0
+                    third = ask_stack(w, b, e, side)
                     far = third
-                    imports += 1
+            elif role == TAKE_LEFT or role == TAKE_BELOW:
+                taken = take_side(w, b, e, slot, role)
+                third = taken[0]
+                far = taken[1]
             else:
-                third = edges
                 edges += 1
                 if role == TO_CORNER:
-                    if square - w.columns >= first_own:
-                        far = w.corners[2 * (square - w.columns)]
-                    else:
-                        far = ask(w, imports, UPPER_LEFT, square - w.columns)
-                        imports += 1
+                    far = corner_below(w, b, e, w.state[e + SQUARE])
                 else:
-                    far = vertices
                     vertices += 1
                 w.edges[third] = wp.vec2i(moved, far)
-                if moved < 0 or far < 0:
-                    w.fixes[w.fix_base + fixes] = -1 - third
-                    fixes += 1
                 if role == GIVE_RIGHT:
-                    w.side[w.right_base[square] + right] = wp.vec2i(third, moved)
-                    right += 1
-                    if w.right_base[square] + right == w.right_base[square + 1]:
-                        w.corners[2 * square + 1] = far
+                    give_right(w, e, third, moved, far)
                 elif role == GIVE_ABOVE:
-                    w.side[w.above_base[square] + above] = wp.vec2i(third, moved)
-                    above += 1
-                elif side == 0:
-                    w.stack[w.stack_base + top0] = wp.vec2i(third, moved)
-                    top0 += 1
+                    give_above(w, e, third, moved)
                 else:
-                    w.stack[w.stack_base + w.stack_size + top1] = wp.vec2i(third, moved)
-                    top1 += 1
-        elif side == 0:
-            if top0 > 0:
-                top0 -= 1
-                third = w.stack[w.stack_base + top0][0]
-                far = w.stack[w.stack_base + top0][1]
-            else:
-                third = ask(w, imports, STACK, pops0)
-                far = third
-                imports += 1
-                pops0 += 1
-        else:
-            if top1 > 0:
-                top1 -= 1
-                third = w.stack[w.stack_base + w.stack_size + top1][0]
-                far = w.stack[w.stack_base + w.stack_size + top1][1]
-            else:
-                third = ask(w, imports, STACK + 1, pops1)
-                far = third
-                imports += 1
-                pops1 += 1
-        if side == 0:
-            front0 = far
-        else:
-            front1 = far
-        leave = edges
-        edges += 1
-        w.edges[leave] = wp.vec2i(front0, front1)
-        if front0 < 0 or front1 < 0:
-            w.fixes[w.fix_base + fixes] = -1 - leave
-            fixes += 1
-        if ((code >> LAST) & 1) == 1 and row < w.rows - 1:
-            outer = pivot
-            if passage == HYP_LEG:
-                outer = far
-            w.side[w.above_base[square] + above] = wp.vec2i(leave, outer)
-            above += 1
-        # Corners left, apex, right and the edges between them.
-        v0 = moved
-        v1 = pivot
-        v2 = far
-        e0 = entry
-        e1 = leave
-        e2 = third
-        if passage == HYP_LEG:
-            v1 = far
-            v2 = pivot
-            e0 = third
-            e2 = entry
-        elif passage != LEG_LEG:
-            v0 = pivot
-            v1 = moved
-            e2 = leave
-            e1 = third
-        t = w.triangle + k
-        o = 3 * t
-        w.corner_verts[o + 1] = v1
-        if odd == 1:
-            w.corner_verts[o] = v0
-            w.corner_verts[o + 2] = v2
-            w.corner_edges[o] = e0
-            w.corner_edges[o + 1] = e1
-            w.corner_edges[o + 2] = e2
-        else:  # every other depth is mirrored
-            w.corner_verts[o] = v2
-            w.corner_verts[o + 2] = v0
-            w.corner_edges[o] = e1
-            w.corner_edges[o + 1] = e0
-            w.corner_edges[o + 2] = e2
-        if v0 < 0 or v1 < 0 or v2 < 0 or e0 < 0 or e1 < 0 or e2 < 0:
-            w.fixes[w.fix_base + fixes] = t
-            fixes += 1
-        w.level[t] = code >> DEPTH_SHIFT & 63
-        entry = leave
-    e = ENDS * w.slot
-    w.ends[e + END_FRONT] = front0
-    w.ends[e + END_FRONT + 1] = front1
-    w.ends[e + END_FRONT + 2] = entry
-    w.ends[e + END_TOPS] = top0
-    w.ends[e + END_TOPS + 1] = top1
-    w.ends[e + END_POPS] = pops0
-    w.ends[e + END_POPS + 1] = pops1
-    w.ends[e + END_RESTARTED] = restarted
-    w.ends[e + END_IMPORTS] = imports
-    w.ends[e + END_FIXES] = fixes
+                    w.stack[top] = wp.vec2i(third, moved)
+                    step = 1
+            leave = edges
+            write_triangle(w, b.triangle + k, code, side, front0, front1, far, entry, third, leave)
+            if (front0 | front1 | far | entry | third) < 0:
+                n = w.state[e + FIXES]
+                w.fixes[b.room + n] = b.triangle + k
+                w.state[e + FIXES] = n + 1
+            if ((code >> LAST) & 1) == 1 and w.state[e + SQUARE] < w.columns * (w.rows - 1):
+                give_above(w, e, leave, wp.where(passage == HYP_LEG, far, pivot))
+            front0 = wp.where(side == 0, far, front0)
+            front1 = wp.where(side == 0, front1, far)
+            w.edges[leave] = wp.vec2i(front0, front1)
+            next0 += wp.where(side == 0, step, 0)
+            next1 += wp.where(side == 0, 0, step)
+            edges += 1
+            entry = leave
+            k += 1
+    w.state[e + END_FRONT] = front0
+    w.state[e + END_FRONT + 1] = front1
+    w.state[e + END_FRONT + 2] = entry
+    w.state[e + END_TOPS] = next0 - bottom0
+    w.state[e + END_TOPS + 1] = next1 - bottom1

@@ -108,6 +108,12 @@ def build_parser() -> argparse.ArgumentParser:
 
     verb = _verb(verbs, "demo", "the built-in island: 24 frames, pictures and a page", run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
+
+    verb = _verb(verbs, "bench", "what everything costs on this machine, beside two baselines", run_bench)
+    verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
+    verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
+    verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
+    verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its plot into this folder")
     return parser
 
 
@@ -243,6 +249,20 @@ def run_demo(arguments) -> None:
     from .demo import run
 
     run(arguments.out, arguments.progress)
+
+
+def run_bench(arguments) -> None:
+    if arguments.quick and (arguments.docs or arguments.with_cycles):
+        raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
+    try:
+        from ..benchmarks import suite
+    except ModuleNotFoundError as error:
+        if not error.name.endswith("benchmarks"):
+            raise
+        raise TerrainError(
+            "The benchmarks are not part of the extension; install the Python package adaptive-terrain for them."
+        ) from None
+    suite.run(arguments.quick, arguments.with_cycles, arguments.json, arguments.docs)
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:

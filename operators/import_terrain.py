@@ -5,6 +5,7 @@ from pathlib import Path
 
 import bpy
 
+from ..cbt_terrain import warmup
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.import_process import ImportJob, import_source
 from ..cbt_terrain.importing import source_digest
@@ -128,7 +129,7 @@ class ImportTerrain(bpy.types.Operator):
         progress = job.poll()
         _progress[self.uid] = progress.fraction, progress.message
         live.redraw_panels()
-        if not progress.done:
+        if not progress.done or warmup.preparing():  # what follows may update the mesh
             return {"PASS_THROUGH"}
         self._end(context)
         obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)

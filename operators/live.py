@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import bpy
 
+from ..cbt_terrain import warmup
 from ..cbt_terrain.errors import TerrainError
 from . import session
 from .properties import VIEWPORT_VIEW
@@ -35,6 +36,7 @@ _job: Job | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
 _follows_viewport = False
+_shown_preparation: tuple[bool, float | None] = False, None
 
 
 def mark_dirty() -> None:
@@ -54,6 +56,9 @@ def tick() -> float:
 
 def _turn() -> float:
     global _dirty, _job
+    _show_preparation()
+    if warmup.preparing():
+        return IDLE_S
     if bpy.app.is_job_running("RENDER"):
         return RENDERING_S
     if _job is not None:
@@ -69,6 +74,15 @@ def _turn() -> float:
         return IDLE_S
     _dirty = True  # another terrain may wait
     return BUSY_S
+
+
+def _show_preparation() -> None:
+    """The panel follows the preparation of the kernels."""
+    global _shown_preparation
+    preparation = warmup.preparing(), warmup.progress()
+    if preparation != _shown_preparation:
+        _shown_preparation = preparation
+        redraw_panels()
 
 
 def _next_job() -> Job | None:
@@ -147,12 +161,14 @@ def register() -> None:
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
+        warmup.start()
         bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
         _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
 
 
 def unregister() -> None:
     global _worker, _job, _dirty, _draw_handle
+    warmup.stop()
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     if _draw_handle is not None:

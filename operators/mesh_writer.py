@@ -7,8 +7,13 @@ Every array goes in as it is, in Blender's own dtypes. The edges come with it, s
 
 import bmesh
 import numpy as np
+import warp as wp
 
+from ..cbt_terrain import launch
+from ..cbt_terrain.buffers import shared
 from ..cbt_terrain.errors import TerrainError
+from ..kernels import ingest
+from . import mesh_memory
 from .mesh_cleanup import clean_up
 
 UV_LAYER = "UVMap"
@@ -24,8 +29,7 @@ def write_mesh(mesh, surface, *, smooth: bool = True) -> None:
     [E, 2]; level int32 [T]. Raises TerrainError where the mesh cannot be written (edit mode, shape keys).
     """
     _check_writable(mesh)
-    _write_topology(mesh, surface)
-    _write_layers(mesh, surface)
+    _write_geometry(mesh, surface)
     _write_shading(mesh, surface.normals, smooth)
     mesh.update()
 
@@ -33,8 +37,7 @@ def write_mesh(mesh, surface, *, smooth: bool = True) -> None:
 def write_mesh_bmesh(mesh, surface, cleanup, *, smooth: bool = True) -> None:
     """As `write_mesh`, by way of a bmesh from which `cleanup` (a mesh_cleanup.Cleanup) cuts what the user chose."""
     _check_writable(mesh)
-    _write_topology(mesh, surface)
-    _write_layers(mesh, surface)
+    _write_geometry(mesh, surface)
     numbers = mesh.attributes.new(NUMBER_ATTRIBUTE, "INT", "POINT")
     numbers.data.foreach_set("value", np.arange(len(surface.positions), dtype=np.int32))
     built = bmesh.new()
@@ -58,27 +61,60 @@ def _check_writable(mesh) -> None:
         raise TerrainError(f"The mesh {mesh.name!r} has shape keys, which need a fixed topology; remove them.")
 
 
-def _write_topology(mesh, surface) -> None:
+def _write_geometry(mesh, surface) -> None:
+    """Everything but the shading."""
     triangles = len(surface.level)
     mesh.clear_geometry()
     mesh.vertices.add(len(surface.positions))
     mesh.edges.add(len(surface.edges))
     mesh.loops.add(3 * triangles)  # before the polygons, which take their last offset from it
     mesh.polygons.add(triangles)
-    attributes = mesh.attributes
-    attributes["position"].data.foreach_set("vector", surface.positions.ravel())
-    if triangles:
-        attributes[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
-        attributes[".corner_vert"].data.foreach_set("value", surface.corner_verts)
-        attributes[".corner_edge"].data.foreach_set("value", surface.corner_edges)
+    mesh.uv_layers.new(name=UV_LAYER, do_init=False)
+    mesh.attributes.new(LEVEL_ATTRIBUTE, "INT", "FACE")
+    if not triangles:
+        mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
+        return
+    offsets = mesh_memory.face_offsets(mesh)
+    corner_uv = mesh_memory.vectors_2d(mesh.uv_layers[UV_LAYER].uv)
+    copied = None
+    if corner_uv is None:
+        copied = np.empty((3 * triangles, 2), np.float32)
+        corner_uv = shared(copied, wp.vec2f)
+
+    def copy() -> None:
+        _write_offsets(mesh, triangles, offsets)
+        _copy_arrays(mesh.attributes, surface)
+
+    def gather() -> None:
+        inputs = [shared(surface.uv, wp.vec2f), shared(surface.corner_verts, wp.int32), corner_uv]
+        launch.spread(ingest.corner_uv, 3 * triangles, inputs, step="mesh", threads=max(1, threads - 1))
+
+    # A million triangles: 19 ms one after the other, 14.5 ms side by side. Only `copy` touches Blender's data, and it
+    # starts with a kernel, which lets go of Python for `gather` to begin.
+    threads = launch.default_threads()
+    if threads > 1 and triangles >= launch.SLICE_ITEMS:
+        launch.together([copy, gather])
+    else:
+        copy()
+        gather()
+    if copied is not None:
+        mesh.uv_layers[UV_LAYER].uv.foreach_set("vector", copied.ravel())
+
+
+def _write_offsets(mesh, triangles: int, offsets) -> None:
+    """Every face begins three corners after the one before."""
+    if offsets is None:
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * triangles, 3, dtype=np.int32))
+    else:
+        launch.spread(ingest.face_offsets, triangles, [offsets], step="mesh")
 
 
-def _write_layers(mesh, surface) -> None:
-    layer = mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    layer.uv.foreach_set("vector", np.take(surface.uv, surface.corner_verts, axis=0).ravel())
-    level = mesh.attributes.new(LEVEL_ATTRIBUTE, "INT", "FACE")
-    level.data.foreach_set("value", surface.level)
+def _copy_arrays(attributes, surface) -> None:
+    attributes["position"].data.foreach_set("vector", surface.positions.ravel())
+    attributes[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
+    attributes[".corner_vert"].data.foreach_set("value", surface.corner_verts)
+    attributes[".corner_edge"].data.foreach_set("value", surface.corner_edges)
+    attributes[LEVEL_ATTRIBUTE].data.foreach_set("value", surface.level)
 
 
 def _write_shading(mesh, normals: np.ndarray, smooth: bool) -> None:

@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..cbt_terrain import warmup
 from . import import_terrain, session
 from .properties import CHOSEN_CAMERA, FILE
 
@@ -43,11 +44,26 @@ class TerrainPanel(bpy.types.Panel):
         if obj is not None and session.is_terrain(obj):
             layout.operator("adaptive_terrain.update", icon="FILE_REFRESH")
             layout.prop(obj.adaptive_terrain, "live")
+            _draw_preparation(layout)
             draw_warnings(layout, context, obj)
             return
         if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
             layout.label(text="Linked from a library: left alone", icon="LINKED")
         layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
+        _draw_preparation(layout)
+
+
+def _draw_preparation(layout) -> None:
+    fraction = warmup.progress()
+    if fraction is not None:
+        layout.progress(factor=fraction, text="Preparing kernels (first start only)")
+
+
+def _waiting_row(layout):
+    """A row for what needs the kernels now: greyed out while they are prepared, because it would hold up the window."""
+    row = layout.row()
+    row.enabled = not warmup.preparing()
+    return row
 
 
 def draw_warnings(layout, context, obj) -> None:
@@ -221,9 +237,9 @@ class OutputPanel(_TerrainPanel, bpy.types.Panel):
     def draw(self, context):
         column = self._columns()
         column.prop(context.object.adaptive_terrain, "bake_error_m")
-        column.operator("adaptive_terrain.bake", icon="MESH_GRID")
+        _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
-        column.operator("adaptive_terrain.export", icon="EXPORT")
+        _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
 
 
 CLASSES = (TerrainPanel, StatisticsPanel, SourcePanel, CameraPanel, ViewportPanel, RenderPanel, MeshPanel, OutputPanel)

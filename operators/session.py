@@ -12,6 +12,7 @@ from pathlib import Path
 
 import bpy
 
+from ..cbt_terrain import warmup
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.store import open_store
 from ..cbt_terrain.terrain import Terrain
@@ -113,7 +114,9 @@ def explain(error: Exception) -> str:
 
 
 def solve(record: Record, request: Request):
-    """Run the engine; touches nothing of Blender, so that any thread may call it (holding `engine_lock`)."""
+    """Run the engine; touches nothing of Blender, so that any thread may call it (holding `engine_lock`). Waits for
+    kernels that are being prepared: a render needs its mesh now, the viewport's updates do not begin before."""
+    warmup.wait()
     heights = open_field(request.store)
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1

@@ -3,8 +3,11 @@
 
 import bpy
 
+from ..cbt_terrain import warmup
 from ..cbt_terrain.errors import TerrainError
 from . import session
+
+WAIT_S = 0.1
 
 
 class UpdateTerrain(bpy.types.Operator):
@@ -17,6 +20,23 @@ class UpdateTerrain(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def invoke(self, context, event):
+        """A click during the first start waits for the kernels beside the window."""
+        if not warmup.preparing():
+            return self.execute(context)
+        self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type != "TIMER" or warmup.preparing():
+            return {"PASS_THROUGH"}
+        self.cancel(context)
+        return self.execute(context) if self.poll(context) else {"CANCELLED"}
+
+    def cancel(self, context):
+        context.window_manager.event_timer_remove(self.timer)
 
     def execute(self, context):
         try:

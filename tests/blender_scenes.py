@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures of the tests that need the bpy module: a surface, a store, an empty file, a scene, terrains in it."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -88,3 +89,13 @@ def add_terrain(store):
         return obj
 
     return add
+
+
+@pytest.fixture
+def preparing(monkeypatch):
+    """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
+    from adaptive_terrain.cbt_terrain import warmup
+
+    current = SimpleNamespace(fraction=0.25, done=threading.Event(), stopping=threading.Event())
+    monkeypatch.setattr(warmup, "_current", current)
+    return current

@@ -93,7 +93,8 @@ def test_motion_blur_keeps_one_topology_over_the_shutter(program, scene, tmp_pat
 def window(program, arguments: list[str], framebuffer: Path):
     """The program with a window on a screen that is a file; ends both."""
     display = f":{os.getpid() % 40000 + 200}"
-    environment = {**program.environment(), "DISPLAY": display}
+    # A cache of its own: every kernel must be compiled, as in a fresh install.
+    environment = {**program.environment(), "DISPLAY": display, "WARP_CACHE_PATH": str(framebuffer / "kernels")}
     screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
     xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
     blender = None
@@ -145,6 +146,9 @@ def test_clicks_on_the_panel(program, tmp_path):
     said = json.loads((tmp_path / "done.json").read_text())
     assert "error" not in said, said
     assert said["background"] is False
+    assert said["preparing_at_add"] and not said["preparing_when_visible"]
+    compiled = {path.name.split(".kernels.")[0] for path in (tmp_path / "kernels").glob("*/wp_*")}
+    assert compiled == {"wp_bl_ext.user_default.adaptive_terrain"}, "child processes use the names of the program"
     assert said["triangles"] > 100
     assert said["live_triangles"] < said["triangles"]
     assert said["not_live_triangles"] == said["live_triangles"]

@@ -19,7 +19,7 @@ def test_an_array_that_fits_its_lattice_is_kept_as_it_is():
     assert (field.min_height, field.max_height) == (heights.min(), heights.max())
     assert field.crs == "EPSG:32616" and field.origin[1] == 5e6
     assert field.error.shape == (lattice.node_count,) and field.error.dtype == np.float32
-    assert field.ranges.shape == (lattice.node_offset(lattice.cell_depth), 2) and field.ranges.dtype == np.uint16
+    assert field.ranges.shape == (lattice.range_count, 2) and field.ranges.dtype == np.uint16
 
 
 def test_an_array_that_does_not_fit_keeps_its_rectangle_and_says_what_moved():

@@ -105,22 +105,15 @@ def saturate(own, children, cells):
 
 
 def index_of(lattice, vertex, depth):
-    """Entry of the node arrays for a split vertex in half samples."""
-    j = (depth - 1) // 2
-    if depth % 2:
-        side = 2 << (lattice.levels - j)
-        return lattice.node_offset(depth) + vertex[1] // side * (lattice.columns << j) + vertex[0] // side
-    half = 2 << (lattice.levels - j - 1)
-    x, y = vertex[0] // half, vertex[1] // half
-    assert (x + y) % 2 == 1
-    return lattice.node_offset(depth) + y * ((lattice.columns << j) + 1) + x // 2
+    """Entry of the diamond of a split vertex in half samples."""
+    return int(lattice.index(depth, vertex[0] // 2, vertex[1] // 2))
 
 
 def compute(samples, lattice, threads=1):
     errors = np.zeros(lattice.node_count, np.float32)
     hierarchy.build_errors(samples, lattice, errors, threads)
     base, step = hierarchy.range_scale(float(samples.min()), float(samples.max()))
-    ranges = np.zeros((lattice.node_offset(lattice.cell_depth), 2), np.uint16)
+    ranges = np.zeros((lattice.range_count, 2), np.uint16)
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     return errors, base + ranges * step, ranges
 
@@ -211,7 +204,7 @@ def test_twists_are_saturated_for_the_sides_below_the_raster():
     for meshlet in range(4):
         expanded = errors.copy()
         hierarchy.expand_errors(lattice, expanded, meshlet, 1)
-        cells = expanded[lattice.node_offset(lattice.cell_depth) :].reshape(lattice.height - 1, lattice.width - 1)
+        cells = level(expanded, lattice, lattice.cell_depth)
         for a, b in ((cells[1:], cells[:-1]), (cells[:, 1:], cells[:, :-1])):
             assert (a >= b / 4).all() and (b >= a / 4).all()
 
@@ -224,25 +217,41 @@ def test_a_hierarchy_of_real_size_is_nested():
             check_nested(values, lattice, depth)
 
 
+def level(values, lattice, depth):
+    """The diamonds of one depth: [rows, columns] of cells, or of corners of cells of half the side, NaN between."""
+    side = 1 << (lattice.levels - (depth - 1) // 2)
+    if depth % 2:
+        j, i = np.mgrid[side // 2 : lattice.height - 1 : side, side // 2 : lattice.width - 1 : side]
+        return values[lattice.index(depth, i, j)]
+    j, i = np.mgrid[0 : lattice.height : side // 2, 0 : lattice.width : side // 2]
+    middle = (i // (side // 2) + j // (side // 2)) % 2 == 1
+    found = np.full(i.shape, np.nan)
+    found[middle] = values[lattice.index(depth, i[middle], j[middle])]
+    return found
+
+
 def check_nested(values, lattice, depth):
     """Every diamond of `depth` is not below its children, by array slices."""
-    shape = lattice.level_shape
-    at = lattice.node_offset
-    level = values[at(depth) : at(depth) + np.prod(shape(depth))].reshape(shape(depth))
-    finer = values[at(depth + 1) : at(depth + 1) + np.prod(shape(depth + 1))].reshape(shape(depth + 1))
+    own, finer = level(values, lattice, depth), level(values, lattice, depth + 1)
     if depth % 2:
-        assert (level >= finer[:-1:2, :-1]).all() and (level >= finer[2::2, :-1]).all()
-        assert (level >= finer[1::2, :-1]).all() and (level >= finer[1::2, 1:]).all()
+        for child in (finer[:-1:2, 1::2], finer[2::2, 1::2], finer[1::2, :-1:2], finer[1::2, 2::2]):
+            assert (own >= child).all()
         return
-    rows, columns = shape(depth + 1)
-    for y in range(shape(depth)[0]):
-        x = np.arange((y + 1) % 2, columns + 1, 2)
-        own = level[y, x // 2]
-        for cy in (y - 1, y):
-            for dx in (-1, 0):
-                there = (x + dx >= 0) & (x + dx < columns)
-                if 0 <= cy < rows:
-                    assert (own[there] >= finer[cy, (x + dx)[there]]).all()
+    for corner in (own[:-1, :-1], own[:-1, 1:], own[1:, :-1], own[1:, 1:]):
+        assert (np.isnan(corner) | (corner >= finer)).all()
+
+
+def test_entries_of_no_diamond_are_zero():
+    lattice = Lattice(3, 2, 3)
+    samples = raster("random", lattice)
+    errors, _, quantised = compute(samples, lattice)
+    used = np.zeros(lattice.node_count, bool)
+    for vertex, depth in brute(samples, lattice.columns, lattice.rows, lattice.levels)[2].items():
+        used[index_of(lattice, vertex, depth)] = True
+    assert (errors[used] > 0.0).all() and not errors[~used].any()
+    assert quantised[used[: lattice.range_count], 1].all() and not quantised[~used[: lattice.range_count]].any()
+    hierarchy.expand_errors(lattice, errors, 1, 1)
+    assert (errors[used] > 0.0).all() and not errors[~used].any()
 
 
 def test_two_threads_give_the_same_bytes_as_one():

@@ -25,15 +25,8 @@ def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
 
 
 def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
-    """Error and heights of the diamond split at sample coordinates (x, y), in the order that Lattice states."""
-    lattice = field.lattice
-    half, offset = (depth - 1) // 2, lattice.node_offset(depth)
-    if depth % 2:
-        size = 2.0 ** (lattice.levels - half)
-        index = offset + int(y // size) * (lattice.columns << half) + int(x // size)
-    else:
-        size = 2.0 ** (lattice.levels - half - 1)
-        index = offset + int(y // size) * ((lattice.columns << half) + 1) + (int(x // size) >> 1)
+    """Error and heights of the diamond split at sample coordinates (x, y)."""
+    index = field.lattice.index(depth, int(x), int(y))
     low, high = field.range_base + field.ranges[index].astype(float) * field.range_step
     return float(field.error[index]), low, high
 

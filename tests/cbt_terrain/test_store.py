@@ -122,7 +122,7 @@ def damage(path, how):
     if how == "no json":
         (path / "store.json").unlink()
     elif how == "half a json":
-        (path / "store.json").write_text('{"version": 1, "da')
+        (path / "store.json").write_text('{"version": 2, "da')
     elif how == "other version":
         (path / "store.json").write_text(json.dumps(content | {"version": 99}))
     elif how == "no lattice":
@@ -142,7 +142,7 @@ def damage(path, how):
 DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
-    "other version": "version 99, expected 1",
+    "other version": "version 99, expected 2",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
     "array a folder": "error.npy is damaged",

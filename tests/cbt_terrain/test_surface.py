@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Displacement against numpy, meshlets against their definition, the welded arrays against their contract."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.surface import SurfaceBuilder
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from fields import reference_heights, rough
@@ -78,3 +82,24 @@ def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
     update = Terrain(field, 1).update(Criterion(error_px=0.01), [VIEW])
     assert update.triangles == 2 * field.lattice.squares and update.bound_px == 0.0
     assert np.array_equal(np.unique(update.surface.normals, axis=0), [[0, 0, 1]])
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    build, peaks = SurfaceBuilder.build, []
+
+    def measured(*arguments):
+        tracemalloc.start()
+        surface = build(*arguments)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        return surface
+
+    monkeypatch.setattr(SurfaceBuilder, "build", measured)
+    terrain = Terrain(rough(65, 129), 2)
+    criterion = Criterion(error_px=0.2, meshlet=meshlet)
+    views = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in (0.0, 30.0)]
+    updates = [terrain.update(criterion, [views[n % 2]]) for n in range(6)]
+    assert all(update.changed for update in updates) and len(peaks) == 6
+    assert updates[-1].surface.positions.nbytes > 80_000 and peaks[-1] < 20_000 < peaks[0]

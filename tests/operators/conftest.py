@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The fixtures for Blender are shared with the hard cases."""
 
-from blender_scenes import add_terrain, empty, grid_surface, scene, store  # noqa: F401
+from blender_scenes import add_terrain, empty, grid_surface, preparing, scene, store  # noqa: F401

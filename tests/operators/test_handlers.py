@@ -168,3 +168,21 @@ def test_a_result_whose_terrain_is_gone_is_dropped(window, add_terrain):
     bpy.context.view_layer.update()
     turns()
     assert session.all_terrains() == []
+
+
+def test_live_update_begins_when_the_kernels_are_ready(window, add_terrain, preparing, monkeypatch):
+    redrawn = []
+    monkeypatch.setattr(live, "redraw_panels", lambda: redrawn.append(1))
+    terrain = add_terrain()
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    for fraction in (0.25, 0.5, 0.5):
+        preparing.fraction = fraction
+        assert live.tick() == live.IDLE_S
+    assert len(redrawn) == 2 and len(terrain.data.polygons) == 0
+    preparing.fraction = None
+    live.tick()
+    preparing.done.set()
+    turns()
+    assert len(redrawn) >= 4, "the bar goes, then Update can be clicked"
+    assert len(terrain.data.polygons) > 100

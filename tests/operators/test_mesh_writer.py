@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The mesh writer puts in what it is given, and Blender finds nothing to correct."""
 
+import tracemalloc
+
 import bpy
 import numpy as np
 import pytest
+import warp as wp
+from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain.buffers import shared
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators import mesh_memory
 from adaptive_terrain.operators.mesh_cleanup import Cleanup, boundary_triangles
 from adaptive_terrain.operators.mesh_writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
 
@@ -143,3 +149,74 @@ def test_a_hundred_rebuilds_leave_no_datablock(mesh, grid_surface):
     for size in range(100):
         write_mesh(mesh, grid_surface(size % 7, 3))
     assert len(bpy.data.meshes) == before
+
+
+def test_arrays_are_written_in_place_in_every_version_that_is_tested():
+    assert mesh_memory.writable_in_place()
+    assert ".adaptive_terrain_probe" not in bpy.data.meshes
+
+
+def test_a_blender_whose_memory_differs_gets_the_same_mesh(mesh, grid_surface, monkeypatch):
+    monkeypatch.setattr(mesh_memory, "writable_in_place", lambda: False)
+    test_the_mesh_holds_the_arrays(mesh, grid_surface)
+    assert mesh.validate(verbose=True) is False
+
+
+def test_two_threads_write_the_same_mesh(mesh, grid_surface, monkeypatch):
+    monkeypatch.setattr(launch, "default_threads", lambda: 2)
+    surface = grid_surface(170, 150)
+    assert len(surface.level) > 2 * launch.SLICE_ITEMS
+    for in_place in (True, False):
+        monkeypatch.setattr(mesh_memory, "writable_in_place", lambda in_place=in_place: in_place)
+        write_mesh(mesh, surface)
+        assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
+        assert (read(mesh.polygons, "loop_start", 1, np.int32) == 3 * np.arange(len(surface.level))).all()
+        assert mesh.validate(verbose=True) is False
+
+
+def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
+    """Blender shares arrays between a mesh and its evaluated copy: writing in place must not reach the copy."""
+    obj = bpy.data.objects.new("Terrain", mesh)
+    bpy.context.collection.objects.link(obj)
+    surface = grid_surface(5, 3)
+    write_mesh(mesh, surface)
+    bpy.context.view_layer.update()
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    before = read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2)
+    surface.uv = surface.uv + 1
+    write_mesh(mesh, surface)
+    assert (read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2) == before).all()
+    assert (read(evaluated.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
+    bpy.context.view_layer.update()
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    assert (read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2) == before + 1).all()
+    bpy.data.objects.remove(obj)
+
+
+def test_the_probe_writes_nothing_where_it_does_not_read_its_own_values(monkeypatch):
+    elsewhere = np.full(6, 7, np.int32)
+    monkeypatch.setattr(mesh_memory, "_array", lambda items, dtype: shared(elsewhere[: len(items)], wp.int32))
+    mesh_memory.writable_in_place.cache_clear()
+    assert mesh_memory.writable_in_place() is False
+    assert (elsewhere == 7).all()
+    mesh_memory.writable_in_place.cache_clear()
+
+
+def test_items_with_gaps_between_them_are_no_array():
+    class Item:
+        def __init__(self, address):
+            self.as_pointer = lambda: address
+
+    assert mesh_memory._array([Item(1000 + 12 * i) for i in range(5)], wp.int32) is None
+    assert mesh_memory._array([], wp.int32) is None
+
+
+def test_a_warm_write_makes_no_array_as_large_as_the_mesh(mesh, grid_surface):
+    surface = grid_surface(60, 60)
+    write_mesh(mesh, surface)
+    tracemalloc.start()
+    try:
+        write_mesh(mesh, surface)
+        assert tracemalloc.get_traced_memory()[1] < len(surface.level)
+    finally:
+        tracemalloc.stop()

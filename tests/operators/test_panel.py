@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says, and the one-click island."""
 
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators import session
-from adaptive_terrain.operators.panels import statistics_lines, wrapped
+from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel, statistics_lines, wrapped
+from adaptive_terrain.operators.update_terrain import UpdateTerrain
 
 
 def test_every_figure_has_its_unit(scene, add_terrain):
@@ -124,3 +128,61 @@ def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
         bpy.ops.mesh.adaptive_terrain_add()
     assert "Traceback" not in str(failure.value)
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before
+
+
+def draw(panel):
+    """What a panel puts into its layout."""
+    layout = Mock()
+    panel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), bpy.context)
+    return layout
+
+
+def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing):
+    for add in (lambda: None, add_terrain):
+        add()
+        layout = draw(TerrainPanel)
+        layout.progress.assert_called_once_with(factor=0.25, text="Preparing kernels (first start only)")
+        assert layout.operator.call_count == 1, "add a terrain, or update it"
+    assert draw(OutputPanel).row().enabled is False, "a bake or an export would hold up the window"
+    preparing.fraction = None
+    preparing.done.set()
+    draw(TerrainPanel).progress.assert_not_called()
+    assert draw(OutputPanel).row().enabled is True
+
+
+def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing):
+    terrain = add_terrain()
+    manager, timer = Mock(), SimpleNamespace(type="TIMER")
+    context = SimpleNamespace(window_manager=manager, window=None, object=terrain, mode="OBJECT")
+    running = SimpleNamespace(report=Mock(), poll=UpdateTerrain.poll)
+    running.execute = lambda context: UpdateTerrain.execute(running, context)
+    running.cancel = lambda context: UpdateTerrain.cancel(running, context)
+    assert UpdateTerrain.invoke(running, context, None) == {"RUNNING_MODAL"}
+    assert UpdateTerrain.modal(running, context, timer) == {"PASS_THROUGH"}
+    assert len(terrain.data.polygons) == 0
+    preparing.done.set()
+    assert UpdateTerrain.modal(running, context, timer) == {"FINISHED"}
+    manager.event_timer_remove.assert_called_once()
+    assert len(terrain.data.polygons) > 100
+
+
+def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, preparing, monkeypatch):
+    from adaptive_terrain.operators import import_terrain
+
+    terrain = add_terrain()
+    terrain.adaptive_terrain.live = False  # so that the import itself updates the mesh
+    report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "moved_max_m": 0, "warnings": []}
+    done = SimpleNamespace(fraction=1.0, message="Done", done=True, error=None, report=report)
+    job = SimpleNamespace(poll=lambda: done, cancelled=False)
+    monkeypatch.setitem(import_terrain._jobs, terrain.session_uid, job)
+    running = SimpleNamespace(
+        uid=terrain.session_uid, folder=terrain.adaptive_terrain.store, report=Mock(), _end=Mock()
+    )
+    running._update = lambda obj, report: import_terrain.ImportTerrain._update(running, obj, report)
+    timer = SimpleNamespace(type="TIMER")
+    assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"PASS_THROUGH"}
+    assert len(terrain.data.polygons) == 0
+    preparing.done.set()
+    assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"FINISHED"}
+    assert len(terrain.data.polygons) > 100
+    import_terrain._progress.clear()

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One update: properties in, mesh out; a failure keeps the last good mesh and says why."""
 
+import threading
+import time
+
 import bpy
 import numpy as np
 import pytest
@@ -153,3 +156,21 @@ def test_the_update_operator_reports(scene, add_terrain):
     scene.camera = None
     with pytest.raises(RuntimeError, match="has no camera"):
         bpy.ops.adaptive_terrain.update()
+
+
+def test_a_render_waits_for_kernels_that_are_being_prepared(scene, add_terrain, preparing):
+    terrain = add_terrain()
+    start = time.perf_counter()
+    threading.Timer(0.3, preparing.done.set).start()
+    session.update_object(terrain, mode="RENDER")
+    assert time.perf_counter() - start >= 0.3
+    assert len(terrain.data.polygons) > 100
+
+
+def test_without_a_window_kernels_are_loaded_on_demand(empty):
+    import adaptive_terrain
+    from adaptive_terrain.cbt_terrain import warmup
+
+    adaptive_terrain.unregister()
+    adaptive_terrain.register()
+    assert bpy.app.background and not warmup.preparing() and warmup.progress() is None

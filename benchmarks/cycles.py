@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole Cycles renders of one frame: our mesh against Cycles' own adaptive subdivision of the same heights.
+
+Each way is a process of its own (cycles_frame.py), so that its peak memory can be told. A pixel of ours bounds the
+longest edge of every triangle; Cycles' rate is a length that its edges come near to, so ours has more triangles.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .child import run_child
+from .measure import Row
+
+ADAPTIVE, EDGE, ERROR = "adaptive", "edge", "error"
+PIXEL = 1.0
+# Levels of 255 by which a pixel may differ before it counts as another.
+VISIBLE = 8
+
+
+def cycles_rows(store: Path, tiff: Path, folder: Path) -> Iterator[Row]:
+    """(a) our edges at most 1 pixel long, (b) our error at most 1 pixel, each against dicing at 1 pixel."""
+    found, pictures = {}, {}
+    for mode in (ADAPTIVE, EDGE, ERROR):
+        picture = folder / f"cycles_{mode}.png"
+        found[mode] = run_child("cycles_frame", mode, store, tiff, PIXEL, picture)
+        pictures[mode] = picture
+    theirs = found[ADAPTIVE]
+    for mode in (EDGE, ERROR):
+        ours = found[mode]
+        row = Row(f"cycles_{mode}", ours["triangles"], ours["ms"], "cycles dicing", theirs["ms"])
+        row.first_ms = ours["first_ms"]
+        row.figures = difference(pixels(pictures[mode]), pixels(pictures[ADAPTIVE]))
+        yield row
+        if ours["peak_mb"] is None:
+            continue
+        row = Row(f"cycles_{mode}_memory", ours["triangles"], None, "cycles dicing")
+        row.ratio = ours["peak_mb"] / theirs["peak_mb"]
+        row.figures = {"peak_mb": ours["peak_mb"], "baseline_peak_mb": theirs["peak_mb"]}
+        yield row
+
+
+def pixels(picture: Path) -> np.ndarray:
+    """float32 [height, width, 3], 0 to 255."""
+    import bpy
+
+    image = bpy.data.images.load(str(picture))
+    image.colorspace_settings.name = "Non-Color"
+    values = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(values)
+    width, height = image.size
+    bpy.data.images.remove(image)
+    return 255 * values.reshape(height, width, 4)[..., :3]
+
+
+def difference(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """Mean difference in levels of 255, and the share of pixels that differ visibly."""
+    apart = np.abs(ours - theirs).max(axis=2)
+    return {"mean_levels": float(apart.mean()), "pixels_apart_percent": 100 * float((apart > VISIBLE).mean())}

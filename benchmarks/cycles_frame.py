@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A process that renders a flight in Cycles, one of three ways: `cycles_frame MODE STORE TIFF PX PICTURE`.
+
+MODE `edge` and `error` render our terrain with that criterion at PX pixels; `adaptive` a plane under Cycles' adaptive
+subdivision at a dicing rate of PX pixels, displaced by the TIFF. The first frame goes to PICTURE.
+"""
+
+import json
+import math
+import statistics
+import sys
+
+import numpy as np
+
+from ..operators.console import quiet
+from ..operators.frame_sources import need_bpy
+from . import scenes
+from .child import peak_mb
+from .cycles import ADAPTIVE, EDGE
+from .in_blender import flight_scene, new_object
+from .measure import stopwatch
+
+RESOLUTION = (960, 540)
+RUNS = 9
+# Cycles divides a patch at most 4,096 times a side; enough patches keep that from showing.
+PATCHES = 16
+COARSE_PX = 100.0
+
+
+def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
+    bpy = need_bpy("The row cycles")
+    scene = flight_scene(RESOLUTION)
+    set_up_render(scene)
+    obj = _diced_plane(tiff, px) if mode == ADAPTIVE else _terrain(store, mode, px)
+    obj.data.materials.append(_material(tiff if mode == ADAPTIVE else None))
+    rendered = []
+    bpy.app.handlers.render_post.append(lambda *_: rendered.append(len(obj.data.polygons)))
+    times = []
+    for frame in range(RUNS + 1):
+        scene.frame_set(frame)
+        with quiet(), stopwatch() as elapsed:
+            bpy.ops.render.render()
+        times += elapsed
+        if frame == 0:
+            with quiet():
+                bpy.data.images["Render Result"].save_render(picture)
+    said = {"ms": statistics.median(times[1:]), "first_ms": times[0], "triangles": rendered[0]}
+    return said | {"peak_mb": peak_mb()}
+
+
+def set_up_render(scene) -> None:
+    """One sample of direct sunlight on the processor: the pictures show geometry and no noise."""
+    import bpy
+
+    scene.render.engine = "CYCLES"
+    scene.cycles.device, scene.cycles.samples, scene.cycles.max_bounces = "CPU", 1, 0
+    scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
+    sun = bpy.data.lights.new("Sun", "SUN")
+    sun.energy, sun.angle = 3.0, 0.0
+    lamp = bpy.data.objects.new("Sun", sun)
+    lamp.rotation_euler = (math.radians(50), 0.0, math.radians(-40))
+    scene.collection.objects.link(lamp)
+
+
+def _terrain(store: str, mode: str, px: float):
+    obj = new_object("Terrain")
+    settings = obj.adaptive_terrain
+    settings.viewport.error_px = COARSE_PX  # what Blender asks for around the render is no part of it
+    settings.render.error_px, settings.render.edge_px = (0.0, px) if mode == EDGE else (px, 0.0)
+    settings.store, settings.live, settings.enabled = store, False, True
+    return obj
+
+
+def _diced_plane(tiff: str, px: float):
+    """A plane in patches under adaptive subdivision; its texture coordinates meet the middles of the samples."""
+    import bpy
+
+    mesh, n = bpy.data.meshes.new("Plane"), PATCHES
+    places = np.linspace(0.0, 1.0, n + 1)
+    points = [((x - 0.5) * scenes.SIDE, (y - 0.5) * scenes.SIDE, 0.0) for y in places for x in places]
+    corners = [
+        (r * (n + 1) + c, r * (n + 1) + c + 1, (r + 1) * (n + 1) + c + 1, (r + 1) * (n + 1) + c)
+        for r in range(n)
+        for c in range(n)
+    ]
+    mesh.from_pydata(points, [], corners)
+    mesh.shade_smooth()
+    uv = mesh.uv_layers.new(name="UVMap")
+    plane = np.array(points)[[corner for face in corners for corner in face], :2] / scenes.SIDE + 0.5
+    uv.uv.foreach_set("vector", ((plane * (scenes.SAMPLES - 1) + 0.5) / scenes.SAMPLES).astype(np.float32).ravel())
+    obj = bpy.data.objects.new("Plane", mesh)
+    scene = bpy.context.scene
+    scene.collection.objects.link(obj)
+    modifier = obj.modifiers.new("Dicing", "SUBSURF")
+    modifier.subdivision_type = "SIMPLE"
+    scene.cycles.feature_set = "EXPERIMENTAL"
+    scene.cycles.dicing_rate = px
+    (modifier if hasattr(modifier, "use_adaptive_subdivision") else obj.cycles).use_adaptive_subdivision = True
+    return obj
+
+
+def _material(tiff: str | None):
+    """Grey and rough; displaced by the heights of `tiff`, in metres, if there is one."""
+    import bpy
+
+    material = bpy.data.materials.new("Ground")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    output, diffuse = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeBsdfDiffuse")
+    links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+    if tiff is not None:
+        heights, displacement = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeDisplacement")
+        heights.image = bpy.data.images.load(tiff)
+        heights.image.colorspace_settings.name = "Non-Color"
+        heights.extension = "EXTEND"
+        displacement.inputs["Midlevel"].default_value, displacement.inputs["Scale"].default_value = 0.0, 1.0
+        links.new(heights.outputs["Color"], displacement.inputs["Height"])
+        links.new(displacement.outputs["Displacement"], output.inputs["Displacement"])
+        material.displacement_method = "DISPLACEMENT"
+    return material
+
+
+if __name__ == "__main__":
+    mode_, store_, tiff_, px_, picture_ = sys.argv[1:]
+    print(json.dumps(main(mode_, store_, tiff_, float(px_), picture_)))

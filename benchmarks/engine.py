@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rows of the engine alone, without Blender: refinement, surface, meshlets, a still camera, depth."""
+
+import statistics
+from collections.abc import Iterator
+
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.heightfield import HeightField
+from . import scenes
+from .baselines import ROAM, RoamRebuild
+from .measure import BLOCKS, RUNS, Row, alternate, stopwatch
+
+REFINE_SIZES = {1: (5_500, 50_000, 500_000, 1_000_000), 2: (500_000, 1_000_000)}
+MILLION = 1_000_000
+MESHLET = 4
+DEPTHS, DEPTH_SIZE = (20, 24, 28, 32), 500_000
+SURFACE_STEPS = ("weld", "meshlets", "displace")
+
+
+def edge_flight(flat: HeightField, size: int, threads: int | None = None) -> scenes.Flight:
+    """All round over flat ground, edges of one length on screen, to depth 27."""
+    px = scenes.pixels_for(flat, lambda _px: scenes.around(0), scenes.edges, size)
+    return scenes.Flight(flat, scenes.around, scenes.edges(px), threads)
+
+
+def error_flight(rough: HeightField, size: int, threads: int | None = None, meshlet: int = 0) -> scenes.Flight:
+    """Through a lens over rough ground, one error on screen, with frustum and guard band."""
+
+    def asked(px: float):
+        return scenes.errors(px, meshlet)
+
+    px = scenes.pixels_for(rough, lambda _px: scenes.over(0), asked, size)
+    return scenes.Flight(rough, scenes.over, asked(px), threads)
+
+
+def refine_ms(steps: dict[str, float]) -> float:
+    """The walk and the tree that it marks, with its counters."""
+    return steps["refine"] + steps.get("mark", 0.0)
+
+
+def refine_rows(flat: HeightField, roam: RoamRebuild | None) -> Iterator[Row]:
+    for threads, sizes in REFINE_SIZES.items():
+        for size in sizes:
+            yield _refined(f"refine_{threads}t", size, edge_flight(flat, size, threads), roam)
+
+
+def refine_error_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+    return _refined("refine_error", MILLION, error_flight(rough, MILLION, 1), roam)
+
+
+def _refined(name: str, size: int, flight: scenes.Flight, roam: RoamRebuild | None) -> Row:
+    """`whole_ms` is all of the update but the surface: the refinement with what Python does around it."""
+    timed = alternate(flight, roam.timer(size) if roam else None)
+    whole = timed.ms["total"] - sum(timed.ms.get(step, 0.0) for step in SURFACE_STEPS)
+    row = Row(name, size, refine_ms(timed.ms), ROAM, timed.baseline_ms, first_ms=refine_ms(timed.first_ms))
+    row.figures = {"whole_ms": whole}
+    row.steps = {step: ms for step, ms in timed.ms.items() if step not in (*SURFACE_STEPS, "total")}
+    return row
+
+
+def surface_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+    """The whole update of a rough terrain, to arrays of positions, normals, texture coordinates and topology."""
+    return _surfaced("surface", error_flight(rough, MILLION), roam)
+
+
+def meshlets_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+    return _surfaced("meshlets", error_flight(rough, MILLION, meshlet=MESHLET), roam)
+
+
+def _surfaced(name: str, flight: scenes.Flight, roam: RoamRebuild | None) -> Row:
+    timed = alternate(flight, roam.timer(MILLION) if roam else None)
+    first_ms = timed.first_ms["total"]
+    return Row(name, MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
+
+
+def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+    """An update with the same camera: how long it takes to know that the mesh may stay."""
+    flight = error_flight(rough, MILLION)
+    flight()
+
+    def stay() -> dict[str, float]:
+        with stopwatch() as elapsed:
+            update = flight.terrain.update(flight.criterion, [scenes.over(0)])
+        if update.changed:
+            raise TerrainError("A camera that did not move gave another mesh.")
+        return {"total": elapsed[0]}
+
+    timed = alternate(stay, roam.timer(MILLION) if roam else None)
+    return Row("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
+
+
+def depth_rows(flat: HeightField) -> Iterator[Row]:
+    """depth: the same leaves in trees of four depths. depth_reached: as many, the finest of each tree at its depth."""
+    shallow = {depth: _flight_at(flat, DEPTHS[0], depth) for depth in DEPTHS}
+    yield _depths("depth", shallow)
+    yield _depths("depth_reached", {depth: _flight_at(flat, depth, depth) for depth in DEPTHS})
+
+
+def _depths(name: str, flights: dict[int, scenes.Flight]) -> Row:
+    """The slowest beside the fastest; all take turns, on one thread."""
+    times: dict[int, list[float]] = {depth: [] for depth in flights}
+    for flight in flights.values():
+        flight()
+    for _ in range(BLOCKS * RUNS):
+        for depth, flight in flights.items():
+            times[depth].append(refine_ms(flight()))
+    medians = {depth: statistics.median(runs) for depth, runs in times.items()}
+    row = Row(name, DEPTH_SIZE, max(medians.values()), "fastest depth", min(medians.values()))
+    row.figures = {f"depth_{depth}_ms": ms for depth, ms in medians.items()}
+    return row
+
+
+def _flight_at(flat: HeightField, reached: int, depth: int) -> scenes.Flight:
+    """So low over the ground that the finest leaves just have `reached` bisections, in a tree of `depth`."""
+
+    def asked(px: float):
+        return scenes.edges(px, depth)
+
+    def first(px: float):
+        return scenes.around(0, scenes.height_reaching(reached, px))
+
+    px = scenes.pixels_for(flat, first, asked, DEPTH_SIZE)
+    height = scenes.height_reaching(reached, px)
+    return scenes.Flight(flat, lambda frame: scenes.around(frame, height), asked(px), threads=1)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a result was measured on."""
+
+import importlib.metadata
+import os
+import platform
+import sys
+
+
+def machine() -> dict[str, str]:
+    """Processor, threads, system and the versions of everything that takes part."""
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "Processor": _processor(),
+        "Threads": str(threads),
+        "System": f"{platform.system()} {platform.machine()}",
+        "Python": platform.python_version(),
+        "numpy": _version("numpy"),
+        "Warp": _version("warp-lang"),
+        "Blender": _blender(),
+    }
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
+def _blender() -> str:
+    bpy = sys.modules.get("bpy")
+    return bpy.app.version_string if bpy is not None else _version("bpy")

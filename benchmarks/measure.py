@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a time is taken, and the row that holds it.
+
+Ours and the baseline take turns in blocks, so that a machine that is busy for a moment is busy for both. Every figure
+is the median of all runs but the first of each; ours is reported apart, because it finds cold memory.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+BLOCKS, RUNS = 3, 5
+# What takes less than this is measured more often: a moment's disturbance is larger than it.
+SHORT_MS, SHORT_RUNS = 5.0, 25
+
+
+@dataclass
+class Row:
+    """One line of the result. `size` counts triangles (samples, where a raster is measured); times are milliseconds.
+
+    `ratio` is `ms / baseline_ms` unless given (memory, slopes). `steps`: milliseconds of the parts. `figures`: what
+    else was measured, units in the names. `first_ms`: the first run, with memory that was never touched.
+    """
+
+    name: str
+    size: int
+    ms: float | None
+    baseline: str | None = None
+    baseline_ms: float | None = None
+    ratio: float | None = None
+    first_ms: float | None = None
+    steps: dict[str, float] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        if self.ratio is None and self.ms is not None and self.baseline_ms:
+            self.ratio = self.ms / self.baseline_ms
+
+
+@dataclass
+class Timed:
+    """Medians: `ms` by step, `baseline_ms` None without a baseline; `first_ms` by step of the first run."""
+
+    ms: dict[str, float]
+    first_ms: dict[str, float]
+    baseline_ms: float | None
+
+
+def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
+    """Run both in turns, BLOCKS times RUNS each; `ours` returns milliseconds by step, `theirs` milliseconds."""
+    first = ours()
+    if theirs:
+        theirs()
+    mine, other = [], []
+    runs = SHORT_RUNS if max(first.values()) < SHORT_MS else RUNS
+    for _ in range(BLOCKS):
+        if theirs:
+            other += [theirs() for _ in range(runs)]
+        mine += [ours() for _ in range(runs)]
+    return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
+
+
+def median_by_step(runs: list[dict[str, float]]) -> dict[str, float]:
+    """A step that a run did not take took it no time."""
+    steps = dict.fromkeys(step for run in runs for step in run)
+    return {step: statistics.median(run.get(step, 0.0) for run in runs) for step in steps}
+
+
+@contextmanager
+def stopwatch():
+    """Yields a list that holds the block's milliseconds once it has ended."""
+    elapsed, start = [], time.perf_counter()
+    yield elapsed
+    elapsed.append((time.perf_counter() - start) * 1e3)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels are made ready in the background, before anyone asks for them.
+
+Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 s each, about 10 s in all, and where
+that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
+of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
+child.
+"""
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import threading
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+import warp as wp
+
+from .. import kernels
+from . import child, launch
+from .errors import TerrainError
+
+POLL_SECONDS = 0.1
+MAX_CHILDREN = 4
+CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
+
+
+class _Preparation:
+    """One run; its thread alone touches the child processes. `fraction`: 0 .. 1 while modules are compiled."""
+
+    def __init__(self):
+        self.fraction: float | None = None
+        self.done = threading.Event()
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        try:
+            modules = kernel_modules()
+            compiled = [compiled_folder(module) for module in modules]
+            if not all(folder.exists() for folder in compiled):
+                self._compile(compiled)
+            for module in modules:
+                if self.stopping.is_set():
+                    return
+                load(module)
+        except Exception:  # whoever launches a kernel is told the reason again
+            traceback.print_exc()
+        finally:
+            self.fraction = None
+            self.done.set()
+
+    def _compile(self, compiled: list[Path]) -> None:
+        self.fraction = 0.0
+        count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
+        cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
+        streams = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        processes = []
+        try:
+            for i in range(count):
+                processes.append(child.start("cbt_terrain.warmup", str(i), str(count), variables=cache, **streams))
+        except OSError:
+            pass  # loading compiles what is left
+        while any(process.poll() is None for process in processes):
+            if self.stopping.wait(POLL_SECONDS):
+                for process in processes:
+                    process.kill()
+                    process.wait()
+            self.fraction = sum(folder.exists() for folder in compiled) / len(compiled)
+
+
+_current: _Preparation | None = None
+
+
+def start() -> None:
+    """Begin to make every kernel ready; does nothing if that was begun."""
+    global _current
+    if _current is None:
+        _current = _Preparation()
+
+
+def stop() -> None:
+    """End what `start` began, at once; whoever waits gets a TerrainError."""
+    global _current
+    preparation, _current = _current, None
+    if preparation is not None:
+        preparation.stopping.set()
+        preparation.thread.join()
+
+
+def preparing() -> bool:
+    """Whether kernels are being made ready, so that an update would have to wait."""
+    return _current is not None and not _current.done.is_set()
+
+
+def progress() -> float | None:
+    """0 .. 1 while kernels are compiled, else None."""
+    return _current.fraction if _current is not None else None
+
+
+def wait() -> None:
+    """Return when no kernels are being made ready. Raises TerrainError if that was stopped."""
+    preparation = _current
+    if preparation is not None:
+        preparation.done.wait()
+        if preparation.stopping.is_set():
+            raise TerrainError("The extension was switched off while its kernels were being prepared; switch it on.")
+
+
+def kernel_modules() -> list[ModuleType]:
+    """Every module of the package that has kernels of its own, not only functions for others."""
+    names = [module.name for module in pkgutil.iter_modules(kernels.__path__)]
+    modules = [importlib.import_module(f"{kernels.__name__}.{name}") for name in names]
+    return [module for module in modules if _kernels_of(module)]
+
+
+def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
+    found = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    return [kernel for kernel in found if kernel.module.name == module.__name__]
+
+
+def compiled_folder(module: ModuleType) -> Path:
+    """Where Warp keeps what it has compiled of a module; the folder appears when it is complete."""
+    return Path(wp.config.kernel_cache_dir) / wp.get_module(module.__name__).get_module_identifier(CPU_BLOCK)
+
+
+def load(module: ModuleType) -> None:
+    """Load a module's kernels, and compile them first if that has not been done."""
+    for kernel in _kernels_of(module):
+        launch.slices(kernel, [], step="load")  # loads the kernel and launches nothing
+
+
+def child_main(first: str, step: str) -> None:
+    """Fill Warp's cache with every `step`-th module from `first`."""
+    if hasattr(os, "nice"):
+        os.nice(5)  # the window and an import come first
+    for module in kernel_modules()[int(first) :: int(step)]:
+        load(module)

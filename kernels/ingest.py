@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a Blender mesh wants and a surface does not hold: values a corner, and where each face's corners begin."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def corner_uv(
+    offset: wp.int32,
+    uv: wp.array(dtype=wp.vec2f),
+    corner_verts: wp.array(dtype=wp.int32),
+    out: wp.array(dtype=wp.vec2f),
+):
+    c = wp.tid() + offset
+    out[c] = uv[corner_verts[c]]
+
+
+@wp.kernel
+def face_offsets(offset: wp.int32, out: wp.array(dtype=wp.int32)):
+    f = wp.tid() + offset
+    out[f] = 3 * f

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What becomes of the rows: lines, JSON, the page with its plot."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from adaptive_terrain.benchmarks import goals, report
+from adaptive_terrain.benchmarks.measure import Row, Timed, alternate, median_by_step
+from adaptive_terrain.benchmarks.scale import slope
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+
+MACHINE = {"Processor": "Abacus 3", "Threads": "2"}
+
+
+@pytest.fixture
+def rows(monkeypatch):
+    monkeypatch.setattr(goals, "RECORDED", {("refine_1t", 1_000_000): (0.25, "a loop in Python")})
+    scale = Row("scale_refine", 1_000_000, 30.0, "slope", ratio=1.03)
+    scale.figures = {"50000_ms": 1.5, "250000_ms": 7.0, "1000000_ms": 30.0}
+    return [
+        Row("refine_1t", 50_000, 1.0, "roam_rebuild", 4.0, first_ms=2.0, steps={"refine": 0.8, "mark": 0.2}),
+        Row("refine_1t", 1_000_000, 20.0, "roam_rebuild", 80.0),
+        Row("refine_2t", 500_000, 3.0, "roam_rebuild", None),
+        Row("meshlets", 1_000_000, 50.0, "roam_rebuild", 80.0),
+        Row("cold_start", 50_000, 500.0, figures={"first_update_ms": 40.0}),
+        Row("large_memory", 1_000_000, None, "4097 x 4097", ratio=1.5),
+        scale,
+    ]
+
+
+def test_the_six_keys_of_every_row(rows, tmp_path):
+    report.write_json(rows, tmp_path / "rows.json")
+    content = json.loads((tmp_path / "rows.json").read_text())
+    assert len(content) == len(rows)
+    for row in content:
+        assert list(row)[:6] == ["name", "size", "ms", "baseline", "baseline_ms", "ratio"]
+        assert isinstance(row["name"], str) and isinstance(row["size"], int)
+    first, _, unbuilt, _, cold, memory, _ = content
+    assert (first["ms"], first["baseline_ms"], first["ratio"], first["goal"]) == (1.0, 4.0, 0.25, 0.4)
+    assert first["steps"] == {"refine": 0.8, "mark": 0.2} and first["first_ms"] == 2.0
+    assert unbuilt["baseline"] == "roam_rebuild" and unbuilt["baseline_ms"] is None and unbuilt["ratio"] is None
+    assert cold["baseline"] is None and cold["figures"] == {"first_update_ms": 40.0}
+    assert memory["ms"] is None and memory["ratio"] == 1.5
+
+
+def test_a_line_says_by_how_much_a_goal_is_missed(rows):
+    lines = [report.line(row) for row in rows]
+    assert "ratio  0.2500" in lines[0] and lines[0].endswith("goal 0.4: met")
+    assert "goal 0.15: missed by 67%" in lines[1]
+    assert "ratio" not in lines[2]
+    assert lines[4].endswith("first_update_ms 40")
+
+
+def test_the_page_has_every_row_the_misses_and_the_reason(rows, tmp_path):
+    report.write_docs(rows, MACHINE, ["There is no C compiler here."], tmp_path)
+    page = (tmp_path / "performance.md").read_text()
+    for row in rows:
+        assert f"| {row.name} | {row.size:,} |" in page and f"* `{row.name}`: " in page
+    assert "Processor Abacus 3, Threads 2." in page
+    assert "* `refine_1t` at 1,000,000: 0.25 for 0.15, 67% over. Known (0.25): a loop in Python" in page
+    assert "* `meshlets` at 1,000,000: 0.625 for 0.4, 56% over. Not known before this run." in page
+    assert "refine 1.03" in page and "* There is no C compiler here." in page
+    assert {len(line.split("|")) for line in page.splitlines() if line.startswith("| refine_1t | 1,0")} == {11}
+
+
+def test_the_plot_is_an_image_with_every_curve(rows, tmp_path):
+    report.write_docs(rows, MACHINE, [], tmp_path)
+    plot = ElementTree.parse(tmp_path / "images" / "performance.svg").getroot()
+    space = "{http://www.w3.org/2000/svg}"
+    texts = {text.text for text in plot.iter(f"{space}text")}
+    assert {"refine, slope 1.03", "roam_rebuild", "triangles", "ms", "1,000,000"} <= texts
+    curves = [line.get("points").split() for line in plot.iter(f"{space}polyline")]
+    assert [len(points) for points in curves] == [3, 2]
+    x = [float(point.split(",")[0]) for point in curves[0]]
+    y = [float(point.split(",")[1]) for point in curves[0]]
+    assert x == sorted(x) and y == sorted(y, reverse=True)
+
+
+def test_a_page_that_cannot_be_written_is_one_sentence(rows, tmp_path):
+    (tmp_path / "docs").write_text("a file")
+    with pytest.raises(TerrainError, match="cannot be written"):
+        report.write_docs(rows, MACHINE, [], tmp_path / "docs")
+    with pytest.raises(TerrainError, match="cannot be written"):
+        report.write_json(rows, tmp_path)
+
+
+def test_the_slope_is_the_power(tmp_path):
+    assert slope({50_000: 2.0, 500_000: 20.0, 5_000_000: 200.0}) == pytest.approx(1.0)
+    assert slope({1_000: 1.0, 4_000: 8.0}) == pytest.approx(1.5)
+
+
+def test_ours_and_theirs_take_turns():
+    turns = []
+
+    def ours():
+        turns.append("a")
+        return {"refine": 10.0 + len(turns), **({"mark": 1.0} if len(turns) > 30 else {})}
+
+    def theirs():
+        turns.append("b")
+        return float(len(turns))
+
+    timed = alternate(ours, theirs)
+    assert "".join(turns) == "ab" + 3 * ("b" * 5 + "a" * 5)
+    assert timed == Timed({"refine": 30.0, "mark": 0.0}, {"refine": 11.0}, 15.0)
+    assert alternate(ours).baseline_ms is None
+    short = []
+    alternate(lambda: short.append(1) or {"total": 0.1})
+    assert len(short) == 1 + 3 * 25
+    assert median_by_step([{"a": 1.0}, {"a": 3.0, "b": 2.0}, {"b": 2.0}]) == {"a": 1.0, "b": 2.0}

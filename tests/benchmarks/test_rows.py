@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rows measured small: they time what they say, without a limit on how long it takes."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from adaptive_terrain.benchmarks import baselines, engine, files, in_blender, measure, scale, scenes, start, suite
+from adaptive_terrain.benchmarks.measure import Row
+from adaptive_terrain.benchmarks.report import MEANING
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.operators import command_line
+
+SAMPLES = 129
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return from_array(np.zeros((SAMPLES, SAMPLES), np.float32), scenes.SIDE / (SAMPLES - 1))
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return from_array(scenes.noise(SAMPLES), scenes.SIDE / (SAMPLES - 1))
+
+
+def test_a_search_finds_the_triangles_asked_for(flat, rough):
+    for flight, size in ((engine.edge_flight(flat, 5_000), 5_000), (engine.error_flight(rough, 8_000), 8_000)):
+        flight()
+        assert abs(flight.update.triangles - size) <= 0.01 * size
+        first = flight.update.surface.positions.copy()
+        assert set(flight()) >= {"refine", "weld", "displace", "total"}
+        assert not np.array_equal(first, flight.update.surface.positions)
+
+
+def test_a_size_that_cannot_be_had_is_one_sentence(rough):
+    with pytest.raises(TerrainError, match="No refinement of about 1 triangles was found; the last had 2."):
+        engine.error_flight(rough, 1)
+
+
+def test_the_finest_leaves_just_reach_their_depth(flat):
+    for depth in (12, 16):
+        px = 6.0
+        view = scenes.around(0, scenes.height_reaching(depth, px))
+        level = Terrain(flat).update(scenes.edges(px, depth), [view]).surface.level
+        assert level.max() == depth
+        deeper = Terrain(flat).update(scenes.edges(px, depth + 2), [view]).surface.level
+        assert deeper.max() == depth
+
+
+def test_trees_of_four_depths_hold_the_same_leaves(flat, monkeypatch):
+    monkeypatch.setattr(engine, "DEPTHS", (12, 14))
+    monkeypatch.setattr(engine, "DEPTH_SIZE", 1_000)
+    seen = []
+    monkeypatch.setattr(engine, "_depths", lambda name, flights: seen.append(flights))
+    list(engine.depth_rows(flat))
+    levels = [[], []]
+    for found, flights in zip(levels, seen, strict=True):
+        for flight in flights.values():
+            flight()
+            found.append(flight.update.surface.level)
+    assert np.array_equal(*levels[0]) and levels[0][0].max() == 12
+    assert [level.max() for level in levels[1]] == [12, 14]
+
+
+def test_a_still_camera_has_its_row(rough, monkeypatch):
+    monkeypatch.setattr(engine, "MILLION", 5_000)
+    row = engine.still_row(rough, None)
+    assert row.ms > 0 and row.ratio is None and (row.name, row.size) == ("still", 5_000)
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
+def test_the_serial_baseline_rebuilds_when_asked(tmp_path, flat, monkeypatch):
+    notes = []
+    roam = baselines.build_roam_rebuild(tmp_path, notes.append)
+    assert notes == []
+    rebuild = roam.timer(2_000)
+    assert all(rebuild() > 0 for _ in range(3))
+    monkeypatch.setattr(engine, "REFINE_SIZES", {1: (2_000,)})
+    [row] = engine.refine_rows(flat, roam)
+    assert row.ratio == row.ms / row.baseline_ms > 0
+    assert row.figures["whole_ms"] > 0
+    roam.close()
+
+
+def test_without_a_compiler_the_baseline_is_left_out(tmp_path, flat, monkeypatch):
+    monkeypatch.setattr(baselines.shutil, "which", lambda name: None)
+    notes = []
+    assert baselines.build_roam_rebuild(tmp_path, notes.append) is None
+    assert notes == ["There is no C compiler here: the baseline roam_rebuild is left out."]
+    monkeypatch.setattr(engine, "REFINE_SIZES", {1: (2_000,)})
+    [row] = engine.refine_rows(flat, None)
+    assert row.ms > 0 and row.ratio is None
+
+
+def test_a_compiler_that_fails_leaves_the_baseline_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(baselines, "SOURCE", tmp_path / "missing.c")
+    notes = []
+    if shutil.which("cc"):
+        assert baselines.build_roam_rebuild(tmp_path, notes.append) is None
+        assert "cannot build missing.c" in notes[0]
+
+
+def test_a_kept_field_is_the_same_store(rough, tmp_path):
+    kept = open_store(in_blender.keep(rough, tmp_path / "store"))
+    assert kept.key == rough.key and np.array_equal(kept.error, rough.error)
+
+
+def test_a_cold_start_and_an_import_are_processes_of_their_own(rough, tmp_path, monkeypatch):
+    monkeypatch.setattr(start, "RUNS", 1)
+    monkeypatch.setattr(start, "SIZE", 2_000)
+    store = in_blender.keep(rough, tmp_path / "store")
+    row = start.warm_row(rough, store)
+    assert row.ms > row.figures["first_update_ms"] > 0
+    monkeypatch.setattr(files, "IMPORT_RUNS", 1)
+    tiff = files.write_tiff(rough, tmp_path / "rough.tif")
+    imported, reopened = files.import_rows(tiff, tmp_path)
+    assert imported.figures["mb_per_s"] > 0 and reopened.baseline_ms == 50
+    assert np.array_equal(open_store(tmp_path / "imported").samples, rough.samples)
+
+
+def test_a_larger_store_is_generated_measured_and_removed(rough, tmp_path, monkeypatch):
+    monkeypatch.setattr(scenes, "SAMPLES", SAMPLES)
+    monkeypatch.setattr(files, "LARGE_SAMPLES", 4 * (SAMPLES - 1) + 1)
+    monkeypatch.setattr(files, "LARGE_SIZES", (3_000,))
+    small = in_blender.keep(rough, tmp_path / "small")
+    rows = list(files.large_rows(small, tmp_path, pytest.fail))
+    assert [row.name for row in rows][:2] == ["large_open", "large_frame"]
+    assert not (tmp_path / "large").exists()
+    notes = []
+    monkeypatch.setattr(files, "STORE_BYTES", 1 << 60)
+    assert list(files.large_rows(small, tmp_path, notes.append)) == [] and len(notes) == 1
+
+
+def test_a_frame_in_blender(rough, tmp_path):
+    bpy = pytest.importorskip("bpy")
+    from adaptive_terrain.operators.frame_sources import need_bpy
+
+    need_bpy("A test")
+    write, plain = in_blender.writers(rough, 5_000)
+    assert write()["total"] > 0 and plain() > 0
+    ours, plainly = bpy.data.meshes["Mine"], bpy.data.meshes["Plain"]
+    counts = [(len(mesh.vertices), len(mesh.edges), len(mesh.polygons)) for mesh in (ours, plainly)]
+    assert counts[0] == counts[1] and len(ours.uv_layers) == len(plainly.uv_layers) == 1
+    assert not plainly.validate()
+    store = in_blender.keep(rough, tmp_path / "store")
+    next_frame, _ = in_blender.frames(rough, store, 5_000)
+    steps = next_frame()
+    assert steps["total"] >= steps["refine"] + steps["mesh"] > 0
+    assert bpy.context.scene.frame_current == 1
+
+
+@pytest.fixture
+def small_suite(monkeypatch):
+    """Every size so small that the whole quick run takes seconds."""
+    for module, sizes in {
+        scenes: {"SAMPLES": SAMPLES, "STEP": 0.01},
+        engine: {"REFINE_SIZES": {1: (2_000,), 2: (2_000,)}, "MILLION": 8_000, "MESHLET": 1},
+        in_blender: {"MILLION": 8_000, "FRAME_SIZES": (8_000, 16_000)},
+        measure: {"BLOCKS": 1, "SHORT_RUNS": 2, "RUNS": 2},
+        start: {"SIZE": 2_000, "RUNS": 1},
+        scale: {"QUICK_SIZES": (8_000, 16_000)},
+    }.items():
+        for name, value in sizes.items():
+            monkeypatch.setattr(module, name, value)
+    for name, value in {"DEPTHS": (12, 14), "DEPTH_SIZE": 1_000}.items():
+        monkeypatch.setattr(engine, name, value)
+
+
+ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
+ENGINE_ROWS += ["cold_start"]
+
+
+def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
+    pytest.importorskip("bpy")
+    notes = []
+    rows = list(suite.measured(tmp_path, True, False, notes.append))
+    scales = ["scale_refine", "scale_surface", "scale_ingest", "scale_frame"]
+    assert [row.name for row in rows] == [*ENGINE_ROWS, "ingest", "frame", "frame", "still_frame", *scales]
+    assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
+    assert notes[-1] == "The rows cycles are measured with --with-cycles only."
+
+
+def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatch):
+    def no_blender(what):
+        raise TerrainError(f"There is no Blender. {what}")
+
+    monkeypatch.setattr(suite, "need_bpy", no_blender)
+    monkeypatch.setattr(baselines.shutil, "which", lambda name: None)
+    notes = []
+    rows = list(suite.measured(tmp_path, True, False, notes.append))
+    assert [row.name for row in rows] == [*ENGINE_ROWS, "scale_refine", "scale_surface"]
+    assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 3
+
+
+@pytest.fixture
+def one_row(monkeypatch):
+    """The suite measures nothing: one row that fails its goal."""
+    rows = [Row("ingest", 1_000_000, 100.0, "plain_ingest", 100.0)]
+    monkeypatch.setattr(suite, "measured", lambda *_: iter(rows))
+
+
+def test_a_quick_run_that_is_too_slow_fails_after_it_is_written(one_row, tmp_path, capsys):
+    target = tmp_path / "rows.json"
+    assert command_line.main(["bench", "--quick", "--json", str(target)]) == 1
+    said = capsys.readouterr()
+    assert said.err == "adaptive-terrain: error: Slower than 1.5 times what is allowed: ingest at 1,000,000 (1).\n"
+    assert target.exists() and "ingest" in said.out
+    assert command_line.main(["bench"]) == 0
+
+
+def test_an_extension_without_benchmarks_says_so(monkeypatch, capsys):
+    monkeypatch.delitem(sys.modules, "adaptive_terrain.benchmarks.suite")
+    monkeypatch.setitem(sys.modules, "adaptive_terrain.benchmarks", None)
+    assert command_line.main(["bench"]) == 1
+    assert "The benchmarks are not part of the extension" in capsys.readouterr().err
+
+
+def test_documents_are_written_only_where_asked(one_row, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert command_line.main(["bench"]) == 0
+    assert list(tmp_path.iterdir()) == []
+    assert command_line.main(["bench", "--docs", "docs"]) == 0
+    assert (tmp_path / "docs" / "performance.md").exists()
+    assert command_line.main(["bench", "--quick", "--docs", "docs"]) == 2
+    assert "--quick leaves rows out" in capsys.readouterr().err

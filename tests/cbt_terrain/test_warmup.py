@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels are prepared beside this process, under the names that they have here, and nothing waits that need not."""
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from adaptive_terrain.cbt_terrain import child, launch, warmup
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+
+ROOT = Path(__file__).resolve().parents[2]
+WITH_KERNELS = {path.stem for path in (ROOT / "kernels").glob("*.py") if "@wp.kernel" in path.read_text("utf-8")}
+# Prepares under the name that an extension has, and tells what it compiled itself.
+PREPARE = """
+import importlib.util, json, os, sys, time, types
+root, name = sys.argv[1], "bl_ext.user_default.terrain"
+sys.modules.update({outer: types.ModuleType(outer) for outer in ("bl_ext", "bl_ext.user_default")})
+spec = importlib.util.spec_from_file_location(name, root + "/__init__.py", submodule_search_locations=[root])
+sys.modules[name] = package = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(package)
+warmup = importlib.import_module(name + ".cbt_terrain.warmup")
+compiled_here = []
+import warp as wp
+compile_module = wp.Module._compile
+def watched(self, *arguments, **options):
+    done = compile_module(self, *arguments, **options)
+    compiled_here.extend([self.name] if done else [])
+    return done
+wp.Module._compile = watched
+importlib.import_module(name + ".cbt_terrain.launch").default_threads = lambda: 3  # two children
+start = time.perf_counter()
+warmup.start()
+seen, gap, last = [], 0.0, time.perf_counter()
+while warmup.preparing():
+    seen.append(warmup.progress())
+    time.sleep(0.002)
+    now = time.perf_counter()
+    gap, last = max(gap, now - last), now
+warmup.wait()
+modules = warmup.kernel_modules()
+print(json.dumps({
+    "seconds": time.perf_counter() - start,
+    "gap_ms": gap * 1e3,
+    "compiled_here": compiled_here,
+    "fractions": sorted({f for f in seen if f is not None}),
+    "missing": [m.__name__ for m in modules if not warmup.compiled_folder(m).exists()],
+    "loaded": sum(bool(wp.get_module(m.__name__).execs) for m in modules),
+    "modules": len(modules),
+    "folders": sorted(os.listdir(wp.config.kernel_cache_dir)),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory):
+    """What two starts say: the first with an empty cache, the second with what it left."""
+    cache = tmp_path_factory.mktemp("kernels")
+    environment = {**child.os.environ, "WARP_CACHE_PATH": str(cache)}
+
+    def prepare():
+        command = [sys.executable, "-c", PREPARE, str(ROOT)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    return prepare(), prepare()
+
+
+def test_children_compile_everything_under_the_name_of_their_parent(prepared):
+    first, _ = prepared
+    assert first["compiled_here"] == [] and first["missing"] == []
+    assert first["loaded"] == first["modules"] == len(WITH_KERNELS)
+    assert all(name.startswith("wp_bl_ext.user_default.terrain.kernels.") for name in first["folders"])
+    assert len(first["folders"]) == first["modules"]
+    assert first["fractions"][0] == 0.0 and len(first["fractions"]) > 3, "the panel shows how far it is"
+
+
+def test_a_full_cache_needs_no_child(prepared):
+    first, second = prepared
+    assert second["compiled_here"] == [] and second["loaded"] == second["modules"]
+    assert second["fractions"] == [], "nothing to be seen of it"
+    assert second["folders"] == first["folders"]
+    assert second["seconds"] < first["seconds"] / 2
+
+
+@pytest.fixture
+def no_modules(monkeypatch):
+    """A preparation that compiles in children that only sleep."""
+    sleeping = []
+
+    def start(module, *arguments, variables, **streams):
+        sleeping.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **streams))
+        return sleeping[-1]
+
+    monkeypatch.setattr(child, "start", start)
+    monkeypatch.setattr(launch, "default_threads", lambda: 4)
+    monkeypatch.setattr(warmup, "compiled_folder", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "_current", None)
+    yield sleeping
+    warmup.stop()
+
+
+def test_stopping_ends_the_children_and_tells_who_waits(no_modules):
+    warmup.start()
+    reasons = []
+
+    def waiter():
+        try:
+            warmup.wait()
+        except TerrainError as reason:
+            reasons.append(str(reason))
+
+    thread = threading.Thread(target=waiter)
+    thread.start()
+    while len(no_modules) < 3:
+        threading.Event().wait(0.01)
+    assert warmup.preparing() and warmup.progress() == 0.0
+    warmup.stop()
+    thread.join(5)
+    assert reasons and "switched off" in reasons[0]
+    assert all(process.poll() is not None for process in no_modules)
+    assert not warmup.preparing() and warmup.progress() is None
+    warmup.wait()  # nothing is under way: kernels are loaded when they are launched
+
+
+def test_without_a_child_the_thread_compiles(monkeypatch):
+    def fail(*arguments, **streams):
+        raise OSError("no process")
+
+    monkeypatch.setattr(child, "start", fail)
+    monkeypatch.setattr(warmup, "compiled_folder", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "_current", None)
+    loaded = []
+    monkeypatch.setattr(warmup, "load", lambda module: loaded.append(module.__name__.rpartition(".")[2]))
+    warmup.start()
+    warmup.wait()
+    warmup.stop()
+    assert set(loaded) == WITH_KERNELS

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The snippets of kernels/unchecked.py against the same kernels in Warp alone: the same bytes."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+from adaptive_terrain import kernels
+from adaptive_terrain.cbt_terrain import launch, meshlet_template, surface
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
+from fields import rough
+from invariants import arrays
+
+KERNELS = Path(kernels.__file__).parent
+VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
+
+
+def load(name: str, path: Path):
+    """A file as module `name` of the package's kernels."""
+    spec = importlib.util.spec_from_file_location(f"{kernels.__name__}.{name}", path)
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def in_warp_alone(tmp_path, monkeypatch):
+    """Kernels of the surface that import tests/kernels/checked.py in place of kernels/unchecked.py."""
+    load("checked", Path(__file__).with_name("checked.py"))
+    twins = {}
+    for name in ("weld", "displace", "meshlet"):
+        source = (KERNELS / f"{name}.py").read_text()
+        assert source.count("from .unchecked import ") == 1
+        path = tmp_path / f"{name}_checked.py"
+        path.write_text(source.replace("from .unchecked import ", "from .checked import "))
+        twins[name] = load(path.stem, path)
+        monkeypatch.setattr(surface, f"{name}_kernels", twins[name])
+    monkeypatch.setattr(meshlet_template, "Template", twins["meshlet"].Template)
+    meshlet_template.template.cache_clear()
+    yield
+    meshlet_template.template.cache_clear()
+
+
+def updates() -> list[dict[str, bytes]]:
+    """Surfaces that pass every snippet: several squares and slices, points on and between samples, meshlets."""
+    found = []
+    for shape, criterion in (
+        ((33, 97), Criterion(error_px=0.3, max_depth=16)),
+        ((65, 65), Criterion(error_px=0.0, edge_px=8.0)),
+        ((33, 65), Criterion(error_px=0.5, meshlet=1)),
+        ((65, 65), Criterion(error_px=2.0, meshlet=3)),
+    ):
+        terrain = Terrain(rough(*shape), 3)
+        terrain.update(Criterion(error_px=3.0, meshlet=criterion.meshlet), [VIEW])  # so that there is something to cut
+        found.append(arrays(terrain.update(criterion, [VIEW]).surface))
+    return found
+
+
+def test_snippets_write_the_bytes_of_plain_warp(request, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    fast = updates()
+    request.getfixturevalue("in_warp_alone")
+    assert updates() == fast

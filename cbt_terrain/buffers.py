@@ -10,12 +10,21 @@ _NUMPY = {
     wp.vec4i: (np.int32, 4),
     wp.vec2f: (np.float32, 2),
     wp.vec3f: (np.float32, 3),
+    wp.vec3d: (np.float64, 3),
 }
 
 
 def shared(array: np.ndarray, dtype) -> wp.array:
     """A Warp array over the memory of a numpy array of the same layout."""
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
+
+
+def bind(struct, **values) -> None:
+    """Set the fields of a Warp struct that are not so already: setting an array costs as much as a launch."""
+    for name, value in values.items():
+        held = getattr(struct, name)
+        if held is not value and not (isinstance(value, int) and held == value):
+            setattr(struct, name, value)
 
 
 class Buffers:

@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from ..kernels import curve
 from ..kernels import refine as kernels
 from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.criterion import Asked, Domain
 from . import launch
-from .buffers import Buffers, shared
+from .buffers import Buffers, bind, shared
 from .heightfield import HeightField
 from .tree import ConcurrentBinaryTree
 
@@ -97,8 +98,8 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
-        self._bands = wp.empty(16 * 64, dtype=wp.vec3d, device="cpu")
-        self._depths = wp.empty(16 * 64, dtype=wp.vec4i, device="cpu")
+        self._walk_structs: list[kernels.Walk] = []
+        self._recorded: dict = {}
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -125,7 +126,7 @@ class Refinement:
         cuts = self._cuts()
         while True:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine")
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded)
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None
@@ -143,7 +144,7 @@ class Refinement:
 
         def fits(step: int) -> bool:
             asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget")
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget", recorded=self._recorded)
             return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum()) <= max_leaves
 
         self._step = _lowest(fits, self._step)
@@ -164,26 +165,41 @@ class Refinement:
     def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[kernels.Walk]:
         """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""
         slices, squares = len(cuts) - 1, self.lattice.squares
-        stride = capacity + 2 * squares + 8
+        stride, stacks = capacity + 2 * squares + 8, slices * kernels.STACK
         get = self.buffers.get
-        sides = get("sides", slices * 4 * squares, wp.int32)
+        arrays = {
+            "code": get("code", slices * stride, wp.uint16),
+            "point": get("point", slices * stride, wp.vec2i),
+            "word_index": get("word_index", slices * stride, wp.int64),
+            "word_bits": get("word_bits", slices * stride, wp.uint64),
+            "stack": get("walk_stack", stacks, wp.vec4i),
+            "aside": get("walk_aside", stacks, wp.int32),
+            "errors": get("walk_errors", stacks, wp.float32),
+            "bands": get("walk_bands", stacks, wp.vec3d),
+            "depths": get("walk_depths", stacks, wp.vec4i),
+            "blocks": _blocks(),
+            "sides": get("sides", slices * 4 * squares, wp.int32),
+            "counts": get("counts", slices * 4, wp.int64),
+            "bounds": get("bounds", slices * 6, wp.float64),
+        }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
-        walks = []
-        for k in range(slices):
-            w = kernels.Walk()
-            w.first_cell, w.end_cell = cuts[k], cuts[k + 1]
-            w.cell_bits, w.max_depth = self._cell_bits, max_depth
-            w.leaf_capacity, w.leaf_limit, w.leaf_base = capacity, max_leaves, k * stride
-            w.slot, w.grid = k, int(squares > 1)
-            w.code, w.point = get("code", slices * stride, wp.uint16), get("point", slices * stride, wp.vec2i)
-            w.word_index = get("word_index", slices * stride, wp.int64)
-            w.word_bits = get("word_bits", slices * stride, wp.uint64)
-            w.stack, w.aside = get("walk_stack", slices * 64, wp.vec4i), get("walk_aside", slices * 64, wp.int32)
-            w.bands, w.depths, w.blocks = self._bands, self._depths, _blocks()
-            w.errors = get("walk_errors", slices * 64, wp.float32)
-            w.sides = sides[k * 4 * squares : (k + 1) * 4 * squares]
-            w.counts, w.bounds = get("counts", slices * 4, wp.int64), get("bounds", slices * 6, wp.float64)
-            walks.append(w)
+        while len(self._walk_structs) < slices:
+            self._walk_structs.append(kernels.Walk())
+        walks = self._walk_structs[:slices]
+        for k, walk in enumerate(walks):
+            bind(
+                walk,
+                first_cell=cuts[k],
+                end_cell=cuts[k + 1],
+                cell_bits=self._cell_bits,
+                max_depth=max_depth,
+                leaf_capacity=capacity,
+                leaf_limit=max_leaves,
+                leaf_base=k * stride,
+                slot=k,
+                grid=int(squares > 1),
+                **arrays,
+            )
         return walks
 
     def _leaves(self, walks: list[kernels.Walk], counts: np.ndarray) -> Leaves:
@@ -193,7 +209,7 @@ class Refinement:
         sides = self.buffers.numpy("sides")[: slices * 4 * squares].reshape(slices, squares, 4)
         code = self.buffers.numpy("code")
         base = np.array([w.leaf_base for w in walks], np.int64)[used]
-        starts = (code[base] >> kernels.FIRST & 1).astype(bool)
+        starts = (code[base] >> curve.FIRST & 1).astype(bool)
         cells = np.array([w.first_cell for w in walks], np.int64)[used]
         # A slice whose first cells belong to the last leaf of a square begins with the next square.
         squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
@@ -239,7 +255,7 @@ def _blocks() -> Blocks:
         if n == 0:
             codes.append(state)
             if state % 2 == 0:  # its third edge is new, and so is the end of it
-                legs.append(apex if state == kernels.HYP_LEG else right)
+                legs.append(apex if state == curve.HYP_LEG else right)
             return
         middle = tuple((a + b) // 2 for a, b in zip(left, right, strict=True))
         bisect(left, middle, apex, left_state[state], n - 1)

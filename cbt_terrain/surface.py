@@ -13,7 +13,7 @@ from ..kernels import weld as weld_kernels
 from ..kernels import weld_state
 from ..kernels.criterion import Domain
 from . import launch
-from .buffers import Buffers
+from .buffers import Buffers, bind
 from .meshlet_template import template
 from .refinement import Leaves
 
@@ -51,6 +51,7 @@ class SurfaceBuilder:
         self._weld = weld_state.Weld()
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
+        self._recorded: dict = {}
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
@@ -86,7 +87,7 @@ class SurfaceBuilder:
         # A place in each list for every leaf, and some: memory is committed as it is touched.
         room = triangles + weld_state.SPARE * slices
         w.columns, w.rows = domain.columns, domain.rows
-        _bind(
+        bind(
             w,
             counts=self._table("slice_counts", leaves.counts, wp.int64),
             leaf_base=self._table("slice_base", leaves.base, wp.int64),
@@ -102,10 +103,10 @@ class SurfaceBuilder:
             state=get("weld_state", (slices + 1) * weld_state.STATE_SIZE, wp.int32),
             **self._mesh_arrays("leaf_", triangles, edges),
         )
-        launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld")
+        launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld", recorded=self._recorded)
         if slices > 1:
             open_edges, found = get("open_edges", 2 * room, wp.vec2i), get("found", 2 * room, wp.vec2i)
-            launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld")
+            launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld", recorded=self._recorded)
 
     def _expand(
         self, runs: list[tuple[int, int]], leaves: int, vertices: int, edges: int, meshlet: int
@@ -118,8 +119,8 @@ class SurfaceBuilder:
         all_edges = edges * n + leaves * t.inner_lines
         coarse.vertices, coarse.edge_count = vertices, edges
         point = get("mesh_point", all_vertices, wp.vec2i)
-        _bind(coarse, point=point, **self._mesh_arrays("leaf_", leaves, edges))
-        _bind(fine, point=point, **self._mesh_arrays("mesh_", triangles, all_edges))
+        bind(coarse, point=point, **self._mesh_arrays("leaf_", leaves, edges))
+        bind(fine, point=point, **self._mesh_arrays("mesh_", triangles, all_edges))
         # The leaves' own points first, in one row, where edges and leaves can look them up.
         source, to, first = self._buffers.numpy("point"), self._buffers.numpy("mesh_point"), 0
         for base, count in runs:
@@ -132,14 +133,14 @@ class SurfaceBuilder:
             [*_piece(edges, k, pieces), *_piece(leaves, k, pieces), k * room, t, coarse, fine, numbers]
             for k in range(pieces)
         ]
-        launch.slices(meshlet_kernels.expand, inputs, step="meshlets")
+        launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=self._recorded)
         return triangles, all_vertices, all_edges
 
     def _displace(self, runs: list[tuple[int, int]], domain: Domain, vertices: int, point: str) -> None:
         """Positions, normals and uv of runs of points (base, count)."""
         get, p = self._buffers.get, self._points
         pieces = self._pieces(vertices) if len(runs) == 1 else 1
-        _bind(
+        bind(
             p,
             point=get(point, 0, wp.vec2i),
             positions=get("positions", vertices, wp.vec3f),
@@ -150,7 +151,7 @@ class SurfaceBuilder:
         for base, n in runs:
             inputs += [[*_piece(n, k, pieces), base, first, domain, p] for k in range(pieces)]
             first += n
-        launch.slices(displace_kernels.displace, inputs, step="displace")
+        launch.slices(displace_kernels.displace, inputs, step="displace", recorded=self._recorded)
 
     def _mesh_arrays(self, prefix: str, triangles: int, edges: int) -> dict[str, wp.array]:
         get = self._buffers.get
@@ -174,10 +175,3 @@ class SurfaceBuilder:
 def _piece(count: int, k: int, pieces: int) -> tuple[int, int]:
     """The k-th of even pieces of a range: where it begins and ends."""
     return count * k // pieces, count * (k + 1) // pieces
-
-
-def _bind(struct, **arrays: wp.array) -> None:
-    """Set the arrays that are not the struct's already: setting one costs as much as a launch."""
-    for name, array in arrays.items():
-        if getattr(struct, name) is not array:
-            setattr(struct, name, array)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
-from ..kernels.criterion import Asked, LocalView
+from ..kernels.criterion import Asked, Domain, LocalView
 from . import launch
 from .buffers import Buffers
 from .criterion import Criterion, localise, unit_lengths
@@ -55,6 +55,7 @@ class Terrain:
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
         self._builder = SurfaceBuilder(self._buffers, self.threads)
+        self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
@@ -96,7 +97,7 @@ class Terrain:
             raise TerrainError("The terrain is scaled to nothing in some direction; give it a scale other than 0.")
         if criterion.needs_view and not views:
             raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
-        domain = make_domain(self.field, criterion.meshlet, vertical_scale, vertical_offset)
+        domain = self._placed_domain(criterion.meshlet, vertical_scale, vertical_offset)
         steps = (domain.unit_x, domain.unit_y)
         views = views if criterion.needs_view else ()
         asked = _pack(criterion, [localise(v, placement, box, criterion) for v in views])
@@ -139,6 +140,13 @@ class Terrain:
             limited,
             ms,
         )
+
+    def _placed_domain(self, meshlet: int, vertical_scale: float, vertical_offset: float) -> Domain:
+        key = (meshlet, vertical_scale, vertical_offset)
+        if key != self._domain_key:
+            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset)
+            self._domain_key = key
+        return self._domain
 
     def _box(self, vertical_scale: float, vertical_offset: float) -> np.ndarray:
         """float64 [2, 3]: everything that the terrain occupies in its own space, metres."""

@@ -15,9 +15,11 @@ import struct
 import zlib
 
 import numpy as np
+import warp as wp
 
 from ..kernels.tree import END_INDEX, reduce_changed
 from . import launch
+from .buffers import shared
 from .errors import TerrainError
 
 MIN_DEPTH, MAX_DEPTH = 6, 40
@@ -56,6 +58,7 @@ class ConcurrentBinaryTree:
             sizes.append(-(-sizes[-1] >> 6))
         self._level_start = np.cumsum([0, *sizes[:-1]], dtype=np.int64)
         self._upper_counts = np.zeros(sum(sizes), np.int64)
+        self._changed = np.zeros(1, np.int64)
         # Counters from the root down to the blocks: below entry n are the entries 64 n .. 64 n + 63 of the next array.
         parts = np.split(self._upper_counts, self._level_start[1:])
         self._levels = [*parts[::-1], self._block_counts]
@@ -63,6 +66,8 @@ class ConcurrentBinaryTree:
         self._stream = (np.full(1, END_INDEX, np.int64), np.zeros(1, np.uint64))
         self._next = (np.full(1, END_INDEX, np.int64), np.zeros(1, np.uint64))
         self._word_count = 0
+        self._shared: dict[int, tuple[np.ndarray, wp.array]] = {}
+        self._recorded: dict = {}
         self._edited: dict[int, dict[int, int]] = {}
         self.reset()
 
@@ -180,12 +185,12 @@ class ConcurrentBinaryTree:
             bits[count : count + len(slice_bits)] = slice_bits
             count += len(slice_index)
         index[count], bits[count] = END_INDEX, 0
-        changed = np.zeros(1, np.int64)
         counters = [self._block_counts, self._upper_counts, self._level_start]
-        launch.once(reduce_changed, [*self._next, *self._stream, *counters, changed], step="mark")
+        arrays = [*self._next, *self._stream, *counters, self._changed]
+        launch.once(reduce_changed, [self._as_warp(a) for a in arrays], step="mark", recorded=self._recorded)
         self._stream, self._next = self._next, self._stream
         self._word_count = count
-        return int(changed[0])
+        return int(self._changed[0])
 
     def reset(self, depth: int = 0) -> None:
         """Make the leaves all the nodes at `depth`."""
@@ -241,6 +246,15 @@ class ConcurrentBinaryTree:
         return tree
 
     # Inside
+
+    def _as_warp(self, array: np.ndarray) -> wp.array:
+        """The array as Warp takes it, made once: that costs as much as a launch."""
+        if id(array) not in self._shared:
+            alive = [*self._next, *self._stream, self._block_counts, self._upper_counts, self._level_start]
+            ids = {id(a) for a in [*alive, self._changed]}
+            self._shared = {key: held for key, held in self._shared.items() if key in ids}
+            self._shared[id(array)] = array, shared(array, wp.dtype_from_numpy(array.dtype))
+        return self._shared[id(array)][1]
 
     def _cells_of(self, heap_id: int) -> tuple[int, int]:
         """First cell and number of cells of a node."""

@@ -9,6 +9,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 MAX_BISECTIONS = wp.constant(8)
+EVERY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 
 @wp.struct
@@ -24,51 +25,63 @@ class Blocks:
 
 
 @wp.func
-def write_leaves(
-    blocks: Blocks,
-    entry: wp.int32,
-    count: wp.int32,
-    extra: wp.uint16,
-    code: wp.array(dtype=wp.uint16),
-    at: wp.int64,
-):
-    """The words of `count` leaves, each with the bits `extra`."""
-    first = blocks.first_leaf[entry]
-    for k in range(count):
-        code[at + wp.int64(k)] = blocks.code[first + k] | extra
+def new_vertices(blocks: Blocks, state: wp.int32, bisections: wp.int32) -> wp.int32:
+    """How many vertices a block makes."""
+    return blocks.vertices[6 * bisections + state]
 
 
 @wp.func
-def write_vertices(
+def write_block(
     blocks: Blocks,
-    entry: wp.int32,
-    bits: wp.int32,
+    state: wp.int32,
+    bisections: wp.int32,
+    left: wp.vec2i,
     apex: wp.vec2i,
-    to_left: wp.vec2i,
-    to_right: wp.vec2i,
+    right: wp.vec2i,
+    extra: wp.uint16,
+    code: wp.array(dtype=wp.uint16),
+    first_code: wp.int64,
     point: wp.array(dtype=wp.vec2i),
-    at: wp.int64,
+    first_point: wp.int64,
 ):
-    """The block's new vertices, in the order of the curve."""
+    """The words of a block's leaves, each with the bits `extra`, and its new vertices, in the order of the curve."""
+    entry = 6 * bisections + state
+    first = blocks.first_leaf[entry]
+    for k in range(1 << bisections):
+        code[first_code + wp.int64(k)] = blocks.code[first + k] | extra
     first = blocks.first_vertex[entry]
+    bits = (bisections + 1) >> 1
+    left_x = left[0] - apex[0]
+    left_y = left[1] - apex[1]
+    right_x = right[0] - apex[0]
+    right_y = right[1] - apex[1]
     for k in range(blocks.vertices[entry]):
         leg = blocks.leg[first + k]
-        x = apex[0] + ((leg[0] * to_left[0] + leg[1] * to_right[0]) >> bits)
-        y = apex[1] + ((leg[0] * to_left[1] + leg[1] * to_right[1]) >> bits)
-        point[at + wp.int64(k)] = wp.vec2i(x, y)
+        x = apex[0] + ((leg[0] * left_x + leg[1] * right_x) >> bits)
+        y = apex[1] + ((leg[0] * left_y + leg[1] * right_y) >> bits)
+        point[first_point + wp.int64(k)] = wp.vec2i(x, y)
 
 
 @wp.func
 def write_words(
-    word: wp.int64,
-    step: wp.int64,
-    bits: wp.uint64,
-    count: wp.int32,
+    cell: wp.uint64,
+    size: wp.uint64,
+    bisections: wp.int32,
     word_index: wp.array(dtype=wp.int64),
     word_bits: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-):
-    """`count` words of the tree, `step` apart, all with the same bits."""
+    first: wp.int64,
+) -> wp.int32:
+    """The words of the tree for a block of `size` cells, 64 or more, from `cell` on; returns how many."""
+    step = size >> wp.uint64(bisections)  # cells of a leaf
+    count = wp.int32(1) << bisections
+    stride = wp.int64(step >> wp.uint64(6))
+    bits = wp.uint64(1)
+    if step < wp.uint64(64):  # several leaves in a word: a bit at every multiple of `step`
+        count = wp.int32(size >> wp.uint64(6))
+        stride = wp.int64(1)
+        bits = EVERY // ((wp.uint64(1) << step) - wp.uint64(1))
+    word = wp.int64(cell >> wp.uint64(6))
     for k in range(count):
-        word_index[at + wp.int64(k)] = word + wp.int64(k) * step
-        word_bits[at + wp.int64(k)] = bits
+        word_index[first + wp.int64(k)] = word + wp.int64(k) * stride
+        word_bits[first + wp.int64(k)] = bits
+    return count

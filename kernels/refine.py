@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The refinement: one walk over the diamonds in curve order.
 
-Child 0 of a triangle (left, apex, right) is (left, middle, apex), child 1 is (apex, middle, right): depth-first order
-is the Sierpinski curve, so consecutive leaves share an edge. A leaf is entered and left through known edges; whether
-its third edge was passed before is carried down the walk in a state of three bits. The walk writes one word a leaf and
-one point a new vertex, all that the welding needs, and the leaves' bits of the tree.
+Below a diamond that is split, a *band* says what is certain: between the finest and the coarsest pixel on its box lie
+those of all boxes inside it (they are nested), so most diamonds are decided by a look at their error, or at nothing but
+their depth. Only one that falls between is measured, and makes a narrower band for what is below it. Margins are far
+above rounding: the mesh is the one that measuring every diamond gives.
 
-Root squares are walked row by row, each a closed curve from its upper left corner, counter-clockwise along its border:
-left side down, bottom right, right side up, top left. So a side that a square shares with an earlier one is passed in
-the opposite direction, last edge first.
+The walk writes a word of 16 bits a leaf (kernels/curve.py) and one point a new vertex, all that the welding needs, and
+the leaves' bits of the tree.
 """
 
 import warp as wp
 
-from .block import MAX_BISECTIONS, Blocks, write_leaves, write_vertices, write_words
+from .block import MAX_BISECTIONS, Blocks, new_vertices, write_block, write_words
 from .criterion import (
     Asked,
     Domain,
@@ -27,38 +26,29 @@ from .criterion import (
     smaller,
     too_coarse,
 )
+from .curve import (
+    BORDER,
+    CORNER,
+    DEPTH_SHIFT,
+    FIRST,
+    HYP_LEG,
+    INNER,
+    LAST,
+    LEG_HYP,
+    PARITY,
+    TAKE_BELOW,
+    TAKE_LEFT,
+    TO_CORNER,
+    border_role,
+    left_state,
+    right_state,
+)
 
 wp.set_module_options({"enable_backward": False})
 
-# A leaf's word of 16 bits: state, parity of the depth, role of the third edge on the square's border, flags, depth.
-STATE = wp.constant(7)
-PARITY = wp.constant(3)  # shifts
-BORDER = wp.constant(4)
-FIRST = wp.constant(7)  # the square's first leaf
-CORNER = wp.constant(8)  # ... whose entry edge ends on the corner that the square below has made
-DEPTH_SHIFT = wp.constant(9)
-LAST = wp.constant(15)  # the square's last leaf
-
-# Types of passage: entered by a leg and left by a leg, by hypotenuse and leg, by leg and hypotenuse. A state is a type
-# and, as its lowest bit, whether the third edge is old.
-LEG_LEG = wp.constant(0)
-HYP_LEG = wp.constant(2)
-LEG_HYP = wp.constant(4)
-
-# Roles of a third edge on the border of its square.
-INNER = wp.constant(0)  # not on a side that is shared with another square
-TAKE_LEFT = wp.constant(1)  # the square to the left has made it
-TAKE_BELOW = wp.constant(2)
-GIVE_RIGHT = wp.constant(3)  # the square to the right will take it
-GIVE_ABOVE = wp.constant(4)
-TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has made
-
-
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
-
-
-EVERY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
+STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
 
 
 @wp.struct
@@ -72,7 +62,7 @@ class Walk:
     leaf_capacity: wp.int64
     leaf_limit: wp.int64  # the walk may end as soon as it has more
     leaf_base: wp.int64  # where this slice's part of the arrays begins
-    slot: wp.int32  # row of stacks, counts and bounds
+    slot: wp.int32  # row of stacks, sides, counts and bounds
     grid: wp.int32  # 1: several squares, borders are tracked
     code: wp.array(dtype=wp.uint16)
     point: wp.array(dtype=wp.vec2i)
@@ -87,61 +77,6 @@ class Walk:
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
     bounds: wp.array(dtype=wp.float64)  # per slice: largest of all that `measure` returns
-
-
-@wp.func
-def left_state(state: wp.int32) -> wp.int32:
-    """State of child 0."""
-    old = state & 1
-    s = HYP_LEG + old
-    if state >= LEG_HYP:
-        s = HYP_LEG
-    elif state >= HYP_LEG:
-        s = LEG_LEG + old
-    return s
-
-
-@wp.func
-def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
-    """State of child 1 of the triangle whose first deepest cell is `cell`."""
-    old = state & 1
-    s = LEG_HYP + old
-    if state >= LEG_HYP:
-        s = LEG_LEG + old
-    elif state >= HYP_LEG:
-        s = LEG_HYP + 1
-        if cell == wp.uint64(0):
-            s = LEG_HYP  # the curve starts on the border: the other half of its entry edge was never passed
-    return s
-
-
-@wp.func
-def border_role(
-    p: wp.vec2i,
-    q: wp.vec2i,
-    corner: wp.vec2i,
-    side: wp.int32,
-    column: wp.int32,
-    row: wp.int32,
-    columns: wp.int32,
-    rows: wp.int32,
-):
-    """Role of the third edge p - q of a leaf in the square at `corner`."""
-    role = INNER
-    if p[0] == q[0]:
-        if p[0] == corner[0]:
-            if column > 0:
-                role = TAKE_LEFT
-            elif row > 0 and wp.min(p[1], q[1]) == corner[1]:
-                role = TO_CORNER
-        elif p[0] == corner[0] + side and column < columns - 1:
-            role = GIVE_RIGHT
-    elif p[1] == q[1]:
-        if p[1] == corner[1] and row > 0:
-            role = TAKE_BELOW
-        elif p[1] == corner[1] + side and row < rows - 1:
-            role = GIVE_ABOVE
-    return role
 
 
 @wp.func
@@ -186,7 +121,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     worst_error = wp.float32(0.0)
     split_error2 = asked.limit * asked.error_px2
     split_metres2 = asked.limit * asked.metres2
-    place = w.slot * 64
+    place = w.slot * STACK
+    sides = 4 * w.slot * domain.columns * domain.rows
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     start = w.first_cell & (cells - wp.uint64(1))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and leaves <= w.leaf_limit:
@@ -311,54 +247,32 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 ends = cell + size == cells or square_cell + cell + size > w.end_cell
                 if size >= wp.uint64(64) and not (ends or (w.grid == 1 and bordering)):
                     count = 1 << levels
-                    entry = 6 * levels + state
-                    created = w.blocks.vertices[entry]
-                    step = size >> wp.uint64(levels)
+                    created = new_vertices(w.blocks, state, levels)
                     if leaves + wp.int64(count) <= w.leaf_capacity:
                         if word >= wp.int64(0):
                             w.word_index[w.leaf_base + words] = word
                             w.word_bits[w.leaf_base + words] = bits
                             words += wp.int64(1)
                             word = wp.int64(-1)
-                        extra = (wp.uint32(even_depth & 1) << wp.uint32(PARITY)) | (
-                            wp.uint32(even_depth) << wp.uint32(DEPTH_SHIFT)
-                        )
-                        write_leaves(w.blocks, entry, count, wp.uint16(extra), w.code, w.leaf_base + leaves)
-                        apex = wp.vec2i(apex_x, apex_y)
-                        write_vertices(
+                        extra = ((even_depth & 1) << PARITY) | (even_depth << DEPTH_SHIFT)
+                        write_block(
                             w.blocks,
-                            entry,
-                            (levels + 1) >> 1,
-                            apex,
-                            wp.vec2i(left_x - apex_x, left_y - apex_y),
-                            wp.vec2i(right_x - apex_x, right_y - apex_y),
+                            state,
+                            levels,
+                            wp.vec2i(left_x, left_y),
+                            wp.vec2i(apex_x, apex_y),
+                            wp.vec2i(right_x, right_y),
+                            wp.uint16(extra),
+                            w.code,
+                            w.leaf_base + leaves,
                             w.point,
                             w.leaf_base + vertices,
                         )
-                        at = (square_cell + cell) >> wp.uint64(6)
-                        if step >= wp.uint64(64):
+                        words += wp.int64(
                             write_words(
-                                wp.int64(at),
-                                wp.int64(step >> wp.uint64(6)),
-                                wp.uint64(1),
-                                count,
-                                w.word_index,
-                                w.word_bits,
-                                w.leaf_base + words,
+                                square_cell + cell, size, levels, w.word_index, w.word_bits, w.leaf_base + words
                             )
-                            words += wp.int64(count)
-                        else:
-                            n = wp.int32(size >> wp.uint64(6))
-                            write_words(
-                                wp.int64(at),
-                                wp.int64(1),
-                                EVERY // ((wp.uint64(1) << step) - wp.uint64(1)),
-                                n,
-                                w.word_index,
-                                w.word_bits,
-                                w.leaf_base + words,
-                            )
-                            words += wp.int64(n)
+                        )
                     leaves += wp.int64(count)
                     vertices += wp.int64(created)
                     edges += wp.int64(count + created)
@@ -403,7 +317,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         if passage == HYP_LEG:
                             end = wp.vec2i(right_x, right_y)
                         if column > 0:
-                            w.sides[4 * square] = w.sides[4 * square] + 1
+                            w.sides[sides + 4 * square] = w.sides[sides + 4 * square] + 1
                         else:
                             edges += wp.int64(1)
                             if room == 1:
@@ -435,7 +349,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         )
                         code = code | (wp.uint32(role) << wp.uint32(BORDER))
                         if role != INNER and role != TO_CORNER:
-                            w.sides[4 * square + role - 1] = w.sides[4 * square + role - 1] + 1
+                            w.sides[sides + 4 * square + role - 1] = w.sides[sides + 4 * square + role - 1] + 1
                         if role == TAKE_LEFT or role == TAKE_BELOW:
                             new_edge = 0
                             new_vertex = 0
@@ -449,7 +363,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     if cell + size == cells:
                         code = code | (wp.uint32(1) << wp.uint32(LAST))
                         if row < domain.rows - 1:
-                            w.sides[4 * square + 3] = w.sides[4 * square + 3] + 1
+                            w.sides[sides + 4 * square + 3] = w.sides[sides + 4 * square + 3] + 1
                     at = square_cell + cell
                     if wp.int64(at >> wp.uint64(6)) != word:
                         if word >= wp.int64(0) and room == 1:

@@ -12,7 +12,7 @@ Slices of the curve are welded side by side, each from exact bases (weld_state.p
 
 import warp as wp
 
-from .refine import (
+from .curve import (
     BORDER,
     DEPTH_SHIFT,
     FIRST,

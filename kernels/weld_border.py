@@ -6,7 +6,7 @@ Squares lie row by row; a square takes its left and its lower side, last edge fi
 
 import warp as wp
 
-from .refine import CORNER, TAKE_LEFT
+from .curve import CORNER, TAKE_LEFT
 from .weld_state import (
     ABOVE,
     BELOW,

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The curve through the leaves: how it passes a triangle, and where a square's border is shared.
+
+Child 0 of a triangle (left, apex, right) is (left, middle, apex), child 1 is (apex, middle, right): depth-first order
+is the Sierpinski curve, so consecutive leaves share an edge. A leaf is entered and left through known edges; whether
+its third edge was passed before is carried down the walk in a state of three bits.
+
+Root squares are walked row by row, each a closed curve from its upper left corner, counter-clockwise along its border:
+left side down, bottom right, right side up, top left. So a side that a square shares with an earlier one is passed in
+the opposite direction, last edge first.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# A leaf's word of 16 bits: state, parity of the depth, role of the third edge on the square's border, flags, depth.
+STATE = wp.constant(7)
+PARITY = wp.constant(3)  # shifts
+BORDER = wp.constant(4)
+FIRST = wp.constant(7)  # the square's first leaf
+CORNER = wp.constant(8)  # ... whose entry edge ends on the corner that the square below has made
+DEPTH_SHIFT = wp.constant(9)
+LAST = wp.constant(15)  # the square's last leaf
+
+# Types of passage: entered by a leg and left by a leg, by hypotenuse and leg, by leg and hypotenuse. A state is a type
+# and, as its lowest bit, whether the third edge is old.
+LEG_LEG = wp.constant(0)
+HYP_LEG = wp.constant(2)
+LEG_HYP = wp.constant(4)
+
+# Roles of a third edge on the border of its square.
+INNER = wp.constant(0)  # not on a side that is shared with another square
+TAKE_LEFT = wp.constant(1)  # the square to the left has made it
+TAKE_BELOW = wp.constant(2)
+GIVE_RIGHT = wp.constant(3)  # the square to the right will take it
+GIVE_ABOVE = wp.constant(4)
+TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has made
+
+
+@wp.func
+def left_state(state: wp.int32) -> wp.int32:
+    """State of child 0."""
+    old = state & 1
+    s = HYP_LEG + old
+    if state >= LEG_HYP:
+        s = HYP_LEG
+    elif state >= HYP_LEG:
+        s = LEG_LEG + old
+    return s
+
+
+@wp.func
+def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
+    """State of child 1 of the triangle whose first deepest cell is `cell`."""
+    old = state & 1
+    s = LEG_HYP + old
+    if state >= LEG_HYP:
+        s = LEG_LEG + old
+    elif state >= HYP_LEG:
+        s = LEG_HYP + 1
+        if cell == wp.uint64(0):
+            s = LEG_HYP  # the curve starts on the border: the other half of its entry edge was never passed
+    return s
+
+
+@wp.func
+def border_role(
+    p: wp.vec2i,
+    q: wp.vec2i,
+    corner: wp.vec2i,
+    side: wp.int32,
+    column: wp.int32,
+    row: wp.int32,
+    columns: wp.int32,
+    rows: wp.int32,
+):
+    """Role of the third edge p - q of a leaf in the square at `corner`."""
+    role = INNER
+    if p[0] == q[0]:
+        if p[0] == corner[0]:
+            if column > 0:
+                role = TAKE_LEFT
+            elif row > 0 and wp.min(p[1], q[1]) == corner[1]:
+                role = TO_CORNER
+        elif p[0] == corner[0] + side and column < columns - 1:
+            role = GIVE_RIGHT
+    elif p[1] == q[1]:
+        if p[1] == corner[1] and row > 0:
+            role = TAKE_BELOW
+        elif p[1] == corner[1] + side and row < rows - 1:
+            role = GIVE_ABOVE
+    return role

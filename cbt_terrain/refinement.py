@@ -29,6 +29,8 @@ MAX_TRIANGLES = 1 << 26
 # A budget relaxes what was asked in steps of 2^(1/32): finer ones would only cost more counting walks.
 STEPS_PER_OCTAVE = 32
 MAX_STEP = 160 * STEPS_PER_OCTAVE
+# Octaves of leaves for an octave of error, on most ground: only how soon a budget is found depends on it.
+LEAVES_PER_ERROR = 1.2
 
 
 @dataclass
@@ -140,14 +142,15 @@ class Refinement:
         The leaf count falls as the limit rises, so the answer, the lowest fitting step, does not depend on where the
         search starts; it starts at the last answer because cameras move little.
         """
-        walks = self._walks(self._cuts(), max_depth, max_leaves, capacity=0)
+        # Counted to twice as many, so that the count says how far away the answer is.
+        walks = self._walks(self._cuts(), max_depth, 2 * max_leaves, capacity=0)
 
-        def fits(step: int) -> bool:
+        def count(step: int) -> int:
             asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
             launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget", recorded=self._recorded)
-            return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum()) <= max_leaves
+            return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum())
 
-        self._step = _lowest(fits, self._step)
+        self._step = _lowest(count, max_leaves, self._step)
         asked.limit = 2.0 ** (2 * self._step / STEPS_PER_OCTAVE) if self._step <= MAX_STEP else np.inf
 
     def _cuts(self) -> list[int]:
@@ -227,20 +230,25 @@ class Refinement:
         return self.tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
 
 
-def _lowest(fits, start: int) -> int:
-    """Smallest step from 0 to MAX_STEP that fits, MAX_STEP + 1 if none does; `fits` is monotone."""
+def _lowest(count, most: int, start: int) -> int:
+    """Smallest step from 0 to MAX_STEP whose count is `most` or less, MAX_STEP + 1 if none is; counts fall with steps.
+
+    Each count says how far away the answer may be; two neighbours, one that fits and one that does not, prove it.
+    """
     low, high = -1, MAX_STEP + 1  # low does not fit, high does
     step, stride = min(start, MAX_STEP), 1
     while high - low > 1:
-        if fits(step):
+        found = count(step)
+        away = STEPS_PER_OCTAVE / LEAVES_PER_ERROR * math.log2(max(found, 1) / max(most, 1))
+        if found <= most:
             high = step
-            step = max(low + 1, min(high - stride, high - 1))
+            step = min(step + math.ceil(away), high - stride)
         else:
             low = step
-            step = min(high - 1, max(low + stride, low + 1))
+            step = max(step + math.floor(away), low + stride)
         stride *= 2
-        if low >= 0 and high <= MAX_STEP:
-            step = (low + high) // 2
+        if (low >= 0 and high <= MAX_STEP and stride > 4) or not low < step < high:
+            step = (low + high) // 2 if low >= 0 and high <= MAX_STEP else min(max(step, low + 1), high - 1)
     return high
 
 

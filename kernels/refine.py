@@ -203,24 +203,22 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         leaf_depth = first_within(
                             asked,
                             domain.unit_bits,
-                            depth,
+                            split_depth - 1,
                             w.max_depth,
                             climb2,
-                            asked.limit * asked.edge_px2 * finest2,
-                            asked.limit * asked.area_px2 * finest2,
+                            smaller(asked.limit * asked.edge_px2, worst_long_px2) * finest2,
+                            smaller(asked.limit * asked.area_px2, worst_legs_px2) * finest2,
                         )
-                        leaf_depth = wp.max(
-                            leaf_depth,
-                            first_within(
+                        if leaf_depth == w.max_depth:  # leaves whatever they measure, but maxima count
+                            leaf_depth = first_within(
                                 asked,
                                 domain.unit_bits,
-                                depth,
+                                w.max_depth - 1,
                                 w.max_depth + 1,
                                 climb2,
                                 worst_long_px2 * finest2,
                                 worst_legs_px2 * finest2,
-                            ),
-                        )
+                            )
                         # No error below asks for a split or is a new maximum: depths alone decide.
                         if metres2 <= smaller(leaf_up_to2, worst_px2 * finest2):
                             if total2 <= worst_total_px2 * finest2 and error <= worst_error:

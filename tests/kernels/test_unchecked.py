@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The snippets of kernels/unchecked.py against the same kernels in Warp alone: the same bytes."""
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,17 +11,10 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from fields import rough
 from invariants import arrays
+from twins import load
 
 KERNELS = Path(kernels.__file__).parent
 VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
-
-
-def load(name: str, path: Path):
-    """A file as module `name` of the package's kernels."""
-    spec = importlib.util.spec_from_file_location(f"{kernels.__name__}.{name}", path)
-    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture

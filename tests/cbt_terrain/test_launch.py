@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Recorded launches read the values of the call, not those of the first one."""
+
+import numpy as np
+import warp as wp
+from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain.buffers import bind, shared
+from adaptive_terrain.kernels.layout import Depth
+
+
+@wp.kernel
+def store(value: wp.int32, depth: Depth, out: wp.array(dtype=wp.int32)):
+    out[0] = value
+    out[1] = depth.step
+
+
+def test_a_recorded_launch_takes_new_values_structs_and_arrays():
+    first, second, recorded = np.zeros(2, np.int32), np.zeros(2, np.int32), {}
+    depth = Depth()
+    outs = [shared(first, wp.int32), shared(second, wp.int32)]
+    depth.step = 5
+    launch.slices(store, [[1, depth, outs[0]]], step="store", recorded=recorded)
+    assert first.tolist() == [1, 5]
+    bind(depth, step=6)
+    launch.slices(store, [[2, depth, outs[1]], [3, depth, outs[0]]], step="store", recorded=recorded)
+    assert second.tolist() == [2, 6] and first.tolist() == [3, 6]
+    assert len(recorded) == 2

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The walk's short cuts, bands and even blocks, against a walk that measures every diamond: the same bits."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_terrain import kernels
+from adaptive_terrain.cbt_terrain import launch, refinement
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
+from adaptive_terrain.cbt_terrain.view import PANORAMIC, View
+from invariants import arrays
+from twins import load
+
+SHAPES = ((33, 33), (65, 129), (100, 37), (5, 3))
+
+
+def heights(kind: str, shape: tuple[int, int], rng) -> np.ndarray:
+    z = rng.standard_normal(shape)
+    return {
+        "flat": np.zeros(shape),
+        "smooth": np.cumsum(np.cumsum(z, 0), 1) * 0.02,
+        "noise": z,
+        "cliffs": (z > 1.5) * 50.0,
+        "plane": np.add.outer(np.arange(shape[0]), np.arange(shape[1])) * 0.3,
+    }[kind].astype(np.float32)
+
+
+def a_view(kind: str, size: tuple[float, float], rng) -> View:
+    eye = rng.uniform(-1, 1, 3) * [*size, 0.5 * max(size)]
+    target = rng.uniform(-0.5, 0.5, 3) * [*size, 1]
+    return View.look(eye, target, kind=kind, **({"fov_deg": 360} if kind == PANORAMIC else {}))
+
+
+def a_criterion(asks: str, rng) -> Criterion:
+    px = float(10 ** rng.uniform(-0.5, 1.5))
+    asked = {
+        "error": {"error_px": px},
+        "edge": {"error_px": 0.0, "edge_px": 4 * px},
+        "area": {"error_px": 0.0, "area_px": 20 * px},
+        "metres": {"error_px": 0.0, "error_m": float(10 ** rng.uniform(-2, 1))},
+        "all": {"error_px": px, "edge_px": 8 * px, "area_px": 60 * px, "error_m": 1.0},
+    }[asks]
+    budget = int(rng.choice([300, 20_000, 100_000]))
+    depth = [None, None, 5, 12][rng.integers(4)]
+    return Criterion(
+        **asked, max_triangles=budget, max_depth=depth, off_screen_factor=float(rng.choice([1.0, 16.0, 1e6]))
+    )
+
+
+def scenes(kind: str) -> list[tuple]:
+    """Everything that the walk may come upon: fields, views, criteria, two slices."""
+    rng, found = np.random.default_rng(sum(map(ord, kind))), []
+    for asks in ("error", "edge", "area", "metres", "all"):
+        for shape in SHAPES:
+            field = from_array(heights(kind, shape, rng), *10 ** rng.uniform(-0.5, 0.5, 2))
+            size = (field.lattice.width * field.lattice.step_x, field.lattice.height * field.lattice.step_y)
+            kinds = rng.choice(["PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"], rng.integers(1, 3))
+            views = [a_view(str(k), size, rng) for k in kinds]
+            found.append((field, a_criterion(asks, rng), views, float(rng.choice([1.0, -2.0, 0.0]))))
+    return found
+
+
+def result(update: Update) -> tuple:
+    bounds = (update.bound_px, update.bound_m, update.bound_edge_px, update.bound_area_px)
+    return update.leaves, update.relaxed, update.limited, bounds, arrays(update.surface)
+
+
+def updated(field, criterion: Criterion, views: list[View], scale: float) -> tuple:
+    terrain = Terrain(field, 2)
+    terrain.update(Criterion(error_px=8.0), views)  # so that there is something to cut for two slices
+    return result(terrain.update(criterion, views, vertical_scale=scale))
+
+
+@pytest.fixture
+def measuring_all(tmp_path):
+    """kernels/refine.py with margins so wide that nothing is certain."""
+    source = (Path(kernels.__file__).parent / "refine.py").read_text()
+    for narrow, wide in (("1.0 + 1e-9", "1e300"), ("1.0 - 1e-9", "0.0")):
+        assert source.count(narrow) == 1
+        source = source.replace(narrow, wide)
+    path = tmp_path / "refine_measuring_all.py"
+    path.write_text(source)
+    return load(path.stem, path)
+
+
+@pytest.mark.parametrize("kind", ["flat", "smooth", "noise", "cliffs", "plane"])
+def test_bands_and_blocks_decide_as_measuring_does(kind, measuring_all, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    fast = [updated(*scene) for scene in scenes(kind)]
+    monkeypatch.setattr(refinement, "kernels", measuring_all)
+    assert [updated(*scene) for scene in scenes(kind)] == fast
+
+
+def test_even_ground_comes_from_blocks(monkeypatch):
+    """What the table holds shows in the mesh: with another state in it, another mesh would come out."""
+    view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
+    terrain = Terrain(from_array(np.zeros((257, 257), np.float32)), 1)
+    update = terrain.update(Criterion(error_px=0.0, edge_px=20.0), [view])
+    code = terrain._buffers.numpy("code")[: update.leaves].copy()
+    table = refinement._blocks().code.numpy()
+    kept = table.copy()
+    try:
+        table[:] ^= 0x1000  # a bit of the depth
+        other = Terrain(terrain.field, 1)
+        monkeypatch.setattr(other._builder, "build", lambda leaves, *_: None)
+        other.update(Criterion(error_px=0.0, edge_px=20.0), [view])
+        changed = other._buffers.numpy("code")[: update.leaves] != code
+    finally:
+        table[:] = kept
+    assert changed.mean() > 0.25

@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Other versions of kernel modules, to compare with."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+from adaptive_terrain import kernels
+
+
+def load(name: str, path: Path):
+    """A file as module `name` of the package's kernels."""
+    spec = importlib.util.spec_from_file_location(f"{kernels.__name__}.{name}", path)
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

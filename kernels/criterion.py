@@ -9,7 +9,7 @@ same way. All that is done with them below is monotone, also in rounded arithmet
 import warp as wp
 
 from .layout import tile_index
-from .unchecked import height_at
+from .unchecked import height_at, prefetch, prefetch_range
 
 wp.set_module_options({"enable_backward": False})
 
@@ -131,6 +131,20 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
         # A bilinear patch halved has a quarter of the twist.
         error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
     return error
+
+
+@wp.func
+def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
+    """Whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
+    return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
+
+
+@wp.func
+def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """Bring the tile of the diamond split at (x, y) into the cache; nothing is read."""
+    index = place(domain, x, y, depth)
+    prefetch(domain.error, index)
+    prefetch_range(domain.ranges, index + index)
 
 
 @wp.struct

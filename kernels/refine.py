@@ -19,8 +19,10 @@ from .criterion import (
     coarsest,
     diamond_at,
     error_at,
+    fetch_ahead,
     finest,
     larger,
+    leaves_tile,
     metres2_of,
     sizes,
     smaller,
@@ -282,6 +284,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 if even_depth == 0:
                     near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
                     next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
+                    if leaves_tile(domain, depth):  # the children's children, a step ahead
+                        fetch_ahead(domain, (left_x + x) >> 1, (left_y + y) >> 1, depth + 1)
+                        fetch_ahead(domain, (apex_x + x) >> 1, (apex_y + y) >> 1, depth + 1)
+                        fetch_ahead(domain, (right_x + x) >> 1, (right_y + y) >> 1, depth + 1)
                 if cell + (size >> wp.uint64(1)) > start:
                     w.stack[place + top] = wp.vec4i(x, y, right_x, right_y)
                     w.aside[place + top] = right_state(state, cell) | (depth << 3) | (band_at << 9)

@@ -41,8 +41,8 @@ FEW_LEAVES = (
     "blocks of even depth, which make the rest cheap, do not form."
 )
 EDGES = (
-    "three leaves in four are copied from a table for 1 ns; what is left is one measured diamond for four leaves, 60 ns "
-    "each, and a branch that no predictor foresees for every leaf."
+    "three leaves in four are copied from a table for 1 ns each; what is left is one measured diamond for four leaves, "
+    "60 ns each, and for every other leaf a branch that no predictor foresees."
 )
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_1t", 5_500): (4.3, FEW_LEAVES),

@@ -12,9 +12,11 @@ while another process has the old arrays mapped. So there is either the old stor
 """
 
 import json
+import math
 import os
 import re
 import shutil
+import struct
 import time
 import uuid
 from pathlib import Path
@@ -29,6 +31,7 @@ from .store_entries import check_entries, is_data_name
 VERSION = 2
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
+PAGE_BYTES = 4096
 # A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
 STALE_SECONDS = 86_400.0
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
@@ -159,6 +162,14 @@ def load_expanded(field: HeightField, meshlet: int) -> np.ndarray | None:
         return None
 
 
+def _header(shape: tuple[int, ...], dtype) -> bytes:
+    """The header of a .npy file, as long as a page of memory, so that a page of the hierarchy is one (layout.py)."""
+    plain = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": tuple(shape)}
+    magic = np.lib.format.magic(1, 0)
+    text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"
+    return magic + struct.pack("<H", len(text)) + text
+
+
 def keep_expanded(field: HeightField, meshlet: int, errors: np.ndarray) -> None:
     """Keep the error hierarchy for a meshlet size; a store that cannot be written is left as it is."""
     folder = data_folder(field)
@@ -167,7 +178,8 @@ def keep_expanded(field: HeightField, meshlet: int, errors: np.ndarray) -> None:
     part = folder / f"error_m{meshlet}.{uuid.uuid4().hex}.part"
     try:
         with part.open("wb") as file:
-            np.save(file, errors)
+            file.write(_header(errors.shape, errors.dtype))
+            errors.tofile(file)
         os.replace(part, folder / f"error_m{meshlet}.npy")
     except OSError:
         part.unlink(missing_ok=True)
@@ -192,7 +204,9 @@ class Draft:
         if not np.prod(shape):
             np.save(file, np.empty(shape, dtype))
             return np.empty(shape, dtype)
-        array = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
+        file.write_bytes(_header(shape, dtype))
+        os.truncate(file, PAGE_BYTES + math.prod(shape) * np.dtype(dtype).itemsize)
+        array = np.load(file, mmap_mode="r+")
         if hasattr(os, "posix_fallocate"):
             with file.open("r+b") as handle:
                 os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)

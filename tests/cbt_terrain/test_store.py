@@ -58,7 +58,7 @@ def test_a_store_that_cannot_be_written_still_gives_meshlet_errors(island, monke
     def full(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store.np, "save", full)
+    monkeypatch.setattr(store, "_header", full)
     assert store.open_store(island).error_for(1).shape == store.open_store(island).error.shape
     assert not list(island.glob("data-*/error_m1*"))
 
@@ -214,3 +214,14 @@ def test_describe_names_units_and_is_plain_data(island):
     json.dumps(about)
     with pytest.raises(TerrainError, match="no terrain store"):
         describe(island / "nowhere")
+
+
+def test_arrays_begin_on_a_page(tmp_path):
+    """A page of the hierarchy is a page of memory, and the files are .npy files that numpy reads."""
+    draft = store.Draft(tmp_path / "store")
+    array = draft.allocate("ranges", (5, 2), np.uint16)
+    array[:] = np.arange(10).reshape(5, 2)
+    del array
+    file = draft.folder / "ranges.npy"
+    assert file.stat().st_size == 4096 + 20
+    assert np.array_equal(np.load(file), np.arange(10).reshape(5, 2))

@@ -37,17 +37,15 @@ LEAVES_PER_ERROR = 1.2
 class Leaves:
     """The leaves of one refinement, in curve order, slice by slice.
 
-    `counts` int64 [slices, 4]: leaves, vertices, edges, words. `squares` int32 [slices]: where each begins;
-    `starts` bool [slices]: whether with that square's first leaf.
+    `counts` int64 [slices, 4]: leaves, vertices, edges, words. `squares` int32 [slices]: where each begins.
     `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
     4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
-    `bounds` float64 [6]: the largest of what `measure` in kernels/criterion.py returns: squared pixels of weighed
-    error, of all error and of an edge, square pixels of a triangle, metres of weighed error and of all error.
+    `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
+    square pixels of a triangle, metres of weighed error and of all error.
     """
 
     counts: np.ndarray
     squares: np.ndarray
-    starts: np.ndarray
     before: np.ndarray
     sides: np.ndarray
     base: np.ndarray
@@ -218,7 +216,7 @@ class Refinement:
         squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
         before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
         bounds = self.buffers.numpy("bounds")[: slices * 6].reshape(slices, 6)[used].max(axis=0)
-        return Leaves(counts[used], squares_of.astype(np.int32), starts, before, sides.sum(axis=0), base, bounds)
+        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds)
 
     def _mark(self, walks: list[kernels.Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its words changed."""

@@ -236,11 +236,24 @@ def metres2_of(domain: Domain, error: wp.float32):
 
 
 @wp.func
+def pixel2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
+    """Squared metres that a pixel spans, (dx, dy, dz) metres from the eye of a view that is not orthographic.
+
+    A segment of length e at depth z (`deep`) and distance r moves by at most f e r / z^2 pixels.
+    """
+    far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+    far2 = larger(far2, view.near2)
+    if view.kind == PERSPECTIVE:
+        ahead = larger(deep, wp.float64(0.0))
+        far2 = larger(ahead * ahead, far2 * view.cosine2)
+    return view.pixel2 * far2
+
+
+@wp.func
 def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
     """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum.
 
-    A segment of length e at depth z and distance r moves by at most f e r / z^2 pixels. `clear`: the frustum is known
-    to hold the box.
+    `clear`: the frustum is known to hold the box.
     """
     zero = wp.float64(0.0)
     pixel2 = view.pixel2
@@ -249,15 +262,10 @@ def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
         dx = larger(larger(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
         dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
         dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
-        far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
-        far2 = larger(far2, view.near2)
-        if view.kind == PERSPECTIVE:
-            deep = view.depth[3] + smaller(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
-            deep += smaller(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
-            deep += smaller(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
-            deep = larger(deep, zero)
-            far2 = larger(deep * deep, far2 * view.cosine2)
-        pixel2 = pixel2 * far2
+        deep = view.depth[3] + smaller(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+        deep += smaller(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+        deep += smaller(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+        pixel2 = pixel2_at(view, dx, dy, dz, deep)
     if clear == 0:
         for p in range(view.plane_count):
             plane = view.planes[p]
@@ -279,15 +287,10 @@ def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
         dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
         dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
         dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
-        far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
-        far2 = larger(far2, view.near2)
-        if view.kind == PERSPECTIVE:
-            deep = view.depth[3] + larger(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
-            deep += larger(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
-            deep += larger(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
-            deep = larger(deep, zero)
-            far2 = larger(deep * deep, far2 * view.cosine2)
-        pixel2 = pixel2 * far2
+        deep = view.depth[3] + larger(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+        deep += larger(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+        deep += larger(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+        pixel2 = pixel2_at(view, dx, dy, dz, deep)
     inside = wp.int32(1)
     if clear == 0:
         for p in range(view.plane_count):

@@ -15,8 +15,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 # A leaf's word of 16 bits: state, parity of the depth, role of the third edge on the square's border, flags, depth.
-STATE = wp.constant(7)
-PARITY = wp.constant(3)  # shifts
+# Shifts; the state is lowest.
+PARITY = wp.constant(3)
 BORDER = wp.constant(4)
 FIRST = wp.constant(7)  # the square's first leaf
 CORNER = wp.constant(8)  # ... whose entry edge ends on the corner that the square below has made

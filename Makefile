@@ -7,13 +7,14 @@ TESTS ?= tests
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test fuzz bench lint format extension clean help
+.PHONY: demo test fuzz bench profile lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
 	@echo "make fuzz       10,000 random views"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
+	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 
@@ -28,6 +29,9 @@ fuzz: $(READY)
 
 bench: $(READY)
 	$(PY) -m adaptive_terrain.operators.command_line bench $(BENCH)
+
+profile: $(READY)
+	$(PY) -m adaptive_terrain.benchmarks.profile
 
 lint: $(READY)
 	$(PY) -m ruff check .

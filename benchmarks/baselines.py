@@ -9,10 +9,12 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
+from ..cbt_terrain.errors import TerrainError
 from .measure import stopwatch
 from .scenes import DEPTH
 
@@ -38,16 +40,24 @@ class RoamRebuild:
         process = self._running[leaves]
 
         def rebuild() -> float:
-            process.stdin.write("\n")
-            process.stdin.flush()
-            return float(process.stdout.readline())
+            try:
+                process.stdin.write("\n")
+                process.stdin.flush()
+                return float(process.stdout.readline())
+            except (OSError, ValueError) as reason:
+                raise TerrainError(
+                    f"The process of {ROAM} has ended with code {process.wait()}; run it again."
+                ) from reason
 
         return rebuild
 
     def close(self) -> None:
         while self._running:
             _, process = self._running.popitem()
-            process.communicate()
+            with suppress(OSError):  # it may have ended before
+                process.stdin.close()
+            process.stdout.close()
+            process.wait()
 
 
 def build_roam_rebuild(folder: Path, note: Callable[[str], None]) -> RoamRebuild | None:

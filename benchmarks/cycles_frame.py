@@ -29,10 +29,7 @@ COARSE_PX = 100.0
 
 def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
     bpy = need_bpy("The row cycles")
-    scene = flight_scene(RESOLUTION)
-    set_up_render(scene)
-    obj = _diced_plane(tiff, px) if mode == ADAPTIVE else _terrain(store, mode, px)
-    obj.data.materials.append(_material(tiff if mode == ADAPTIVE else None))
+    scene, obj = render_scene(mode, store, tiff, px)
     rendered = []
     bpy.app.handlers.render_post.append(lambda *_: rendered.append(len(obj.data.polygons)))
     times = []
@@ -46,6 +43,15 @@ def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
                 bpy.data.images["Render Result"].save_render(picture)
     said = {"ms": statistics.median(times[1:]), "first_ms": times[0], "triangles": rendered[0]}
     return said | {"peak_mb": peak_mb()}
+
+
+def render_scene(mode: str, store: str, tiff: str, px: float):
+    """The flight as that way renders it: the scene and the object that is rendered."""
+    scene = flight_scene(RESOLUTION)
+    set_up_render(scene)
+    obj = _diced_plane(tiff, px) if mode == ADAPTIVE else _terrain(store, mode, px)
+    obj.data.materials.append(_material(tiff if mode == ADAPTIVE else None))
+    return scene, obj
 
 
 def set_up_render(scene) -> None:

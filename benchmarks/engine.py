@@ -2,7 +2,6 @@
 """Rows of the engine alone, without Blender: refinement, surface, meshlets, a still camera, depth."""
 
 import statistics
-from collections.abc import Iterator
 
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.heightfield import HeightField
@@ -38,10 +37,8 @@ def refine_ms(steps: dict[str, float]) -> float:
     return steps["refine"] + steps.get("mark", 0.0)
 
 
-def refine_rows(flat: HeightField, roam: RoamRebuild | None) -> Iterator[Row]:
-    for threads, sizes in REFINE_SIZES.items():
-        for size in sizes:
-            yield _refined(f"refine_{threads}t", size, edge_flight(flat, size, threads), roam)
+def refine_row(flat: HeightField, size: int, threads: int, roam: RoamRebuild | None) -> Row:
+    return _refined(f"refine_{threads}t", size, edge_flight(flat, size, threads), roam)
 
 
 def refine_error_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
@@ -90,11 +87,14 @@ def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
     return Row("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
 
 
-def depth_rows(flat: HeightField) -> Iterator[Row]:
-    """depth: the same leaves in trees of four depths. depth_reached: as many, the finest of each tree at its depth."""
-    shallow = {depth: _flight_at(flat, DEPTHS[0], depth) for depth in DEPTHS}
-    yield _depths("depth", shallow)
-    yield _depths("depth_reached", {depth: _flight_at(flat, depth, depth) for depth in DEPTHS})
+def depth_row(flat: HeightField) -> Row:
+    """The same leaves in trees of four depths."""
+    return _depths("depth", {depth: flight_at(flat, DEPTHS[0], depth) for depth in DEPTHS})
+
+
+def depth_reached_row(flat: HeightField) -> Row:
+    """As many leaves, the finest of each tree at its depth."""
+    return _depths("depth_reached", {depth: flight_at(flat, depth, depth) for depth in DEPTHS})
 
 
 def _depths(name: str, flights: dict[int, scenes.Flight]) -> Row:
@@ -111,7 +111,7 @@ def _depths(name: str, flights: dict[int, scenes.Flight]) -> Row:
     return row
 
 
-def _flight_at(flat: HeightField, reached: int, depth: int) -> scenes.Flight:
+def flight_at(flat: HeightField, reached: int, depth: int) -> scenes.Flight:
     """So low over the ground that the finest leaves just have `reached` bisections, in a tree of `depth`."""
 
     def asked(px: float):

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a time is taken, and the row that holds it.
 
-Ours and the baseline take turns in blocks, so that a machine that is busy for a moment is busy for both. Every figure
-is the median of all runs but the first of each; ours is reported apart, because it finds cold memory.
+Ours and the baseline take turns in blocks, so that a machine that is busy for a moment is busy for both. Blocks of one
+run would be fairer still to a busy machine, but not to the baseline: with its caches taken away after every run it is
+about a fifth slower at 50,000 leaves, ours is not. Every figure is the median of all runs but the first of each; ours
+is reported apart, because it finds cold memory.
 """
 
 import statistics
@@ -13,15 +15,16 @@ from dataclasses import dataclass, field
 
 BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.
-SHORT_MS, SHORT_RUNS = 5.0, 25
+SHORT_MS, SHORT_BLOCKS = 5.0, 15
 
 
 @dataclass
 class Row:
     """One line of the result. `size` counts triangles (samples, where a raster is measured); times are milliseconds.
 
-    `ratio` is `ms / baseline_ms` unless given (memory, slopes). `steps`: milliseconds of the parts. `figures`: what
-    else was measured, units in the names. `first_ms`: the first run, with memory that was never touched.
+    `ratio` is `ms / baseline_ms` unless given (memory, slopes). `attempts`: of how many measurements this is the best.
+    `steps`: milliseconds of the parts. `figures`: what else was measured, units in the names. `first_ms`: the first
+    run, with memory that was never touched.
     """
 
     name: str
@@ -30,6 +33,7 @@ class Row:
     baseline: str | None = None
     baseline_ms: float | None = None
     ratio: float | None = None
+    attempts: int = 1
     first_ms: float | None = None
     steps: dict[str, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
@@ -49,16 +53,15 @@ class Timed:
 
 
 def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
-    """Run both in turns, BLOCKS times RUNS each; `ours` returns milliseconds by step, `theirs` milliseconds."""
+    """Run both in turns of RUNS, BLOCKS or SHORT_BLOCKS times; `ours` returns milliseconds by step."""
     first = ours()
     if theirs:
         theirs()
     mine, other = [], []
-    runs = SHORT_RUNS if max(first.values()) < SHORT_MS else RUNS
-    for _ in range(BLOCKS):
+    for _ in range(SHORT_BLOCKS if max(first.values()) < SHORT_MS else BLOCKS):
         if theirs:
-            other += [theirs() for _ in range(runs)]
-        mine += [ours() for _ in range(runs)]
+            other += [theirs() for _ in range(RUNS)]
+        mine += [ours() for _ in range(RUNS)]
     return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
 
 

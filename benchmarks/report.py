@@ -2,14 +2,17 @@
 """How results are shown: a line each, JSON, and the page docs/performance.md with its plot."""
 
 import json
+import os
+import tempfile
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from .goals import SLACK, goal_of, missed_by, recorded_of
-from .measure import BLOCKS, RUNS, SHORT_MS, SHORT_RUNS, Row
+from . import profiles
+from .goals import ATTEMPTS, SLACK, goal_of, missed_by, recorded_of
+from .measure import BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
 from .plot import write_plot
 
-PLOT = "images/performance.svg"
+PAGE, PLOT = "performance.md", "images/performance.svg"
 # What a reader of the page should know of each row.
 MEANING = {
     "refine_1t": "The walk of the tree, tree marked, counters up to date; the camera moves by 0.1 % of the side a "
@@ -53,6 +56,8 @@ def line(row: Row) -> str:
     if goal is not None and row.ratio is not None:
         parts.append(f"goal {goal:g}: {'met' if missed is None else f'missed by {missed:.0%}'}")
     parts += [f"{name} {number(value)}" for name, value in row.figures.items()]
+    if row.attempts > 1:
+        parts.append(f"attempt {row.attempts}")
     return "  ".join(parts).rstrip()
 
 
@@ -68,23 +73,21 @@ def as_json(row: Row) -> dict:
     content = {name: getattr(row, name) for name in ("name", "size", "ms", "baseline", "baseline_ms", "ratio")}
     content["goal"] = goal_of(row.name, row.size)
     extras = {"first_ms": row.first_ms, "steps": row.steps, "figures": row.figures}
+    if row.attempts > 1:
+        extras["attempts"] = row.attempts
     return content | {name: value for name, value in extras.items() if value}
 
 
 def write_json(rows: list[Row], path: Path) -> None:
     text = json.dumps([as_json(row) for row in rows], indent=1, allow_nan=False)
-    _write(path, text + "\n")
+    write_text(path, text + "\n")
 
 
 def write_docs(rows: list[Row], machine: dict[str, str], notes: list[str], folder: Path) -> None:
     """The page and its plot into a folder of documents."""
-    try:
-        (folder / PLOT).parent.mkdir(parents=True, exist_ok=True)
-    except OSError as reason:
-        raise TerrainError(f"The page cannot be written to {folder} ({reason.strerror}); choose another.") from reason
     slopes = {row.name.removeprefix("scale_"): row.ratio for row in rows if row.name.startswith("scale_")}
-    _write(folder / PLOT, write_plot(rows))
-    _write(folder / "performance.md", page(rows, machine, notes, slopes))
+    write_text(folder / PLOT, write_plot(rows))
+    write_text(folder / PAGE, page(rows, machine, notes, slopes))
 
 
 def page(rows: list[Row], machine: dict[str, str], notes: list[str], slopes: dict[str, float]) -> str:
@@ -96,8 +99,8 @@ def page(rows: list[Row], machine: dict[str, str], notes: list[str], slopes: dic
         ", ".join(f"{name} {value}" for name, value in machine.items()) + ".",
         "## How it is measured",
         f"A time is the median of {BLOCKS * RUNS} runs, ours and the baseline in turns of {RUNS}; of "
-        f"{BLOCKS * SHORT_RUNS} in turns of {SHORT_RUNS} where a run takes less than {SHORT_MS:g} ms; of nine where "
-        "each is a process or a render of its own. *First* is the first run, which finds cold memory; it is in no "
+        f"{SHORT_BLOCKS * RUNS} where a run takes less than {SHORT_MS:g} ms; of nine where each is a process or a "
+        "render of its own. *First* is the first run, which finds cold memory; it is in no "
         "median. Ratio is ours to the baseline; for `scale_` it is the slope, for memory the ratio of memory.",
         "`roam_rebuild` is a serial C bintree (`benchmarks/roam_rebuild.c`, `-O3 -march=native`) that rebuilds the "
         "whole refinement from its roots on one thread. `plain_ingest` gives Blender the same arrays as attributes "
@@ -113,6 +116,7 @@ def page(rows: list[Row], machine: dict[str, str], notes: list[str], slopes: dic
         "Milliseconds a frame, medians of each step. Of the refinement rows `whole` is all but the surface, with what "
         "Python does around the kernels.",
         steps_table(rows),
+        *profiles.section(profiles.FILE),
         "## Other figures",
         figures_table(rows),
         "## What the rows are",
@@ -158,7 +162,8 @@ def misses(rows: list[Row]) -> str:
         lines.append(f"* `{row.name}` at {row.size:,}: {row.ratio:.3g} for {goal:g}, {part:.0%} over. {why}")
     rule = (
         f"`bench --quick` fails when a ratio is more than {SLACK:g} times its goal; a row that is known to fall short "
-        f"(`RECORDED` in `benchmarks/goals.py`) may not be worse than {SLACK:g} times the ratio recorded for it."
+        f"(`RECORDED` in `benchmarks/goals.py`) may not be worse than {SLACK:g} times the ratio recorded for it. A row "
+        f"that fails is measured again after all others; {ATTEMPTS} failures in a row fail the run."
     )
     return rule + "\n\n" + "\n".join(lines)
 
@@ -181,8 +186,35 @@ def figures_table(rows: list[Row]) -> str:
     return "\n".join(["| row | size | |", "| --- | ---: | --- |", *lines])
 
 
-def _write(path: Path, text: str) -> None:
+def check_writable(path: Path) -> None:
+    """Whether a file of that name can be written, folders above it included; raises TerrainError, leaves nothing."""
+    existing = next(folder for folder in path.absolute().parents if folder.exists())
     try:
-        path.write_text(text, encoding="utf-8")
+        if path.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        with tempfile.TemporaryFile(dir=existing):
+            pass
     except OSError as reason:
-        raise TerrainError(f"{path} cannot be written ({reason.strerror}); choose another name.") from reason
+        raise _unwritable(path, reason) from reason
+
+
+def write_text(path: Path, text: str) -> None:
+    """All of the file or none of it; what is no plain file, like a pipe, is written into."""
+    whole = path.is_file() or not path.exists()
+    target = path.resolve() if whole else path
+    part = target.with_name(f".{target.name}.{os.getpid()}") if whole else path
+    try:
+        part.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            part.write_text(text, encoding="utf-8")
+            if whole:
+                part.replace(target)
+        finally:
+            if whole:
+                part.unlink(missing_ok=True)
+    except OSError as reason:
+        raise _unwritable(path, reason) from reason
+
+
+def _unwritable(path: Path, reason: OSError) -> TerrainError:
+    return TerrainError(f"{path} cannot be written ({reason.strerror}); choose another name.")

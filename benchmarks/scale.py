@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How time grows with triangles: slopes of straight lines through logarithms; 1 is proportional."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +14,20 @@ SIZES = (50_000, 250_000, 1_000_000, 4_000_000)
 QUICK_SIZES = SIZES[:3]
 
 
-def scale_rows(
-    flat: HeightField, rough: HeightField, store: Path | None, sizes: tuple[int, ...] = SIZES
-) -> Iterator[Row]:
-    """On every thread; `store` is None where there is no Blender."""
-    yield _scale("refine", lambda size: engine.edge_flight(flat, size), sizes, engine.refine_ms)
-    yield _scale("surface", lambda size: engine.error_flight(rough, size), sizes)
-    if store is not None:
-        yield _scale("ingest", lambda size: in_blender.writers(rough, size)[0], sizes)
-        yield _scale("frame", lambda size: in_blender.frames(rough, store, size)[0], sizes)
+def refine_row(flat: HeightField, sizes: tuple[int, ...]) -> Row:
+    return _scale("refine", lambda size: engine.edge_flight(flat, size), sizes, engine.refine_ms)
+
+
+def surface_row(rough: HeightField, sizes: tuple[int, ...]) -> Row:
+    return _scale("surface", lambda size: engine.error_flight(rough, size), sizes)
+
+
+def ingest_row(rough: HeightField, sizes: tuple[int, ...]) -> Row:
+    return _scale("ingest", lambda size: in_blender.writers(rough, size)[0], sizes)
+
+
+def frame_row(rough: HeightField, store: Path, sizes: tuple[int, ...]) -> Row:
+    return _scale("frame", lambda size: in_blender.frames(rough, store, size)[0], sizes)
 
 
 def _scale(
@@ -31,7 +36,7 @@ def _scale(
     sizes: tuple[int, ...],
     part: Callable[[dict[str, float]], float] = lambda steps: steps["total"],
 ) -> Row:
-    """The time of the largest size; its ratio is the slope over all of them."""
+    """The time of the largest size on every thread; its ratio is the slope over all of them."""
     points = {size: part(alternate(prepare(size)).ms) for size in sizes}
     row = Row(f"scale_{name}", sizes[-1], points[sizes[-1]], "slope", ratio=slope(points))
     row.figures = {f"{size}_ms": ms for size, ms in points.items()}

@@ -1,23 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The benchmark from its first row to its last: what is measured, in which order, and what becomes of it."""
 
+import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
 from ..operators.frame_sources import need_bpy
 from . import cycles, engine, files, goals, in_blender, report, scale, scenes, start
-from .baselines import build_roam_rebuild
+from .baselines import RoamRebuild, build_roam_rebuild
 from .machine import machine
 from .measure import Row
+
+# Measures one row or several, and measures them anew whenever it is called.
+Measure = Callable[[], Row | Iterable[Row]]
 
 
 def run(quick: bool, with_cycles: bool, json_file: Path | None, docs: Path | None) -> None:
     """Measure, print a line a row, and write what was asked for.
 
-    Raises TerrainError at the end of a quick run if a row is worse than goals.py allows.
+    Raises TerrainError at once if that cannot be written, and at the end of a quick run if a row is worse than goals.py
+    allows.
     """
+    for path in ([json_file] if json_file else []) + ([docs / report.PAGE, docs / report.PLOT] if docs else []):
+        report.check_writable(path)
     notes: list[str] = []
 
     def note(text: str) -> None:
@@ -26,51 +35,107 @@ def run(quick: bool, with_cycles: bool, json_file: Path | None, docs: Path | Non
 
     for name, value in machine().items():
         print(f"{name}: {value}")
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="adaptive-terrain-bench-") as folder:
-        for row in measured(Path(folder), quick, with_cycles, note):
-            rows.append(row)
-            print(report.line(row), flush=True)
+    with scratch_folder(1 if quick else 2) as folder:
+        roam = build_roam_rebuild(folder, note)
+        try:
+            measures = everything(folder, quick, with_cycles, roam, note)
+            rows = measured(measures, goals.ATTEMPTS if quick else 1)
+        finally:
+            if roam:
+                roam.close()
     if json_file is not None:
         report.write_json(rows, json_file)
     if docs is not None:
         report.write_docs(rows, machine(), notes, docs)
     if quick and (failed := goals.failures(rows)):
-        said = ", ".join(f"{row.name} at {row.size:,} ({row.ratio:.3g})" for row in failed)
-        raise TerrainError(f"Slower than {goals.SLACK:g} times what is allowed: {said}.")
+        said = ", ".join(
+            f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.most_allowed(row.name, row.size):.3g})"
+            for row in failed
+        )
+        raise TerrainError(f"Slower than allowed in each of {goals.ATTEMPTS} attempts: {said}.")
 
 
-def measured(folder: Path, quick: bool, with_cycles: bool, note: Callable[[str], None]) -> Iterator[Row]:
+def measured(measures: Iterable[Measure], attempts: int) -> list[Row]:
+    """The rows of all measures, printed as they come; one that fails is measured again after all others.
+
+    What disturbed it may then be over. It fails only if every attempt does; of its attempts the best is kept.
+    """
+    rows: dict[tuple[str, int], Row] = {}
+    for attempt in range(1, attempts + 1):
+        failed = []
+        for measure in measures:
+            found = measure()
+            for row in [found] if isinstance(found, Row) else found:
+                row.attempts = attempt
+                print(report.line(row), flush=True)
+                best = rows.setdefault((row.name, row.size), row)
+                if goals.failures([best]):
+                    if row.ratio < best.ratio:
+                        rows[row.name, row.size] = best = row
+                    best.attempts = attempt
+                if goals.failures([best]) and measure not in failed:
+                    failed.append(measure)
+        if not failed:
+            break
+        measures = failed
+    return list(rows.values())
+
+
+def everything(
+    folder: Path, quick: bool, with_cycles: bool, roam: RoamRebuild | None, note: Callable[[str], None]
+) -> Iterator[Measure]:
     """Every row, in the order of the table; a quick run leaves out files, an empty cache and the largest sizes."""
-    roam = build_roam_rebuild(folder, note)
     flat, rough = scenes.flat(), scenes.rough()
-    try:
-        yield from engine.refine_rows(flat, roam)
-        yield engine.refine_error_row(rough, roam)
-        yield engine.still_row(rough, roam)
-        yield engine.surface_row(rough, roam)
-        yield engine.meshlets_row(rough, roam)
-    finally:
-        if roam:
-            roam.close()
-    yield from engine.depth_rows(flat)
+    for threads, sizes in engine.REFINE_SIZES.items():
+        for size in sizes:
+            yield partial(engine.refine_row, flat, size, threads, roam)
+    for row in (engine.refine_error_row, engine.still_row, engine.surface_row, engine.meshlets_row):
+        yield partial(row, rough, roam)
+    yield partial(engine.depth_row, flat)
+    yield partial(engine.depth_reached_row, flat)
     store = in_blender.keep(rough, folder / "rough")
-    yield start.warm_row(rough, store)
+    yield partial(start.warm_row, rough, store)
     if not quick:
-        yield start.no_cache_row(rough, store)
+        yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")
-        yield from files.import_rows(tiff, folder)
-        yield from files.large_rows(store, folder, note)
+        yield partial(files.import_rows, tiff, folder)
+        yield partial(files.large_rows, store, folder, note)
     blender = _has_blender(note)
     if blender:
-        yield in_blender.ingest_row(rough)
-        yield from in_blender.frame_rows(rough, store)
-        yield in_blender.still_frame_row(rough, store)
-    yield from scale.scale_rows(flat, rough, store if blender else None, scale.QUICK_SIZES if quick else scale.SIZES)
+        yield partial(in_blender.ingest_row, rough)
+        for size in in_blender.FRAME_SIZES:
+            yield partial(in_blender.frame_row, rough, store, size)
+        yield partial(in_blender.still_frame_row, rough, store)
+    sizes = scale.QUICK_SIZES if quick else scale.SIZES
+    yield partial(scale.refine_row, flat, sizes)
+    yield partial(scale.surface_row, rough, sizes)
+    if blender:
+        yield partial(scale.ingest_row, rough, sizes)
+        yield partial(scale.frame_row, rough, store, sizes)
     if with_cycles and blender:
-        yield from cycles.cycles_rows(store, tiff, folder)
+        yield partial(cycles.cycles_rows, store, tiff, folder)
     elif not with_cycles:
         note("The rows cycles are measured with --with-cycles only.")
+
+
+@contextmanager
+def scratch_folder(stores: int) -> Iterator[Path]:
+    """A folder that is removed in the end. Raises TerrainError unless there is room for so many stores.
+
+    They are written through mapped memory, where a full disk ends the process without a word.
+    """
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="adaptive-terrain-bench-", ignore_cleanup_errors=True)
+    except OSError as reason:
+        raise TerrainError(f"There is no folder for temporary files ({reason}); let TMPDIR name one.") from reason
+    with folder as name:
+        needed, free = stores * files.STORE_BYTES * scenes.SAMPLES**2, shutil.disk_usage(name).free
+        if needed > free:
+            raise TerrainError(
+                f"A benchmark needs {needed / 1e9:.1f} GB in {Path(name).parent}, where {free / 1e9:.2g} GB are free; "
+                "let TMPDIR name a folder with more room."
+            )
+        yield Path(name)
 
 
 def _has_blender(note: Callable[[str], None]) -> bool:

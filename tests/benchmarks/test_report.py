@@ -5,7 +5,7 @@ import json
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from adaptive_terrain.benchmarks import goals, report
+from adaptive_terrain.benchmarks import goals, profiles, report
 from adaptive_terrain.benchmarks.measure import Row, Timed, alternate, median_by_step
 from adaptive_terrain.benchmarks.scale import slope
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -14,7 +14,8 @@ MACHINE = {"Processor": "Abacus 3", "Threads": "2"}
 
 
 @pytest.fixture
-def rows(monkeypatch):
+def rows(monkeypatch, tmp_path):
+    monkeypatch.setattr(profiles, "FILE", tmp_path / "profiles.json")
     monkeypatch.setattr(goals, "RECORDED", {("refine_1t", 1_000_000): (0.25, "a loop in Python")})
     scale = Row("scale_refine", 1_000_000, 30.0, "slope", ratio=1.03)
     scale.figures = {"50000_ms": 1.5, "250000_ms": 7.0, "1000000_ms": 30.0}
@@ -102,10 +103,10 @@ def test_ours_and_theirs_take_turns():
         return float(len(turns))
 
     timed = alternate(ours, theirs)
-    assert "".join(turns) == "ab" + 3 * ("b" * 5 + "a" * 5)
+    assert "".join(turns) == "ab" + 3 * (5 * "b" + 5 * "a")
     assert timed == Timed({"refine": 30.0, "mark": 0.0}, {"refine": 11.0}, 15.0)
     assert alternate(ours).baseline_ms is None
     short = []
     alternate(lambda: short.append(1) or {"total": 0.1})
-    assert len(short) == 1 + 3 * 25
+    assert len(short) == 1 + 15 * 5
     assert median_by_step([{"a": 1.0}, {"a": 3.0, "b": 2.0}, {"b": 2.0}]) == {"a": 1.0, "b": 2.0}

@@ -1,12 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rows measured small: they time what they say, without a limit on how long it takes."""
 
+import json
+import os
 import shutil
 import sys
 
 import numpy as np
 import pytest
-from adaptive_terrain.benchmarks import baselines, engine, files, in_blender, measure, scale, scenes, start, suite
+from adaptive_terrain.benchmarks import (
+    baselines,
+    engine,
+    files,
+    goals,
+    in_blender,
+    measure,
+    report,
+    scale,
+    scenes,
+    start,
+    suite,
+)
 from adaptive_terrain.benchmarks.measure import Row
 from adaptive_terrain.benchmarks.report import MEANING
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -57,7 +71,8 @@ def test_trees_of_four_depths_hold_the_same_leaves(flat, monkeypatch):
     monkeypatch.setattr(engine, "DEPTH_SIZE", 1_000)
     seen = []
     monkeypatch.setattr(engine, "_depths", lambda name, flights: seen.append(flights))
-    list(engine.depth_rows(flat))
+    engine.depth_row(flat)
+    engine.depth_reached_row(flat)
     levels = [[], []]
     for found, flights in zip(levels, seen, strict=True):
         for flight in flights.values():
@@ -74,17 +89,35 @@ def test_a_still_camera_has_its_row(rough, monkeypatch):
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
-def test_the_serial_baseline_rebuilds_when_asked(tmp_path, flat, monkeypatch):
+def test_the_serial_baseline_rebuilds_when_asked(tmp_path, flat):
     notes = []
     roam = baselines.build_roam_rebuild(tmp_path, notes.append)
     assert notes == []
     rebuild = roam.timer(2_000)
     assert all(rebuild() > 0 for _ in range(3))
-    monkeypatch.setattr(engine, "REFINE_SIZES", {1: (2_000,)})
-    [row] = engine.refine_rows(flat, roam)
+    row = engine.refine_row(flat, 2_000, 1, roam)
     assert row.ratio == row.ms / row.baseline_ms > 0
     assert row.figures["whole_ms"] > 0
     roam.close()
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
+def test_a_baseline_that_was_killed_is_one_sentence(tmp_path):
+    roam = baselines.build_roam_rebuild(tmp_path, pytest.fail)
+    rebuild = roam.timer(2_000)
+    [process] = roam._running.values()
+    process.kill()
+    with pytest.raises(TerrainError, match="The process of roam_rebuild has ended with code -9; run it again."):
+        rebuild()
+    roam.close()
+
+
+def test_a_disk_that_is_too_small_is_said_first(monkeypatch, capsys):
+    monkeypatch.setattr(suite, "build_roam_rebuild", lambda *_: pytest.fail("it has begun"))
+    monkeypatch.setattr(files, "STORE_BYTES", 1 << 40)
+    assert command_line.main(["bench", "--quick"]) == 1
+    said = capsys.readouterr().err
+    assert "A benchmark needs 18455752372.5 GB in " in said and "let TMPDIR name a folder with more room." in said
 
 
 def test_without_a_compiler_the_baseline_is_left_out(tmp_path, flat, monkeypatch):
@@ -92,8 +125,7 @@ def test_without_a_compiler_the_baseline_is_left_out(tmp_path, flat, monkeypatch
     notes = []
     assert baselines.build_roam_rebuild(tmp_path, notes.append) is None
     assert notes == ["There is no C compiler here: the baseline roam_rebuild is left out."]
-    monkeypatch.setattr(engine, "REFINE_SIZES", {1: (2_000,)})
-    [row] = engine.refine_rows(flat, None)
+    row = engine.refine_row(flat, 2_000, 1, None)
     assert row.ms > 0 and row.ratio is None
 
 
@@ -161,7 +193,7 @@ def small_suite(monkeypatch):
         scenes: {"SAMPLES": SAMPLES, "STEP": 0.01},
         engine: {"REFINE_SIZES": {1: (2_000,), 2: (2_000,)}, "MILLION": 8_000, "MESHLET": 1},
         in_blender: {"MILLION": 8_000, "FRAME_SIZES": (8_000, 16_000)},
-        measure: {"BLOCKS": 1, "SHORT_RUNS": 2, "RUNS": 2},
+        measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
     }.items():
@@ -178,7 +210,7 @@ ENGINE_ROWS += ["cold_start"]
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     pytest.importorskip("bpy")
     notes = []
-    rows = list(suite.measured(tmp_path, True, False, notes.append))
+    rows = suite.measured(suite.everything(tmp_path, True, False, None, notes.append), attempts=1)
     scales = ["scale_refine", "scale_surface", "scale_ingest", "scale_frame"]
     assert [row.name for row in rows] == [*ENGINE_ROWS, "ingest", "frame", "frame", "still_frame", *scales]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
@@ -190,26 +222,32 @@ def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatc
         raise TerrainError(f"There is no Blender. {what}")
 
     monkeypatch.setattr(suite, "need_bpy", no_blender)
-    monkeypatch.setattr(baselines.shutil, "which", lambda name: None)
     notes = []
-    rows = list(suite.measured(tmp_path, True, False, notes.append))
+    rows = suite.measured(suite.everything(tmp_path, True, False, None, notes.append), attempts=1)
     assert [row.name for row in rows] == [*ENGINE_ROWS, "scale_refine", "scale_surface"]
-    assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 3
+    assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 2
 
 
 @pytest.fixture
 def one_row(monkeypatch):
     """The suite measures nothing: one row that fails its goal."""
-    rows = [Row("ingest", 1_000_000, 100.0, "plain_ingest", 100.0)]
-    monkeypatch.setattr(suite, "measured", lambda *_: iter(rows))
+    monkeypatch.setattr(goals, "RECORDED", {})
+    monkeypatch.setattr(suite, "build_roam_rebuild", lambda *_: None)
+    monkeypatch.setattr(
+        suite, "everything", lambda *_: [lambda: Row("ingest", 1_000_000, 100.0, "plain_ingest", 100.0)]
+    )
 
 
 def test_a_quick_run_that_is_too_slow_fails_after_it_is_written(one_row, tmp_path, capsys):
     target = tmp_path / "rows.json"
     assert command_line.main(["bench", "--quick", "--json", str(target)]) == 1
     said = capsys.readouterr()
-    assert said.err == "adaptive-terrain: error: Slower than 1.5 times what is allowed: ingest at 1,000,000 (1).\n"
-    assert target.exists() and "ingest" in said.out
+    assert said.err == (
+        "adaptive-terrain: error: Slower than allowed in each of 3 attempts: "
+        "ingest at 1,000,000 (ratio 1, at most 0.225).\n"
+    )
+    [row] = json.loads(target.read_text())
+    assert row["attempts"] == 3 and said.out.count("goal 0.15: missed") == 3
     assert command_line.main(["bench"]) == 0
 
 
@@ -228,3 +266,36 @@ def test_documents_are_written_only_where_asked(one_row, tmp_path, monkeypatch, 
     assert (tmp_path / "docs" / "performance.md").exists()
     assert command_line.main(["bench", "--quick", "--docs", "docs"]) == 2
     assert "--quick leaves rows out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--json", "--docs"])
+def test_what_cannot_be_written_is_said_before_anything_is_measured(option, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(suite, "everything", lambda *_: pytest.fail("it was measured"))
+    (tmp_path / "file").write_text("in the way")
+    assert command_line.main(["bench", option, str(tmp_path / "file" / "below")]) == 1
+    said = capsys.readouterr()
+    assert "cannot be written (Not a directory); choose another name." in said.err and said.err.count("\n") == 1
+    assert said.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_run_that_is_stopped_leaves_what_was_there(one_row, tmp_path, monkeypatch, capsys):
+    def stop():
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(suite.tempfile, "tempdir", None)
+    monkeypatch.setattr(suite, "everything", lambda *_: [stop])
+    (tmp_path / "rows.json").write_text("[]")
+    assert command_line.main(["bench", "--json", str(tmp_path / "rows.json")]) == 1
+    assert capsys.readouterr().err == "adaptive-terrain: stopped\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.json"]
+    assert (tmp_path / "rows.json").read_text() == "[]"
+
+
+def test_results_go_into_a_pipe_too(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    report.write_json([Row("ingest", 1_000_000, 1.0)], tmp_path / "pipe")
+    assert json.loads(os.read(end, 10_000))[0]["name"] == "ingest"
+    os.close(end)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Profiles of the rows that fall short of their goals: which part of their work takes which share of their time.
+
+`python -m adaptive_terrain.benchmarks.profile` (`make profile`) samples the same scenes as `bench` (sampling.py) and
+writes profiles.json beside this file, from which docs/performance.md shows them. Shares, not times: a share stays what
+it is when something else runs on the machine.
+"""
+
+import datetime
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from ..cbt_terrain.errors import TerrainError
+from . import sampling
+from .machine import machine
+from .profiles import (
+    BAND,
+    BAND_TEST,
+    BLENDER,
+    BLOCK,
+    BOX,
+    COPY,
+    COUNTERS,
+    DESCENT,
+    DISPLACE,
+    ERRORS,
+    FILE,
+    LEAF,
+    MERGED,
+    OTHER,
+    OUR_WRITER,
+    PIXEL,
+    PYTHON,
+    SHADE,
+    SYNC,
+    SYSTEM,
+    TREE,
+    WELD,
+    in_words,
+)
+from .report import write_text
+from .sampling import Sample
+
+SECONDS = 4.0
+CYCLES_SECONDS = 30.0
+LAPS = 75  # frames of a flight, as in the benchmark; then it starts again
+LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
+# A function that the walk calls, to its part.
+CALLED = {
+    **dict.fromkeys(("error_at", "fetch_ahead", "leaves_tile"), ERRORS),
+    "metres2_of": BAND_TEST,
+    "diamond_at": BOX,
+    **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
+    **dict.fromkeys(("coarsest", "first_within"), BAND),
+    **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
+    **dict.fromkeys(("left_state", "right_state"), DESCENT),
+    "border_role": LEAF,
+}
+# The walk's own lines, from each of these on, in their order.
+LINES = (
+    ("x = (left_x + right_x) >> 1", BAND_TEST),
+    ("diamond = diamond_at(", PIXEL),
+    ("coarse2, clear = coarsest(", BAND),
+    ("near2 = pixel2 * BELOW", PIXEL),
+    ("levels = even_depth - depth", BLOCK),
+    ("near_error = wp.float32(0.0)", DESCENT),
+    ("room = wp.where(leaves", LEAF),
+    ("# On along the curve", DESCENT),
+)
+# Kernels by their module, where it is not the walk's.
+MODULES = {"tree": COUNTERS, "weld": WELD, "weld_border": WELD, "displace": DISPLACE, "ingest": OUR_WRITER}
+KERNELS_OF_REFINEMENT = ("refine.", "tree.")
+CYCLES_SYNC = ("create_mesh", "ccl::Mesh::", "GuardedAllocator", "BlenderSync", "MeshManager", "GeometryManager")
+
+
+def part_of(sample: Sample) -> str:
+    """Which part of a row's work a sample belongs to."""
+    module, _, _ = sample.kernel.partition(".")
+    if module == "refine":
+        if not sample.frames:
+            return MERGED
+        if len(sample.frames) > 1:
+            return CALLED.get(sample.frames[1][1], DESCENT)
+        return walk_part(sample.frames[0][2])
+    if module:
+        return MODULES.get(module, OTHER)
+    return _outside(sample.library, sample.symbol)
+
+
+def walk_part(line: int) -> str:
+    """The part of a line of kernels/refine.py inside the walk."""
+    return next((part for first, part in reversed(walk_lines()) if line >= first), DESCENT)
+
+
+def walk_lines() -> list[tuple[int, str]]:
+    """First line and part, ascending. Raises TerrainError where the walk has changed and LINES has not."""
+    from ..kernels import refine
+
+    text = Path(refine.__file__).read_text(encoding="utf-8").splitlines()
+    found = [([i for i, line in enumerate(text, 1) if mark in line], mark, part) for mark, part in LINES]
+    for lines, mark, _ in found:
+        if len(lines) != 1:
+            raise TerrainError(f"kernels/refine.py has {mark!r} on {len(lines)} lines; mend LINES in {__file__}.")
+    return [(lines[0], part) for lines, _, part in found]
+
+
+def _outside(library: str, symbol: str) -> str:
+    if "kernel" in library:
+        return SYSTEM
+    if library.startswith("libembree"):
+        return TREE
+    if symbol.startswith(("__memmove", "__memset")):
+        return COPY
+    if library.startswith(("libpython", "_multiarray", "_ctypes", "python")):
+        return PYTHON
+    if "ccl::" in symbol:
+        return SYNC if any(name in symbol for name in CYCLES_SYNC) else SHADE
+    return BLENDER if "blender::" in symbol else OTHER
+
+
+def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callable[[], object], tuple[str, ...]]]:
+    """Row, size, which scene of it, seconds, the work, and the kernels that count (none named: everything counts)."""
+    from ..operators.frame_sources import need_bpy
+    from . import cycles, cycles_frame, engine, in_blender, scale, scenes
+
+    flat, rough = scenes.flat(), scenes.rough()
+    walk = KERNELS_OF_REFINEMENT
+    for threads, sizes in engine.REFINE_SIZES.items():
+        for size in sizes:
+            flight = engine.edge_flight(flat, size, threads)
+            yield f"refine_{threads}t", size, "", SECONDS, _lap(flight), walk
+    million = engine.MILLION
+    yield "refine_error", million, "", SECONDS, _lap(engine.error_flight(rough, million, 1)), walk
+    yield "surface", million, "", SECONDS, _lap(engine.error_flight(rough, million)), ()
+    for depth in (engine.DEPTHS[0], engine.DEPTHS[-1]):
+        flight = engine.flight_at(flat, engine.DEPTHS[0], depth)
+        yield "depth", engine.DEPTH_SIZE, f"depth {depth}", SECONDS, _lap(flight), walk
+    need_bpy("A profile of the rows scale_ingest and cycles")
+    for size in (scale.SIZES[0], scale.SIZES[-1]):
+        yield "scale_ingest", size, "", SECONDS, in_blender.writers(rough, size)[0], ()
+    store = in_blender.keep(rough, folder / "rough")
+    for mode in (cycles.EDGE, cycles.ERROR):
+        render, triangles = _renders(*cycles_frame.render_scene(mode, str(store), "", cycles.PIXEL))
+        render()
+        yield f"cycles_{mode}", triangles[0], "", CYCLES_SECONDS, render, ()
+
+
+def _lap(flight) -> Callable[[], None]:
+    def fly() -> None:
+        if flight.frame == LAPS:
+            flight.frame = -1
+        flight()
+
+    return fly
+
+
+def _renders(scene, obj) -> tuple[Callable[[], None], list[int]]:
+    import bpy
+
+    from ..operators.console import quiet
+
+    triangles: list[int] = []
+    bpy.app.handlers.render_post.append(lambda *_: triangles.append(len(obj.data.polygons)))
+
+    def render() -> None:
+        scene.frame_set((scene.frame_current + 1) % LAPS)
+        with quiet():
+            bpy.ops.render.render()
+
+    return render, triangles
+
+
+def shares(samples: Counter[Sample], kernels: tuple[str, ...]) -> tuple[int, dict[str, float]]:
+    """How many samples count, and the share of each part, the largest first; small parts are added up."""
+    parts: Counter[str] = Counter()
+    for sample, count in samples.items():
+        if not kernels or sample.kernel.startswith(kernels):
+            parts[part_of(sample)] += count
+    total = sum(parts.values())
+    large = {part: count for part, count in parts.most_common() if part != OTHER and count >= LEAST_SHARE * total}
+    found = {part: count / total for part, count in large.items()}
+    if (rest := total - sum(large.values())) > 0:
+        found[OTHER] = rest / total
+    return total, found
+
+
+def main() -> None:
+    sampling.need_tools()
+    walk_lines()
+    profiles = []
+    with tempfile.TemporaryDirectory(prefix="adaptive-terrain-profile-") as folder:
+        for row, size, scene, seconds, work, kernels in scenes_of_rows(Path(folder)):
+            for _ in range(2):  # compiles, and touches all memory
+                work()
+            count, parts = shares(sampling.sampled(work, seconds), kernels)
+            profiles.append({"row": row, "size": size, "scene": scene, "samples": count, "parts": parts})
+            print(f"{row} {size:,} {scene}: {in_words(parts)}", flush=True)
+    content = {"date": datetime.date.today().isoformat(), "machine": machine(), "profiles": profiles}
+    write_text(FILE, json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    sampling.with_lines()
+    try:
+        main()
+    except TerrainError as error:
+        sys.exit(f"profile: {error}")

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Samples become parts of a row's work, and the page shows their shares."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from adaptive_terrain.benchmarks import goals, profile, profiles, sampling
+from adaptive_terrain.benchmarks.profiles import BLOCK, BOX, COPY, DESCENT, LEAF, MERGED, OTHER, SYSTEM, WELD
+from adaptive_terrain.benchmarks.sampling import Sample
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.kernels import refine
+
+# Loads the small module of the tree's kernels with line tables and names what its first instructions come from.
+RESOLVE = """
+import json
+from adaptive_terrain.benchmarks import sampling
+sampling.with_lines()
+from adaptive_terrain.cbt_terrain import warmup
+from adaptive_terrain.kernels import tree
+warmup.load(tree)
+kernels = sampling._loaded_kernels()
+print(json.dumps({kernel.name: list(kernel.frames(list(range(0, kernel.size, 16))).values()) for kernel in kernels}))
+"""
+
+
+def line_of(text: str) -> int:
+    lines = Path(refine.__file__).read_text().splitlines()
+    [number] = [i for i, line in enumerate(lines, 1) if text in line]
+    return number
+
+
+def in_walk(*called: str, line: int = 1) -> Sample:
+    frames = [("refine.py", "walk", line), *(("criterion.py", name, 1) for name in called)]
+    return Sample("refine.walk", tuple(frames))
+
+
+def test_the_walk_has_every_line_that_begins_a_part():
+    lines = [line for line, _ in profile.walk_lines()]
+    assert len(lines) == len(profile.LINES) and lines == sorted(lines)
+
+
+def test_a_walk_that_has_changed_is_named(monkeypatch):
+    monkeypatch.setattr(profile, "LINES", (("no such line", LEAF),))
+    with pytest.raises(TerrainError, match="has 'no such line' on 0 lines"):
+        profile.walk_lines()
+
+
+def test_a_sample_belongs_to_one_part():
+    assert profile.part_of(in_walk("diamond_at", "place")) == BOX
+    assert profile.part_of(in_walk(line=line_of("w.code[w.leaf_base + leaves]"))) == LEAF
+    assert profile.part_of(in_walk(line=line_of("top -= 1"))) == DESCENT
+    assert profile.part_of(in_walk(line=line_of("created = new_vertices("))) == BLOCK
+    assert profile.part_of(Sample("refine.walk")) == MERGED
+    assert profile.part_of(Sample("weld_border.weld_border")) == WELD
+    assert profile.part_of(Sample(library="[kernel.kallsyms]", symbol="clear_page_erms")) == SYSTEM
+    assert profile.part_of(Sample(library="libc.so.6", symbol="__memmove_avx512_unaligned_erms")) == COPY
+    assert profile.part_of(Sample(library="libm.so.6", symbol="sin")) == OTHER
+
+
+def test_shares_are_of_the_kernels_that_count():
+    samples = Counter({in_walk("diamond_at"): 60, in_walk(): 39, Sample("tree.count"): 0, Sample("weld.weld"): 100})
+    samples[Sample("tree.reduce_changed")] = 1
+    count, parts = profile.shares(samples, profile.KERNELS_OF_REFINEMENT)
+    assert count == 100 and list(parts)[:2] == [BOX, DESCENT] and parts[BOX] == 0.6
+    assert sum(parts.values()) == pytest.approx(1.0)
+    count, parts = profile.shares(samples, ())
+    assert count == 200 and parts[WELD] == 0.5
+
+
+def test_small_parts_are_added_up():
+    samples = Counter({Sample("weld.weld"): 980, in_walk("diamond_at"): 8, in_walk(): 7, Sample(symbol="f"): 5})
+    assert profile.shares(samples, ())[1] == {WELD: 0.98, OTHER: 0.02}
+
+
+def test_perf_that_is_not_there_is_one_sentence(monkeypatch):
+    monkeypatch.setattr(sampling.shutil, "which", lambda tool: None if tool == "perf" else f"/{tool}")
+    with pytest.raises(TerrainError, match="A profile needs perf; install Linux perf and binutils."):
+        sampling.need_tools()
+
+
+@pytest.mark.skipif(not (shutil.which("addr2line") and shutil.which("nm")), reason="there are no binutils")
+def test_instructions_are_followed_to_lines_of_python():
+    done = subprocess.run([sys.executable, "-c", RESOLVE], env=os.environ, capture_output=True, text=True, check=True)
+    kernels = json.loads(done.stdout.splitlines()[-1])
+    assert set(kernels) >= {"tree.reduce_changed"}
+    for name, chains in kernels.items():
+        named = [chain for chain in chains if chain]
+        assert len(named) > len(chains) / 2
+        assert {(chain[0][0], chain[0][1]) for chain in named} == {("tree.py", name.partition(".")[2])}
+
+
+def test_the_page_shows_what_was_profiled(tmp_path):
+    file = tmp_path / "profiles.json"
+    assert profiles.section(file) == []
+    rows = [
+        {"row": "refine_1t", "size": 5_500, "scene": "", "samples": 900, "parts": {BOX: 0.6, DESCENT: 0.4}},
+        {"row": "depth", "size": 500_000, "scene": "depth 20", "samples": 800, "parts": {BOX: 1.0}},
+    ]
+    machine = {"Processor": "Abacus 3", "Threads": "2"}
+    file.write_text(json.dumps({"date": "2026-01-02", "machine": machine, "profiles": rows}))
+    page = "\n\n".join(profiles.section(file))
+    assert f"| refine_1t | 5,500 | {BOX} 60 %, {DESCENT} 40 % |" in page
+    assert f"| depth, depth 20 | 500,000 | {BOX} 100 % |" in page
+    assert "800 or more a scene), on 2026-01-02, Abacus 3, 2 threads" in page
+    assert page.count(f"* **{BOX}**: ") == 1 and f"**{LEAF}" not in page
+
+
+def test_every_row_that_falls_short_has_its_profile():
+    content = json.loads(profiles.FILE.read_text())
+    profiled = {(item["row"], item["size"]) for item in content["profiles"]}
+    names = {row for row, _ in profiled}
+    for name, size in goals.RECORDED:
+        name = name.removesuffix("_memory")
+        assert name in names if size == goals.ANY_SIZE else (name, size) in profiled
+    for item in content["profiles"]:
+        assert set(item["parts"]) <= set(profiles.MEANING) and sum(item["parts"].values()) == pytest.approx(1.0)

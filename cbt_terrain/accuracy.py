@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How accurate a delivered mesh is, measured: nothing here asks the tree or the code that makes bounds.
+
+What is measured is what Blender is given: the float32 arrays of a Surface, also after expansion to meshlets and where
+a fit has moved its heights. The truth is the reference surface: bilinear between a field's samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..kernels import measure_normals, measure_screen
+from .accuracy_interpolation import interpolation
+from .accuracy_mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
+from .accuracy_outline import silhouette
+from .accuracy_screen import Sight
+from .buffers import shared
+from .errors import TerrainError
+from .heightfield import HeightField
+from .launch import default_threads
+from .surface import Surface
+from .view import View
+
+__all__ = ["Errors", "Measured", "interpolation", "look", "measure", "popping", "triangle_errors"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was found.
+
+    `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the exact
+    maximum over the continuous surface. `rounding_m`: largest height by which float32 positions have moved the mesh,
+    over all of it: the delivered triangles against the same with float64 corners on the reference, rounding of plane
+    coordinates included; a fitted corner is not on the reference, there half a unit in the last place of its height
+    stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the interpolated vertex normals
+    against the reference's (central differences) at every sample. `screen_px`, `hidden_px`, `silhouette_px`:
+    accuracy_screen.py says how; None without a view, the last also where no outline is in the frame.
+    """
+
+    vertical_m: Errors
+    vertical_max_m: float
+    rounding_m: float
+    facet_deg: Errors
+    shading_deg: Errors
+    screen_px: Errors | None
+    hidden_px: Errors | None
+    silhouette_px: Errors | None
+
+
+def measure(
+    field: HeightField,
+    surface: Surface,
+    view: View | None = None,
+    placement: np.ndarray | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    *,
+    random_points: int = 100_000,
+    seed: int = 0,
+    threads: int | None = None,
+    sight: Sight | None = None,
+    on_progress: Progress = ignore,
+) -> Measured:
+    """Measure a whole mesh of `field` against the reference surface, and as `view` sees both.
+
+    placement, vertical_scale and vertical_offset are those of the update that made the mesh. `random_points` are drawn
+    with `seed`. The result does not depend on `threads`. `sight`: from `look` with the same arguments, where several
+    meshes are measured under one view: most of the time goes into its rays. `on_progress` is told the fraction done; an
+    exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
+    """
+    if view is not None:
+        looked = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
+        if sight is not None and sight.key != looked.key:
+            raise TerrainError("The sight is of another view or terrain; make it by `look` with the same arguments.")
+        sight = sight or looked
+    ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
+    mesh = MeasuredMesh(ground, surface)
+    difference, worst = mesh.differences()
+    on_progress(0.1)
+    rounding = mesh.edge_extremes(worst)
+    between, _ = mesh.differences_at(ground.random_points(random_points, seed))
+    vertical = errors_of(np.concatenate([difference.reshape(-1), between]))
+    on_progress(0.2)
+    facet, shading = (np.zeros(difference.size, np.float32) for _ in range(2))
+    mesh.walk(measure_normals.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
+    facet_deg, shading_deg = errors_of(facet), errors_of(shading)
+    on_progress(0.3)
+    screen = hidden = outline = None
+    if view is not None:
+        sight.pixel_points(_part(on_progress, 0.3, 0.4))
+        sight.states(_part(on_progress, 0.4, 0.7))
+        there, _ = mesh.differences_at(sight.visible_points())
+        screen, hidden = sight.errors(np.zeros_like(difference), difference, (np.zeros_like(there), there))
+        on_progress(0.8)
+        outline = silhouette(sight, mesh, surface.positions, _part(on_progress, 0.8, 1.0))
+    on_progress(1.0)
+    largest = max(float(worst.max()), vertical.max)
+    return Measured(vertical, largest, float(rounding.max()), facet_deg, shading_deg, screen, hidden, outline)
+
+
+def look(
+    field: HeightField,
+    view: View,
+    placement: np.ndarray | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    *,
+    threads: int | None = None,
+) -> Sight:
+    """What a view sees of the reference surface, for `measure` to use with every mesh that is seen from there.
+
+    Rays are cast when they are first needed, and kept: 16 bytes a pixel and 1 byte a sample.
+    """
+    return Sight(Ground(field, vertical_scale, vertical_offset, threads or default_threads()), view, placement)
+
+
+def triangle_errors(
+    field: HeightField,
+    surface: Surface,
+    views: Sequence[View],
+    placement: np.ndarray | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    *,
+    threads: int | None = None,
+) -> np.ndarray:
+    """float32 [T]: the largest error of what each triangle covers, in pixels, the largest over the views.
+
+    Looked at are its samples and, along its edges, where it is vertically furthest from the reference in each cell, of
+    these what is in the frame, hidden or not; and the point seen in each pixel. 0 for triangles with nothing in any
+    frame. Without views: metres, the exact maximum over the triangle.
+    """
+    ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
+    mesh = MeasuredMesh(ground, surface)
+    if not views:
+        _, worst = mesh.differences()
+        mesh.edge_extremes(worst)
+        return worst.astype(np.float32)
+    worst = np.zeros(mesh.triangles)
+    for view in views:
+        sight = Sight(ground, view, placement)
+        mesh.walk(measure_screen.triangle_px, [sight.eye, shared(worst, wp.float64)])
+        there, owner = mesh.differences_at(sight.visible_points())
+        np.maximum.at(worst, owner, sight.point_errors(np.zeros_like(there), there))
+    return worst.astype(np.float32)
+
+
+def popping(
+    field: HeightField,
+    before: Surface,
+    after: Surface,
+    view: View,
+    placement: np.ndarray | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    *,
+    threads: int | None = None,
+) -> Errors:
+    """How far points jump on screen where mesh `after` takes the place of `before` under one view, in pixels.
+
+    Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
+    from the height that one mesh has there to that of the other. The surfaces must be copies: updates overwrite theirs.
+    """
+    sight = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
+    meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
+    samples = [mesh.differences()[0] for mesh in meshes]
+    there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
+    return sight.errors(*samples, there)[0]
+
+
+def _part(on_progress: Progress, start: float, end: float) -> Progress:
+    """Progress of a part as progress of the whole."""
+    return lambda fraction: on_progress(start + (end - start) * fraction)

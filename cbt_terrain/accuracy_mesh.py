@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh against the reference surface in metres: at every sample, along every edge, at any points."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..kernels import measure as kernels
+from ..kernels import measure_edges as edge_kernels
+from ..kernels import measure_points as point_kernels
+from . import launch
+from .buffers import shared
+from .errors import TerrainError
+from .heightfield import HeightField
+from .refinement import PLANE_BITS
+from .surface import Surface
+
+POINT_BITS = int(point_kernels.POINT_BITS)
+
+Progress = Callable[[float], None]
+
+
+def ignore(_fraction: float) -> None:
+    """Progress that nobody wants to know."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """One distribution of errors, none negative: all 0 where `count` is 0. `p95`: 95 % are at most this."""
+
+    count: int
+    max: float
+    p95: float
+    mean: float
+    rms: float
+
+
+NONE = Errors(0, 0.0, 0.0, 0.0, 0.0)
+
+
+def errors_of(values: np.ndarray) -> Errors:
+    """The distribution of magnitudes of float32 or float64 `values`, sums in float64; `values` are reordered."""
+    values = values.reshape(-1)
+    if not values.size:
+        return NONE
+    np.abs(values, out=values)
+    at = -(-values.size * 95 // 100) - 1
+    values.partition(at)
+    mean = float(np.sum(values, dtype=np.float64)) / values.size
+    squares = sum(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks(values))
+    return Errors(values.size, float(values[at:].max()), float(values[at]), mean, float(np.sqrt(squares / values.size)))
+
+
+def _blocks(values: np.ndarray):
+    return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
+
+
+class Ground:
+    """The reference surface of a height field as the kernels of the measurement read it; memory is shared."""
+
+    def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int):
+        lattice = field.lattice
+        self.field, self.threads = field, threads
+        self.scale, self.offset = float(vertical_scale), float(vertical_offset)
+        self.key = (field.key, self.scale, self.offset)
+        # The lattice of the finest mesh: as many bits a side as refinement.depth_limit allows.
+        self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
+        g = self.packed = kernels.Ground()
+        g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
+        g.step_x, g.step_y = lattice.step_x, lattice.step_y
+        g.west = -0.5 * (lattice.width - 1) * lattice.step_x
+        g.south = -0.5 * (lattice.height - 1) * lattice.step_y
+        g.scale, g.offset = self.scale, self.offset
+        g.samples = shared(field.samples.reshape(-1), wp.float32)
+
+    @property
+    def point_ends(self) -> tuple[int, int]:
+        """Coordinates of the domain's north-east corner in the units of points."""
+        lattice = self.field.lattice
+        return (lattice.width - 1) << self.bits + POINT_BITS, (lattice.height - 1) << self.bits + POINT_BITS
+
+    def random_points(self, count: int, seed: int) -> np.ndarray:
+        """int64 [count, 2]: points of the domain in the units of points, evenly distributed."""
+        return np.random.default_rng(seed).integers(0, np.array(self.point_ends) + 1, (count, 2))
+
+
+class MeasuredMesh:
+    """A surface as delivered, ready to be walked over a ground."""
+
+    def __init__(self, ground: Ground, surface: Surface):
+        self.ground, self.triangles = ground, len(surface.corner_verts) // 3
+        if not len(surface.positions) or not np.isfinite(surface.positions).all():
+            raise TerrainError("The mesh has no vertices or positions that are not finite: it cannot be measured.")
+        m = self.packed = kernels.Mesh()
+        m.positions, m.normals = shared(surface.positions, wp.vec3f), shared(surface.normals, wp.vec3f)
+        m.corners = shared(surface.corner_verts, wp.int32)
+        self._cuts = self._even_cuts(surface)
+
+    def _even_cuts(self, surface: Surface) -> list[int]:
+        """Where the triangles are cut for the threads: evenly by the samples in their boxes."""
+        threads = self.ground.threads if self.triangles >= 2 else 1
+        low = high = surface.positions[surface.corner_verts[::3], :2]
+        for corner in (1, 2):
+            place = surface.positions[surface.corner_verts[corner::3], :2]
+            low, high = np.minimum(low, place), np.maximum(high, place)
+        lattice = self.ground.field.lattice
+        extent = (high - low) / np.array([lattice.step_x, lattice.step_y], np.float32)
+        work = np.cumsum((extent[:, 0] + 2) * (extent[:, 1] + 2), dtype=np.float64)
+        inner = np.searchsorted(work, work[-1] * np.arange(1, threads) / threads)
+        return sorted({0, *inner.tolist(), self.triangles})
+
+    def walk(self, kernel, arrays: list) -> None:
+        """Launch `kernel` over all triangles: it takes the first and the end, ground, mesh and `arrays`."""
+        cuts = list(zip(self._cuts, self._cuts[1:], strict=False))
+        launch.slices(kernel, [[lo, hi, self.ground.packed, self.packed, *arrays] for lo, hi in cuts], step="measure")
+
+    def differences(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.
+
+        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample.
+        """
+        difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
+        worst = np.zeros(self.triangles)
+        self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
+        # a sum is not a number as soon as one part is not, and takes no memory
+        if np.isnan(np.sum(difference, dtype=np.float64)):
+            missing = int(np.isnan(difference).sum())
+            raise TerrainError(
+                f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
+            )
+        return difference, worst
+
+    def edge_extremes(self, worst: np.ndarray) -> np.ndarray:
+        """Raise `worst` (float64 [T], metres) to the exact maximum over each triangle.
+
+        Returns float64 [T], what float32 has moved each by. Over a cell the reference is a saddle, so mesh less
+        reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell.
+        """
+        rounding = np.zeros(self.triangles)
+        self.walk(edge_kernels.edge_extremes, [shared(worst, wp.float64), shared(rounding, wp.float64)])
+        return rounding
+
+    def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mesh less reference at int64 [n, 2] points (units of 2^-(bits + 7) cells), float64 [n] metres.
+
+        And the triangle that covers each, int32 [n].
+        """
+        g, count = self.ground, len(points)
+        difference, owner = np.zeros(count), np.zeros(count, np.int32)
+        x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+        key = np.zeros(count, np.int64)
+        inputs = [*g.point_ends, *(shared(a, wp.int64) for a in (x, y, key))]
+        launch.spread(point_kernels.sort_keys, count, inputs, step="measure", threads=g.threads)
+        order = np.argsort(key)
+        key = key[order]
+        p = point_kernels.Points()
+        p.count, p.difference, p.owner = count, shared(difference, wp.float64), shared(owner, wp.int32)
+        p.x, p.y, p.key, p.order = (shared(a, wp.int64) for a in (x, y, key, order))
+        self.walk(point_kernels.locate, [p])
+        return difference, owner

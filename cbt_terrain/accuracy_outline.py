@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far the terrain's outline in a frame is displaced, in pixels.
+
+The outline is where coverage flips between the rays of two pixels that are neighbours in a row or a column; the
+crossing between their middles is found to 2^-11 px. The mesh's crossings are joined to lines through the squares
+between four pixels (marching squares). The error of a crossing of the reference is its distance to the nearest of these
+lines, searched in the frame and MARGIN pixels around it; where none is nearer than the border of that area, the
+distance to the border counts, so that an outline that is gone is understated. Rays stand a pixel apart: what of an
+outline is narrower than that may be missed, in the mesh or in the reference.
+An outline is wherever terrain ends: against the sky, at the raster's border or at the clip end. The frame of a
+panorama is taken to be equirectangular; across, its distances are those on the sphere.
+"""
+
+import numpy as np
+import warp as wp
+
+from ..kernels import measure_outline as kernels
+from . import launch
+from .accuracy_mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
+from .accuracy_screen import BLOCK, Sight
+from .buffers import shared
+
+MARGIN = 16
+# Boxes grow by this part of the mesh's size: a float32 ray through it strays by less.
+PAD = 1e-6
+
+
+class _Rays:
+    """A mesh ready for rays; holds the memory that the hierarchy refers to."""
+
+    def __init__(self, sight: Sight, mesh: MeasuredMesh, positions: np.ndarray):
+        low, high = (reduce(positions, axis=0).astype(np.float64) for reduce in (np.min, np.max))
+        pad = PAD * float(np.linalg.norm(high - low)) + 1e-6 * float(np.abs(positions).max())
+        lows, highs = (np.zeros((mesh.triangles, 3), np.float32) for _ in range(2))
+        inputs = [mesh.packed, np.float32(pad), shared(lows, wp.vec3f), shared(highs, wp.vec3f)]
+        launch.spread(kernels.triangle_boxes, mesh.triangles, inputs, step="measure", threads=mesh.ground.threads)
+        self.bvh = wp.Bvh(shared(lows, wp.vec3f), shared(highs, wp.vec3f))
+        b = kernels.Boxes()
+        b.bvh, b.low, b.high = self.bvh.id, low - pad, high + pad
+        self.inputs = [sight.ground.packed, mesh.packed, b, sight.eye]
+        self.threads = mesh.ground.threads
+
+
+def silhouette(
+    sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore
+) -> Errors | None:
+    """Errors of the reference's outline in the frame, pixels; None where it has none.
+
+    positions: float32 [V, 3], the mesh's.
+    """
+    threads = mesh.ground.threads
+    flips = _flips(sight.covered(), sight, 0)
+    if not sum(len(places) for places in flips):
+        return None
+    for places, step in zip(flips, ((1.0, 0.0), (0.0, 1.0)), strict=True):
+        inputs = [sight.ground.packed, sight.blocks, sight.eye, *step, shared(places, wp.vec2d)]
+        launch.spread(kernels.reference_crossings, len(places), inputs, step="measure", threads=threads, cost=500)
+    rays = _Rays(sight, mesh, positions)
+    cover = _mesh_cover(rays, sight, on_progress)
+    crossings = _flips(cover, sight, MARGIN)
+    for places, step in zip(crossings, ((1.0, 0.0), (0.0, 1.0)), strict=True):
+        inputs = [*rays.inputs, *step, shared(places, wp.vec2d)]
+        launch.spread(kernels.mesh_crossings, len(places), inputs, step="measure", threads=threads, cost=500)
+    first, segment = _lines(cover)
+    rows, columns = cover.shape
+    place = np.concatenate(flips)
+    distance = np.zeros(len(place))
+    inputs = [columns, rows, 0.5 - columns / 2, 0.5 - rows / 2, sight.eye, shared(first, wp.int32)]
+    inputs += [shared(segment, wp.vec2i), shared(np.concatenate(crossings), wp.vec2d)]
+    inputs += [shared(place, wp.vec2d), shared(distance, wp.float64)]
+    launch.spread(kernels.nearest, len(place), inputs, step="measure", threads=threads, cost=50)
+    return errors_of(distance)
+
+
+def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
+    """float64 [n, 2] twice: the first pixels, in pixels from the frame's middle, of pairs of which one is covered.
+
+    The first of the two has pairs beside each other, the second pairs above each other.
+    """
+    corner = np.array([0.5 - margin - sight.columns / 2, 0.5 - margin - sight.rows / 2])
+    pairs = (cover[:, 1:] != cover[:, :-1]), (cover[1:] != cover[:-1])
+    return [np.ascontiguousarray(np.argwhere(differ)[:, ::-1] + corner) for differ in pairs]
+
+
+def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The flips joined through each square between four pixels.
+
+    Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32
+    [n, 2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
+    """
+    beside, above = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
+    number = [np.cumsum(beside).reshape(beside.shape) - 1, np.cumsum(above).reshape(above.shape) - 1 + beside.sum()]
+    sides = beside[:-1], above[:, :-1], beside[1:], above[:, 1:]  # south, west, north, east
+    numbers = number[0][:-1], number[1][:, :-1], number[0][1:], number[1][:, 1:]
+    mixed = np.argwhere(sides[0] | sides[1] | sides[2] | sides[3])
+    at = mixed[:, 0], mixed[:, 1]
+    crossed = np.stack([side[at] for side in sides], axis=1)
+    crossing = np.stack([number[at] for number in numbers], axis=1)
+    # crossed sides first, in their order
+    crossing = np.take_along_axis(crossing, np.argsort(~crossed, axis=1, kind="stable"), axis=1)
+    doubled = crossed.all(axis=1)
+    square = mixed[:, 0] * cover.shape[1] + mixed[:, 1]
+    square, segment = np.r_[square, square[doubled]], np.r_[crossing[:, :2], crossing[doubled, 2:]]
+    order = np.argsort(square, kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(square, minlength=cover.size))])
+    return first.astype(np.int32), np.ascontiguousarray(segment[order], np.int32)
+
+
+def _mesh_cover(rays: _Rays, sight: Sight, on_progress) -> np.ndarray:
+    """bool [rows, columns]: whether the ray of a pixel of the frame or of the margin meets the mesh."""
+    columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
+    cover = np.zeros((rows, columns), bool)
+    rows_at_once = max(1, BLOCK // columns)
+    for row in range(0, rows, rows_at_once):
+        part = cover[row : row + rows_at_once]
+        inputs = [columns, 0.5 - columns / 2, 0.5 + row - rows / 2, *rays.inputs, shared(part.reshape(-1), wp.bool)]
+        launch.spread(kernels.mesh_cover, part.size, inputs, step="measure", threads=rays.threads, cost=100)
+        on_progress((row + len(part)) / rows)
+    return cover

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh against the reference surface in pixels of a view.
+
+The error of a reference point in the frame is the distance between its projection and that of the mesh's point above
+or below it; of a panorama the angle between the two over `radians_per_pixel`. Points are every raster sample in the
+frame and the point seen in the middle of each pixel. In the frame is what lies between its borders and inside the clip
+range (depth; distance of a panorama); a range that is upside down cuts nothing off in front of the eye. A panorama is
+taken to see all around, and its pixels to be equirectangular.
+
+A sample is hidden where the reference surface between the clip start and it rises above its ray, or falls below where
+the eye is underneath, by more than 1e-9 of the surface's range of heights (1e-12 of the heights themselves). A mesh
+point of a perspective nearer than half the clip start, where the criterion promises nothing, counts at the place where
+the vertical way to it comes to that depth: the error stays finite, and understated.
+"""
+
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from ..kernels import measure_rays, measure_screen
+from . import launch
+from .accuracy_mesh import Ground, Progress, errors_of, ignore
+from .buffers import shared
+from .errors import TerrainError
+from .view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
+
+# Samples between two calls of on_progress, and pixels.
+BLOCK = 1 << 20
+
+
+def pack_blocks(ground: Ground) -> measure_rays.Blocks:
+    """The lowest and highest samples of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block."""
+    low = _reduce(_reduce(ground.field.samples, 4, np.minimum, 1), 4, np.minimum, 0)
+    high = _reduce(_reduce(ground.field.samples, 4, np.maximum, 1), 4, np.maximum, 0)
+    lows, highs, widths, bases = [], [], [0], [0]
+    while True:
+        bases.append(sum(a.size for a in lows))
+        widths.append(low.shape[1])
+        lows.append(low.reshape(-1))
+        highs.append(high.reshape(-1))
+        if low.size == 1:
+            break
+        low, high = _halve(low, np.minimum), _halve(high, np.maximum)
+    ends = sorted(float(h[0]) * ground.scale + ground.offset for h in (lows[-1], highs[-1]))
+    b = measure_rays.Blocks()
+    b.levels, b.low_z, b.high_z = len(lows), *ends
+    b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
+    b.base, b.width = (shared(np.array(a, np.int32), wp.int32) for a in (bases, widths))
+    b.low, b.high = (shared(np.concatenate(a), wp.float32) for a in (lows, highs))
+    return b
+
+
+def _reduce(samples: np.ndarray, side: int, reduce, axis: int) -> np.ndarray:
+    """The least or greatest of the samples of every `side` cells, both ends included, along one axis."""
+    cells = samples.shape[axis] - 1
+    blocks = -(-cells // side)
+    first = np.arange(blocks) * side
+    result = np.take(samples, first, axis)
+    for k in range(1, side + 1):
+        reduce(result, np.take(samples, np.minimum(first + k, cells), axis), out=result)
+    return result
+
+
+def _halve(blocks: np.ndarray, reduce) -> np.ndarray:
+    """The least or greatest of every 2 x 2 blocks; a last odd row or column stands alone."""
+    for axis in (0, 1):
+        count = blocks.shape[axis]
+        first = np.arange(0, count, 2)
+        blocks = reduce(np.take(blocks, first, axis), np.take(blocks, np.minimum(first + 1, count - 1), axis))
+    return blocks
+
+
+def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> measure_screen.Eye:
+    """The view as the kernels of the measurement read it: from cells and metres of height."""
+    g = ground.packed
+    to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
+    to_terrain[:2, 3] = g.west, g.south
+    matrix = view.world_to_camera @ np.asarray(placement, np.float64) @ to_terrain
+    try:
+        back = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        back = np.full((4, 4), np.inf)
+    if not np.isfinite(matrix).all() or not np.isfinite(back).all():
+        raise TerrainError("The camera or the terrain cannot be inverted; give them finite scales other than 0.")
+    culls = view.clip[0] < view.clip[1]
+    start = view.clip[0] if culls else (-np.inf if view.kind == ORTHOGRAPHIC else 0.0)
+    size = np.array([g.columns - 1, g.rows - 1, (ground.field.max_height - ground.field.min_height) * ground.scale])
+    e = measure_screen.Eye()
+    e.kind = KINDS.index(view.kind)
+    e.right, e.up, e.back = matrix[:3]
+    e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
+    e.start, e.end = start, view.clip[1] if culls else np.inf
+    # The same depth as in criterion.localise.
+    e.near = max(start / 2, 1e-9 * float(np.linalg.norm(np.linalg.norm(matrix[:3, :3], axis=0) * size)), 1e-150)
+    e.eye, e.toward = back[:3, 3], back[:3, 2]
+    e.origin, e.direction, e.axes = (np.zeros((3, 3)) for _ in range(3))
+    origin = np.c_[back[:3, 3], np.zeros((3, 2))]
+    e.origin = origin
+    if view.kind == PANORAMIC:
+        e.pixels_per_radian, e.axes = 1.0 / view.radians_per_pixel, back[:3, :3]
+        return e
+    p = view.projection
+    e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]
+    at = 3 if view.kind == ORTHOGRAPHIC else 2
+    sign = -1.0 if view.kind == ORTHOGRAPHIC else 1.0
+    # A place (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
+    to_camera = np.array([[sign * p[0, at] / p[0, 0], 1 / p[0, 0], 0], [sign * p[1, at] / p[1, 1], 0, 1 / p[1, 1]]])
+    rows = back[:3, :2] @ to_camera
+    ahead = np.c_[-back[:3, 2], np.zeros((3, 2))]
+    if view.kind == ORTHOGRAPHIC:
+        e.origin, e.direction = origin + rows, ahead
+    else:
+        e.direction = ahead + rows
+    return e
+
+
+def pixel_grid(view: View) -> tuple[int, int]:
+    """Columns and rows of pixels: those of the frame; of a panorama at most all directions."""
+    columns, rows = (max(1, int(np.floor(pixels))) for pixels in view.resolution)
+    if view.kind == PANORAMIC:
+        columns = min(columns, int(np.ceil(2 * np.pi / view.radians_per_pixel)))
+        rows = min(rows, int(np.ceil(np.pi / view.radians_per_pixel)))
+    return columns, rows
+
+
+class Sight:
+    """What one view sees of the reference surface; nothing here knows a mesh, so one serves all meshes of a view."""
+
+    def __init__(self, ground: Ground, view: View, placement: np.ndarray | None):
+        placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+        self.key = (ground.key, view.key(), placement.tobytes())
+        self.ground, self.eye = ground, pack_eye(view, placement, ground)
+        self.columns, self.rows = pixel_grid(view)
+        self._pixels = self._state = None
+
+    @cached_property
+    def blocks(self) -> measure_rays.Blocks:
+        """The surface as rays read it."""
+        return pack_blocks(self.ground)
+
+    def pixel_points(self, on_progress: Progress = ignore) -> np.ndarray:
+        """int64 [rows * columns, 2]: the point seen in the middle of each pixel, row 0 below; x is -1 in the sky."""
+        if self._pixels is None:
+            points = np.zeros((self.rows * self.columns, 2), np.int64)
+            for row, rows in _row_blocks(self.rows, self.columns):
+                here = rows * self.columns
+                x, y = np.zeros(here, np.int64), np.zeros(here, np.int64)
+                inputs = [self.columns, 0.5 - self.columns / 2, 0.5 + row - self.rows / 2, self.ground.packed]
+                inputs += [self.blocks, self.eye, shared(x, wp.int64), shared(y, wp.int64)]
+                self._launch(measure_screen.pixel_points, here, inputs, cost=50.0)
+                points[row * self.columns :][:here] = np.stack([x, y], axis=1)
+                on_progress((row + rows) / self.rows)
+            self._pixels = points
+        return self._pixels
+
+    def visible_points(self) -> np.ndarray:
+        """int64 [n, 2]: those of the pixels that see the surface."""
+        points = self.pixel_points()
+        return points[points[:, 0] >= 0]
+
+    def covered(self) -> np.ndarray:
+        """bool [rows, columns]: whether a pixel sees the surface."""
+        return (self.pixel_points()[:, 0] >= 0).reshape(self.rows, self.columns)
+
+    def states(self, on_progress: Progress = ignore) -> np.ndarray:
+        """uint8 [height * width]: whether each sample is outside the frame, visible or hidden."""
+        if self._state is None:
+            height, width = self.ground.field.samples.shape
+            state = np.zeros(height * width, np.uint8)
+            for row, rows in _row_blocks(height, width):
+                inputs = [row, self.ground.packed, self.blocks, self.eye, shared(state, wp.uint8)]
+                self._launch(measure_screen.visibility, rows, inputs, cost=20.0 * width)
+                on_progress((row + rows) / height)
+            self._state = state
+        return self._state
+
+    def errors(self, before: np.ndarray, after: np.ndarray, there: tuple[np.ndarray, np.ndarray]) -> tuple:
+        """Errors, twice, in pixels between two heights of visible points and of hidden ones.
+
+        before, after: float32 [height, width], metres above the reference at every sample. there: float64 [n] twice,
+        the same at the visible points.
+        """
+        seen, unseen, states = [self.point_errors(*there)], [], self.states()
+        height, width = before.shape
+        flat = [shared(states, wp.uint8), *(shared(a.reshape(-1), wp.float32) for a in (before, after))]
+        for row, rows in _row_blocks(height, width):
+            pixels, state = np.zeros(rows * width, np.float32), states[row * width :][: rows * width]
+            inputs = [row, self.ground.packed, self.eye, *flat, shared(pixels, wp.float32)]
+            self._launch(measure_screen.sample_errors, rows, inputs, cost=2.0 * width)
+            seen.append(pixels[state == int(measure_screen.VISIBLE)])
+            unseen.append(pixels[state == int(measure_screen.HIDDEN)])
+        return errors_of(np.concatenate(seen)), errors_of(np.concatenate(unseen))
+
+    def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """float32 [n]: pixels between two heights (float64 [n], metres above the reference) of the visible points."""
+        points = self.visible_points()
+        pixels = np.zeros(len(points), np.float32)
+        inputs = [self.ground.packed, self.eye]
+        inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]
+        inputs += [shared(a, wp.float64) for a in (before, after)] + [shared(pixels, wp.float32)]
+        self._launch(measure_screen.point_errors, len(points), inputs, cost=4.0)
+        return pixels
+
+    def _launch(self, kernel, count: int, inputs: list, cost: float) -> None:
+        launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
+
+
+def _row_blocks(rows: int, columns: int):
+    """First row and number of rows of blocks of at most BLOCK items."""
+    at_once = max(1, BLOCK // columns)
+    return ((row, min(at_once, rows - row)) for row in range(0, rows, at_once))

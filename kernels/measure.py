@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far a mesh is from the reference surface: its triangles are walked, sample by sample and edge by edge.
+
+Places are measured in raster cells from the south-west corner. What lies in which triangle is decided in integers:
+2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
+triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64.
+"""
+
+import warp as wp
+
+from .unchecked import height_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Ground:
+    """The reference surface: bilinear between the samples, z = sample * scale + offset, metres."""
+
+    columns: wp.int32  # samples in a row
+    rows: wp.int32
+    bits: wp.int32  # 2**bits lattice units a cell
+    west: wp.float64  # metres
+    south: wp.float64
+    step_x: wp.float64
+    step_y: wp.float64
+    scale: wp.float64
+    offset: wp.float64
+    samples: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class Mesh:
+    """A delivered surface."""
+
+    positions: wp.array(dtype=wp.vec3f)
+    normals: wp.array(dtype=wp.vec3f)
+    corners: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Facet:
+    """A triangle: its corners in lattice units and its plane, in metres over cells."""
+
+    x: wp.types.vector(length=3, dtype=wp.int64)
+    y: wp.types.vector(length=3, dtype=wp.int64)
+    west: wp.int64  # the box of its corners
+    south: wp.int64
+    east: wp.int64
+    north: wp.int64
+    area2: wp.int64  # twice the area, square lattice units; 0 where it covers nothing
+    u: wp.float64  # a point of the plane
+    v: wp.float64
+    z: wp.float64
+    slope_u: wp.float64  # metres a cell
+    slope_v: wp.float64
+
+
+@wp.func
+def place_of(ground: Ground, position: wp.vec3f):
+    """Cells east and north of the south-west corner, as delivered."""
+    u = (wp.float64(position[0]) - ground.west) / ground.step_x
+    v = (wp.float64(position[1]) - ground.south) / ground.step_y
+    return u, v
+
+
+@wp.func
+def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
+    """The nearest lattice coordinate."""
+    return wp.int64(wp.floor(cells * wp.float64(wp.int64(1) << wp.int64(bits)) + wp.float64(0.5)))
+
+
+@wp.func
+def facet_of(ground: Ground, mesh: Mesh, t: wp.int32) -> Facet:
+    """Triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
+    f = Facet()
+    a = mesh.positions[mesh.corners[3 * t]]
+    b = mesh.positions[mesh.corners[3 * t + 1]]
+    c = mesh.positions[mesh.corners[3 * t + 2]]
+    au, av = place_of(ground, a)
+    bu, bv = place_of(ground, b)
+    cu, cv = place_of(ground, c)
+    for k in range(3):
+        u = au
+        v = av
+        if k == 1:
+            u = bu
+            v = bv
+        if k == 2:
+            u = cu
+            v = cv
+        f.x[k] = to_lattice(u, ground.bits)
+        f.y[k] = to_lattice(v, ground.bits)
+    f.west = wp.min(f.x[0], wp.min(f.x[1], f.x[2]))
+    f.south = wp.min(f.y[0], wp.min(f.y[1], f.y[2]))
+    f.east = wp.max(f.x[0], wp.max(f.x[1], f.x[2]))
+    f.north = wp.max(f.y[0], wp.max(f.y[1], f.y[2]))
+    f.area2 = (f.x[1] - f.x[0]) * (f.y[2] - f.y[0]) - (f.x[2] - f.x[0]) * (f.y[1] - f.y[0])
+    units = wp.float64(wp.int64(1) << wp.int64(ground.bits))
+    area2 = (bu - au) * (cv - av) - (cu - au) * (bv - av)
+    if area2 * units * units < wp.float64(0.25) * wp.float64(f.area2):
+        au = wp.float64(f.x[0]) / units
+        av = wp.float64(f.y[0]) / units
+        bu = wp.float64(f.x[1]) / units
+        bv = wp.float64(f.y[1]) / units
+        cu = wp.float64(f.x[2]) / units
+        cv = wp.float64(f.y[2]) / units
+        area2 = wp.float64(f.area2) / (units * units)
+    f.u = au
+    f.v = av
+    f.z = wp.float64(a[2])
+    if f.area2 > wp.int64(0):
+        bz = wp.float64(b[2]) - f.z
+        cz = wp.float64(c[2]) - f.z
+        f.slope_u = (bz * (cv - av) - cz * (bv - av)) / area2
+        f.slope_v = (cz * (bu - au) - bz * (cu - au)) / area2
+    return f
+
+
+@wp.func
+def plane_at(f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Height of the triangle's plane, metres."""
+    return f.z + f.slope_u * (u - f.u) + f.slope_v * (v - f.v)
+
+
+@wp.func
+def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Height of the reference surface in cell (i, j), metres."""
+    at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
+    south_west = wp.float64(height_at(ground.samples, at))
+    south_east = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    at += wp.int64(ground.columns)
+    north_west = wp.float64(height_at(ground.samples, at))
+    north_east = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    s = u - wp.float64(i)
+    t = v - wp.float64(j)
+    low = south_west + (south_east - south_west) * s
+    high = north_west + (north_east - north_west) * s
+    return (low + (high - low) * t) * ground.scale + ground.offset
+
+
+@wp.func
+def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Height of the reference surface, metres."""
+    i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.columns - 2)
+    j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.rows - 2)
+    return in_cell(ground, i, j, u, v)
+
+
+@wp.func
+def sample_at(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
+    """Height of the reference surface at a sample, metres."""
+    h = height_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i))
+    return wp.float64(h) * ground.scale + ground.offset
+
+
+@wp.func
+def toward_zero(value: wp.float64) -> wp.float32:
+    """The float32 next to a float64 that is not larger in magnitude: what is measured is never overstated."""
+    single = wp.float32(value)
+    if wp.abs(wp.float64(single)) > wp.abs(value):
+        single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)
+    return single
+
+
+@wp.func
+def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
+    """Whether a point is to the left of a directed edge (dx, dy), `side` being their cross product.
+
+    A point on the line is taken a hair away from it: east or west by `shift_x`, and far less north or south by
+    `shift_y`. So every point belongs to exactly one triangle.
+    """
+    inside = side > wp.int64(0)
+    if side == wp.int64(0):
+        inside = dy * shift_x < wp.int64(0) or (dy == wp.int64(0) and dx * shift_y > wp.int64(0))
+    return inside
+
+
+@wp.func
+def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
+    """Points are shifted east and north, but those on the far borders of the domain inward."""
+    return wp.where(at >= end, wp.int64(-1), wp.int64(1))
+
+
+@wp.func
+def covers(f: Facet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
+    """Whether the point (x, y), in units `finer` times finer than the lattice's, belongs to the triangle."""
+    inside = f.area2 > wp.int64(0)
+    for k in range(3):
+        if inside:
+            n = (k + 1) % 3
+            dx = f.x[n] - f.x[k]
+            dy = f.y[n] - f.y[k]
+            side = dx * (y - f.y[k] * finer) - dy * (x - f.x[k] * finer)
+            inside = left_of(side, dx, dy, shift_x, shift_y)
+    return inside
+
+
+@wp.func
+def owns(ground: Ground, f: Facet, i: wp.int32, j: wp.int32) -> wp.bool:
+    """Whether sample (i, j) belongs to the triangle."""
+    bits = wp.int64(ground.bits)
+    shift_x = shift_of(wp.int64(i), wp.int64(ground.columns - 1))
+    shift_y = shift_of(wp.int64(j), wp.int64(ground.rows - 1))
+    return covers(f, wp.int64(1), wp.int64(i) << bits, wp.int64(j) << bits, shift_x, shift_y)
+
+
+@wp.func
+def sample_box(ground: Ground, f: Facet) -> wp.vec4i:
+    """First and last column, first and last row of the samples in the triangle's box."""
+    bits = wp.int64(ground.bits)
+    ahead = (wp.int64(1) << bits) - wp.int64(1)
+    return wp.vec4i(
+        wp.int32((f.west + ahead) >> bits),
+        wp.int32(f.east >> bits),
+        wp.int32((f.south + ahead) >> bits),
+        wp.int32(f.north >> bits),
+    )
+
+
+@wp.kernel
+def differences(
+    first: wp.int32,
+    end: wp.int32,
+    ground: Ground,
+    mesh: Mesh,
+    difference: wp.array(dtype=wp.float32),
+    worst: wp.array(dtype=wp.float64),
+):
+    """Mesh less reference at every sample of some triangles, metres, and the largest magnitude of each triangle."""
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        box = sample_box(ground, f)
+        most = wp.float64(0.0)
+        for j in range(box[2], box[3] + 1):
+            for i in range(box[0], box[1] + 1):
+                if owns(ground, f, i, j):
+                    d = plane_at(f, wp.float64(i), wp.float64(j)) - sample_at(ground, i, j)
+                    difference[j * ground.columns + i] = toward_zero(d)
+                    most = wp.max(most, wp.abs(d))
+        worst[t] = most

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The edges of a mesh, cell by cell: with the samples they hold every extremum of mesh less reference.
+
+Over one cell the reference is a saddle, so against a plane it has extrema only on the border of what a triangle covers
+of the cell. Along cell borders both are straight; along a triangle's edge the difference is a parabola in each cell.
+"""
+
+import warp as wp
+
+from .measure import Facet, Ground, Mesh, facet_of, plane_at, reference_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Stretch:
+    """Part of a triangle's edge inside one cell, where mesh less reference is a parabola; it begins at `from_`."""
+
+    from_: wp.float64  # along the edge, 0 .. 1
+    to: wp.float64
+    line_x: wp.int64  # the next grid lines that the edge meets
+    line_y: wp.int64
+
+
+@wp.func
+def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
+    """Number of the first grid line beyond a lattice coordinate."""
+    line = (at >> bits) + wp.int64(1)
+    if step < wp.int64(0):
+        line = -((-at) >> bits) - wp.int64(1)
+    return line
+
+
+@wp.func
+def begin(ground: Ground, f: Facet, k: wp.int32) -> Stretch:
+    """Before the first stretch of the edge from corner k to the next."""
+    n = (k + 1) % 3
+    s = Stretch()
+    s.line_x = next_line(f.x[k], f.x[n] - f.x[k], wp.int64(ground.bits))
+    s.line_y = next_line(f.y[k], f.y[n] - f.y[k], wp.int64(ground.bits))
+    return s
+
+
+@wp.func
+def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.float64:
+    """Where along the edge a grid line is met."""
+    along = wp.float64(2.0)
+    if step != wp.int64(0):
+        along = wp.float64((line << bits) - at) / wp.float64(step)
+    return along
+
+
+@wp.func
+def advance(ground: Ground, f: Facet, k: wp.int32, s: Stretch) -> Stretch:
+    """The next stretch of edge k."""
+    n = (k + 1) % 3
+    dx = f.x[n] - f.x[k]
+    dy = f.y[n] - f.y[k]
+    at_x = meets(f.x[k], dx, s.line_x, wp.int64(ground.bits))
+    at_y = meets(f.y[k], dy, s.line_y, wp.int64(ground.bits))
+    s.from_ = s.to
+    s.to = wp.min(wp.float64(1.0), wp.min(at_x, at_y))
+    if at_x <= s.to:
+        s.line_x += wp.where(dx < wp.int64(0), wp.int64(-1), wp.int64(1))
+    if at_y <= s.to:
+        s.line_y += wp.where(dy < wp.int64(0), wp.int64(-1), wp.int64(1))
+    return s
+
+
+@wp.func
+def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
+    """Cells east and north of the point `along` (0 .. 1) edge k."""
+    n = (k + 1) % 3
+    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
+    u = (wp.float64(f.x[k]) + along * wp.float64(f.x[n] - f.x[k])) * per_unit
+    v = (wp.float64(f.y[k]) + along * wp.float64(f.y[n] - f.y[k])) * per_unit
+    return u, v
+
+
+@wp.func
+def difference_at(ground: Ground, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Mesh less reference, metres."""
+    return plane_at(f, u, v) - reference_at(ground, u, v)
+
+
+@wp.func
+def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
+    """Where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns; 1/2 where it does not."""
+    bend = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
+    slope = e2 - e0 - bend
+    at = wp.float64(0.5)
+    if slope * bend < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(bend):
+        at = -slope / (wp.float64(2.0) * bend)
+    return at
+
+
+@wp.func
+def rounded_away(ground: Ground, f: Facet, k: wp.int32, position: wp.vec3f) -> wp.float64:
+    """Metres by which float32 has moved a triangle at corner k."""
+    u, v = on_edge(ground, f, k, wp.float64(0.0))
+    z = wp.float64(position[2])
+    by_plane = plane_at(f, u, v) - z
+    by_height = z - reference_at(ground, u, v)
+    bits = wp.cast(wp.abs(position[2]), wp.int32)
+    half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(bits + 1, wp.float32)) - wp.abs(z))
+    moved = wp.abs(by_plane + by_height)
+    if wp.abs(by_height) > half_ulp * wp.float64(1.001):
+        moved = wp.abs(by_plane) + half_ulp
+    return moved
+
+
+@wp.kernel
+def edge_extremes(
+    first: wp.int32,
+    end: wp.int32,
+    ground: Ground,
+    mesh: Mesh,
+    worst: wp.array(dtype=wp.float64),
+    rounding: wp.array(dtype=wp.float64),
+):
+    """Raises `worst` to the largest difference along the edges of some triangles; what float32 has moved them by."""
+    half = wp.float64(0.5)
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        most = worst[t]
+        moved = wp.float64(0.0)
+        if f.area2 > wp.int64(0):
+            for k in range(3):
+                moved = wp.max(moved, rounded_away(ground, f, k, mesh.positions[mesh.corners[3 * t + k]]))
+                s = begin(ground, f, k)
+                u, v = on_edge(ground, f, k, wp.float64(0.0))
+                e0 = difference_at(ground, f, u, v)
+                while s.to < wp.float64(1.0):
+                    s = advance(ground, f, k, s)
+                    u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
+                    e1 = difference_at(ground, f, u, v)
+                    u, v = on_edge(ground, f, k, s.to)
+                    e2 = difference_at(ground, f, u, v)
+                    along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
+                    u, v = on_edge(ground, f, k, along)
+                    e1 = difference_at(ground, f, u, v)
+                    most = wp.max(most, wp.max(wp.abs(e1), wp.max(wp.abs(e0), wp.abs(e2))))
+                    e0 = e2
+        worst[t] = most
+        rounding[t] = moved

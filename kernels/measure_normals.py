@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Angles between the normals of a mesh and of the reference surface at every sample."""
+
+import warp as wp
+
+from .displace import on_sample
+from .measure import Facet, Ground, Mesh, facet_of, owns, sample_box
+
+wp.set_module_options({"enable_backward": False})
+
+DEGREES = wp.constant(wp.float64(57.29577951308232))
+
+
+@wp.func
+def angle_deg(a: wp.vec3d, b: wp.vec3d) -> wp.float32:
+    """Degrees between two directions; exact also where they are nearly one."""
+    return wp.float32(wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * DEGREES)
+
+
+@wp.func
+def normal_at(mesh: Mesh, f: Facet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp.vec3d:
+    """The vertex normals of triangle t, interpolated at a lattice point in it; not of unit length."""
+    n = wp.vec3d()
+    for k in range(3):
+        a = (k + 1) % 3
+        b = (k + 2) % 3
+        weight = (f.x[b] - f.x[a]) * (y - f.y[a]) - (f.y[b] - f.y[a]) * (x - f.x[a])
+        vertex = mesh.normals[mesh.corners[3 * t + k]]
+        vertex_d = wp.vec3d(wp.float64(vertex[0]), wp.float64(vertex[1]), wp.float64(vertex[2]))
+        n += vertex_d * (wp.float64(weight) / wp.float64(f.area2))
+    return n
+
+
+@wp.kernel
+def angles(
+    first: wp.int32,
+    end: wp.int32,
+    ground: Ground,
+    mesh: Mesh,
+    facet_deg: wp.array(dtype=wp.float32),
+    shading_deg: wp.array(dtype=wp.float32),
+):
+    """Of some triangles, at every sample: the facet's normal and the interpolated one against the reference's."""
+    per_x = ground.scale / ground.step_x
+    per_y = ground.scale / ground.step_y
+    up = wp.float64(1.0)
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        facet = wp.vec3d(-f.slope_u / ground.step_x, -f.slope_v / ground.step_y, up)
+        box = sample_box(ground, f)
+        for j in range(box[2], box[3] + 1):
+            for i in range(box[0], box[1] + 1):
+                if owns(ground, f, i, j):
+                    g = on_sample(ground.samples, ground.columns, ground.rows, i, j)
+                    truth = wp.vec3d(-g[1] * per_x, -g[2] * per_y, up)
+                    bits = wp.int64(ground.bits)
+                    shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)
+                    at = j * ground.columns + i
+                    facet_deg[at] = angle_deg(facet, truth)
+                    shading_deg[at] = angle_deg(shading, truth)

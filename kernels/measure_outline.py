@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The outlines of reference and mesh in a frame: where a pixel's ray meets them and its neighbour's does not.
+
+Places are in pixels from the frame's middle; a flip is the pair of a pixel and its neighbour to the east or north.
+"""
+
+import warp as wp
+
+from .criterion import PANORAMIC
+from .measure import Ground, Mesh
+from .measure_rays import NOWHERE, Blocks, Ray, first_crossing, within
+from .measure_screen import Eye, ray_through
+
+wp.set_module_options({"enable_backward": False})
+
+HALVINGS = wp.constant(10)  # of a pixel, to find a crossing
+
+
+@wp.struct
+class Boxes:
+    """A mesh for rays: a hierarchy of its triangles' float32 boxes, grown by more than float32 loses on a ray."""
+
+    bvh: wp.uint64
+    low: wp.vec3d  # of the whole mesh, metres
+    high: wp.vec3d
+
+
+@wp.kernel
+def triangle_boxes(
+    offset: wp.int32, mesh: Mesh, pad: wp.float32, low: wp.array(dtype=wp.vec3f), high: wp.array(dtype=wp.vec3f)
+):
+    t = offset + wp.tid()
+    a = mesh.positions[mesh.corners[3 * t]]
+    b = mesh.positions[mesh.corners[3 * t + 1]]
+    c = mesh.positions[mesh.corners[3 * t + 2]]
+    more = wp.vec3f(pad, pad, pad)
+    low[t] = wp.min(a, wp.min(b, c)) - more
+    high[t] = wp.max(a, wp.max(b, c)) + more
+
+
+@wp.func
+def from_point(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
+    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2])) - origin
+
+
+@wp.func
+def through_triangle(mesh: Mesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.float64:
+    """Where (origin + s * along) a line passes through triangle t, infinite where it does not.
+
+    Both triangles at an edge compute the same number for it but for the sign, so no line passes between them (Woop,
+    Benthin and Wald 2013).
+    """
+    a = from_point(mesh.positions[mesh.corners[3 * t]], origin)
+    b = from_point(mesh.positions[mesh.corners[3 * t + 1]], origin)
+    c = from_point(mesh.positions[mesh.corners[3 * t + 2]], origin)
+    zero = wp.float64(0.0)
+    u = wp.dot(wp.cross(b, c), along)
+    v = wp.dot(wp.cross(c, a), along)
+    w = wp.dot(wp.cross(a, b), along)
+    s = NOWHERE
+    if (u >= zero and v >= zero and w >= zero) or (u <= zero and v <= zero and w <= zero):
+        total = u + v + w
+        if total != zero:
+            s = wp.dot((a * u + b * v + c * w) / total, along) / wp.dot(along, along)
+    return s
+
+
+@wp.func
+def meets_mesh(ground: Ground, mesh: Mesh, boxes: Boxes, ray: Ray, start: wp.float64, end: wp.float64) -> wp.bool:
+    """Whether a ray meets the mesh between start and end."""
+    x = ground.west + ray.u * ground.step_x
+    y = ground.south + ray.v * ground.step_y
+    along = wp.vec3d(ray.du * ground.step_x, ray.dv * ground.step_y, ray.dz)
+    first, last = within(start, end, x, along[0], boxes.low[0], boxes.high[0])
+    first, last = within(first, last, y, along[1], boxes.low[1], boxes.high[1])
+    first, last = within(first, last, ray.z, along[2], boxes.low[2], boxes.high[2])
+    met = wp.bool(False)
+    if first <= last:
+        origin = wp.vec3d(x + first * along[0], y + first * along[1], ray.z + first * along[2])
+        unit = wp.normalize(along)
+        query = wp.bvh_query_ray(
+            boxes.bvh,
+            wp.vec3f(wp.float32(origin[0]), wp.float32(origin[1]), wp.float32(origin[2])),
+            wp.vec3f(wp.float32(unit[0]), wp.float32(unit[1]), wp.float32(unit[2])),
+        )
+        t = wp.int32(0)
+        while wp.bvh_query_next(query, t):
+            s = through_triangle(mesh, t, origin, along)
+            if s >= wp.float64(0.0) and s <= last - first:
+                met = True
+                break
+    return met
+
+
+@wp.kernel
+def mesh_cover(
+    offset: wp.int32,
+    columns: wp.int32,
+    west: wp.float64,
+    south: wp.float64,
+    ground: Ground,
+    mesh: Mesh,
+    boxes: Boxes,
+    eye: Eye,
+    cover: wp.array(dtype=wp.bool),
+):
+    """Whether the rays of pixels, `columns` a row from (west, south) on, meet the mesh."""
+    p = offset + wp.tid()
+    row = p / columns
+    ray = ray_through(eye, west + wp.float64(p - row * columns), south + wp.float64(row))
+    cover[p] = meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end)
+
+
+@wp.kernel
+def reference_crossings(
+    offset: wp.int32,
+    ground: Ground,
+    blocks: Blocks,
+    eye: Eye,
+    step_x: wp.float64,
+    step_y: wp.float64,
+    place: wp.array(dtype=wp.vec2d),
+):
+    """Moves `place` from the middle of the first pixel of a flip to where the reference's outline crosses the pair."""
+    p = offset + wp.tid()
+    start = place[p]
+    ray = ray_through(eye, start[0], start[1])
+    covered = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0)) < NOWHERE
+    low = wp.float64(0.0)
+    size = wp.float64(0.5)
+    for _ in range(HALVINGS):
+        at = low + size
+        ray = ray_through(eye, start[0] + at * step_x, start[1] + at * step_y)
+        same = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0)) < NOWHERE
+        if same == covered:
+            low = at
+        size = size * wp.float64(0.5)
+    place[p] = wp.vec2d(start[0] + (low + size) * step_x, start[1] + (low + size) * step_y)
+
+
+@wp.kernel
+def mesh_crossings(
+    offset: wp.int32,
+    ground: Ground,
+    mesh: Mesh,
+    boxes: Boxes,
+    eye: Eye,
+    step_x: wp.float64,
+    step_y: wp.float64,
+    place: wp.array(dtype=wp.vec2d),
+):
+    """The same for the outline of the mesh."""
+    p = offset + wp.tid()
+    start = place[p]
+    ray = ray_through(eye, start[0], start[1])
+    covered = meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end)
+    low = wp.float64(0.0)
+    size = wp.float64(0.5)
+    for _ in range(HALVINGS):
+        at = low + size
+        ray = ray_through(eye, start[0] + at * step_x, start[1] + at * step_y)
+        if meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end) == covered:
+            low = at
+        size = size * wp.float64(0.5)
+    place[p] = wp.vec2d(start[0] + (low + size) * step_x, start[1] + (low + size) * step_y)
+
+
+@wp.func
+def to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, narrow: wp.float64) -> wp.float64:
+    """Distance of a point to a segment, lengths across taken `narrow` times."""
+    px = (p[0] - a[0]) * narrow
+    py = p[1] - a[1]
+    dx = (b[0] - a[0]) * narrow
+    dy = b[1] - a[1]
+    length2 = dx * dx + dy * dy
+    along = wp.float64(0.0)
+    if length2 > wp.float64(0.0):
+        along = wp.clamp((px * dx + py * dy) / length2, wp.float64(0.0), wp.float64(1.0))
+    px -= along * dx
+    py -= along * dy
+    return wp.sqrt(px * px + py * py)
+
+
+@wp.kernel
+def nearest(
+    offset: wp.int32,
+    columns: wp.int32,
+    rows: wp.int32,
+    west: wp.float64,
+    south: wp.float64,
+    eye: Eye,
+    first: wp.array(dtype=wp.int32),
+    segment: wp.array(dtype=wp.vec2i),
+    crossing: wp.array(dtype=wp.vec2d),
+    place: wp.array(dtype=wp.vec2d),
+    distance: wp.array(dtype=wp.float64),
+):
+    """Pixels from each place to the nearest segment, or to the border of the area searched if that is nearer.
+
+    Segments join two crossings; those first[n] .. first[n + 1] lie between the middles of pixel n and of the next to
+    the north-east. Rings of pixels are searched from the inside out.
+    """
+    p = offset + wp.tid()
+    one = wp.float64(1.0)
+    x = place[p][0]
+    y = place[p][1]
+    narrow = one
+    if eye.kind == PANORAMIC:
+        narrow = wp.abs(wp.cos(y / eye.pixels_per_radian))
+    i = wp.int32(wp.floor(x - west))
+    j = wp.int32(wp.floor(y - south))
+    border = wp.min(x - west, west + wp.float64(columns - 1) - x) * narrow
+    best = wp.min(border, wp.min(y - south, south + wp.float64(rows - 1) - y))
+    ring = wp.int32(0)
+    while best > (wp.float64(ring) - one) * narrow and ring <= columns + rows:
+        for b in range(wp.max(j - ring, 0), wp.min(j + ring, rows - 1) + 1):
+            step = wp.where(b == j - ring or b == j + ring, 1, wp.max(2 * ring, 1))
+            for a in range(i - ring, i + ring + 1, step):
+                if a >= 0 and a < columns:
+                    n = b * columns + a
+                    for k in range(first[n], first[n + 1]):
+                        ends = segment[k]
+                        best = wp.min(best, to_segment(place[p], crossing[ends[0]], crossing[ends[1]], narrow))
+        ring += 1
+    distance[p] = best

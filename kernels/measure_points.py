@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which triangle of a mesh covers each of many points, and how far it is from the reference surface there.
+
+Points are given on a grid 2^7 times finer than the lattice, sorted along the Morton curve: what lies in a square whose
+side is a power of two is one run of them, so a triangle of whatever size finds its points by one search in each of the
+at most four squares of its own size that hold it (Morton 1966; Samet 1990, linear quadtrees).
+"""
+
+import warp as wp
+
+from .measure import Facet, Ground, Mesh, covers, facet_of, plane_at, reference_at, shift_of
+
+wp.set_module_options({"enable_backward": False})
+
+POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: cross products fit 63 bits
+
+
+@wp.struct
+class Points:
+    """Points in units of 2^-(bits + 7) cells, and what is found for them."""
+
+    count: wp.int32
+    x: wp.array(dtype=wp.int64)
+    y: wp.array(dtype=wp.int64)
+    key: wp.array(dtype=wp.int64)  # sorted
+    order: wp.array(dtype=wp.int64)  # the point of each key
+    difference: wp.array(dtype=wp.float64)  # mesh less reference, metres
+    owner: wp.array(dtype=wp.int32)  # the triangle
+
+
+@wp.func
+def spaced(value: wp.int64) -> wp.int64:
+    """The lowest 31 bits with a zero between each two."""
+    b = value
+    b = (b | (b << wp.int64(16))) & wp.int64(0x0000FFFF0000FFFF)
+    b = (b | (b << wp.int64(8))) & wp.int64(0x00FF00FF00FF00FF)
+    b = (b | (b << wp.int64(4))) & wp.int64(0x0F0F0F0F0F0F0F0F)
+    b = (b | (b << wp.int64(2))) & wp.int64(0x3333333333333333)
+    return (b | (b << wp.int64(1))) & wp.int64(0x5555555555555555)
+
+
+@wp.func
+def morton(x: wp.int64, y: wp.int64) -> wp.int64:
+    return spaced(x) | (spaced(y) << wp.int64(1))
+
+
+@wp.kernel
+def sort_keys(
+    offset: wp.int32,
+    end_x: wp.int64,
+    end_y: wp.int64,
+    x: wp.array(dtype=wp.int64),
+    y: wp.array(dtype=wp.int64),
+    key: wp.array(dtype=wp.int64),
+):
+    """Place of a point along the curve; points on the far borders count to the squares inside."""
+    p = offset + wp.tid()
+    key[p] = morton(wp.min(x[p], end_x - wp.int64(1)), wp.min(y[p], end_y - wp.int64(1)))
+
+
+@wp.func
+def first_from(points: Points, key: wp.int64) -> wp.int32:
+    """The first point whose key is not below `key`."""
+    low = wp.int32(0)
+    high = points.count
+    while low < high:
+        middle = low + (high - low) / 2
+        if points.key[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def visit(ground: Ground, f: Facet, t: wp.int32, points: Points, corner: wp.int64, side_bits: wp.int64):
+    """Every point of one square that the triangle covers."""
+    bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
+    finer = wp.int64(1) << wp.int64(POINT_BITS)
+    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
+    end_x = wp.int64(ground.columns - 1) << bits
+    end_y = wp.int64(ground.rows - 1) << bits
+    end = corner + (wp.int64(1) << (side_bits + side_bits))
+    at = first_from(points, corner)
+    while at < points.count:
+        if points.key[at] >= end:
+            break
+        p = points.order[at]
+        x = points.x[p]
+        y = points.y[p]
+        if covers(f, finer, x, y, shift_of(x, end_x), shift_of(y, end_y)):
+            u = wp.float64(x) * per_unit
+            v = wp.float64(y) * per_unit
+            points.owner[p] = t
+            points.difference[p] = plane_at(f, u, v) - reference_at(ground, u, v)
+        at += 1
+
+
+@wp.kernel
+def locate(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, points: Points):
+    """Differences at all points that some triangles cover."""
+    one = wp.int64(1)
+    finer = wp.int64(POINT_BITS)
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        if f.area2 > wp.int64(0):
+            extent = wp.max(f.east - f.west, f.north - f.south) << finer
+            side_bits = wp.int64(0)
+            while (one << side_bits) < extent:
+                side_bits += one
+            x = (f.west << finer) >> side_bits
+            y0 = (f.south << finer) >> side_bits
+            last_x = ((f.east << finer) - one) >> side_bits
+            last_y = ((f.north << finer) - one) >> side_bits
+            while x <= last_x:
+                y = y0
+                while y <= last_y:
+                    visit(ground, f, t, points, morton(x << side_bits, y << side_bits), side_bits)
+                    y += one
+                x += one

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays against the reference surface, exactly: cell by cell, and past whole blocks of cells that lie above or below.
+
+Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest sample; a ray climbs
+to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps;
+here with minima, as a ray may also run below). In one cell, ray less surface is a parabola along the ray. Cells are
+left by their number, never by a rounded coordinate, and a change of sides between two cells is a crossing, so that no
+ray slips through. All arithmetic is float64.
+"""
+
+import warp as wp
+
+from .measure import Ground
+from .unchecked import height_at
+
+wp.set_module_options({"enable_backward": False})
+
+CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
+NOWHERE = wp.constant(wp.float64(wp.inf))
+
+
+@wp.struct
+class Blocks:
+    """The lowest and highest samples of blocks: level k (1 .. levels) is row-major from base[k] on, width[k] a row."""
+
+    levels: wp.int32
+    low_z: wp.float64  # of the whole surface, metres
+    high_z: wp.float64
+    tolerance: wp.float64  # metres: a surface that is less than this beyond a ray does not hide
+    base: wp.array(dtype=wp.int32)
+    width: wp.array(dtype=wp.int32)
+    low: wp.array(dtype=wp.float32)
+    high: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class Ray:
+    """Points (u, v, z) + t * (du, dv, dz): cells and metres."""
+
+    u: wp.float64
+    v: wp.float64
+    z: wp.float64
+    du: wp.float64
+    dv: wp.float64
+    dz: wp.float64
+
+
+@wp.func
+def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
+    """The part of a range of t in which at + t * step lies between low and high; empty where first > last."""
+    if step == wp.float64(0.0):
+        if at < low or at > high:
+            first = NOWHERE
+    else:
+        a = (low - at) / step
+        b = (high - at) / step
+        first = wp.max(first, wp.min(a, b))
+        last = wp.min(last, wp.max(a, b))
+    return first, last
+
+
+@wp.func
+def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
+    """1 above the surface, -1 below, 0 on it."""
+    side = wp.float64(0.0)
+    if e > tolerance:
+        side = wp.float64(1.0)
+    if e < -tolerance:
+        side = wp.float64(-1.0)
+    return side
+
+
+@wp.func
+def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
+    """Smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t."""
+    root = wp.sqrt(wp.max(b * b - wp.float64(4.0) * a * c, wp.float64(0.0)))
+    t = wp.float64(0.0)
+    if b < wp.float64(0.0):
+        t = wp.float64(2.0) * c / (root - b)
+    elif a < wp.float64(0.0):
+        t = (b + root) / (wp.float64(-2.0) * a)
+    return t
+
+
+@wp.func
+def in_one_cell(
+    ground: Ground,
+    ray: Ray,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
+    tolerance: wp.float64,
+):
+    """Where (t) between first and last the ray is more than `tolerance` beyond the surface; and its side at the end.
+
+    `side` is where the ray has come from, 0 where it has been on the surface so far.
+    """
+    zero = wp.float64(0.0)
+    at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
+    h00 = wp.float64(height_at(ground.samples, at))
+    h10 = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    at += wp.int64(ground.columns)
+    h01 = wp.float64(height_at(ground.samples, at))
+    h11 = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    s = ray.u + first * ray.du - wp.float64(i)
+    r = ray.v + first * ray.dv - wp.float64(j)
+    low = h00 + (h10 - h00) * s
+    high = h01 + (h11 - h01) * s
+    per_s = (h10 - h00) * ground.scale
+    per_r = (h01 - h00) * ground.scale
+    twist = (h11 - h10 - h01 + h00) * ground.scale
+    a = -twist * ray.du * ray.dv
+    b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
+    c = ray.z + first * ray.dz - ((low + (high - low) * r) * ground.scale + ground.offset)
+    length = last - first
+    turn = length
+    if a != zero and a * b < zero:
+        turn = wp.min(-b / (wp.float64(2.0) * a), length)
+    e_turn = (a * turn + b) * turn + c
+    e_last = (a * length + b) * length + c
+    if side == zero:
+        side = side_of(c, tolerance)
+    if side == zero:
+        side = side_of(e_turn, tolerance)
+    if side == zero:
+        side = side_of(e_last, tolerance)
+    hit = NOWHERE
+    if side != zero:
+        above = side * c + tolerance
+        if above < zero:
+            hit = first
+        elif side * e_turn + tolerance < zero or side * e_last + tolerance < zero:
+            hit = first + wp.min(first_root(side * a, side * b, above), length)
+    return hit, side
+
+
+@wp.func
+def first_crossing(
+    ground: Ground,
+    blocks: Blocks,
+    ray: Ray,
+    start: wp.float64,
+    end: wp.float64,
+    start_level: wp.int32,
+    tolerance: wp.float64,
+) -> wp.float64:
+    """The first t in start .. end where the ray passes through the surface, infinite where it does not.
+
+    With a tolerance: where it is that many metres beyond. `start_level`: of the first block that is tried.
+    """
+    zero = wp.float64(0.0)
+    cells_x = ground.columns - 1
+    cells_y = ground.rows - 1
+    first, last = within(start, end, ray.u, ray.du, zero, wp.float64(cells_x))
+    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(cells_y))
+    # a ray begins far enough from the surface to know its side, also where that is flat
+    spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
+    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
+    hit = NOWHERE
+    if first > last:
+        return hit
+    side = zero
+    level = wp.min(start_level, blocks.levels)
+    t = first
+    i = wp.clamp(wp.int32(wp.floor(ray.u + t * ray.du)), 0, cells_x - 1)
+    j = wp.clamp(wp.int32(wp.floor(ray.v + t * ray.dv)), 0, cells_y - 1)
+    while True:
+        bits = wp.where(level == 0, 0, level + CELL_BITS)
+        x0 = (i >> bits) << bits
+        y0 = (j >> bits) << bits
+        x1 = wp.min(x0 + (1 << bits), cells_x)
+        y1 = wp.min(y0 + (1 << bits), cells_y)
+        to_x = NOWHERE
+        to_y = NOWHERE
+        if ray.du != zero:
+            to_x = (wp.float64(wp.where(ray.du > zero, x1, x0)) - ray.u) / ray.du
+        if ray.dv != zero:
+            to_y = (wp.float64(wp.where(ray.dv > zero, y1, y0)) - ray.v) / ray.dv
+        out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
+        clear = True
+        if level == 0:
+            hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
+        else:
+            n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
+            a = wp.float64(blocks.low[n]) * ground.scale + ground.offset
+            b = wp.float64(blocks.high[n]) * ground.scale + ground.offset
+            z0 = ray.z + t * ray.dz
+            z1 = ray.z + out * ray.dz
+            above = wp.min(z0, z1) - wp.max(a, b)
+            below = wp.min(a, b) - wp.max(z0, z1)
+            clear = above > tolerance or below > tolerance
+            if clear:
+                on_side = wp.where(above > tolerance, wp.float64(1.0), wp.float64(-1.0))
+                if side * on_side < zero:
+                    hit = t
+                side = on_side
+        if hit < NOWHERE:
+            break
+        if clear:
+            if out >= last:
+                break
+            line = 0
+            if to_x <= to_y:
+                line = wp.where(ray.du > zero, x1, x0)
+                i = wp.where(ray.du > zero, x1, x0 - 1)
+                j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y0, y1 - 1)
+            else:
+                line = wp.where(ray.dv > zero, y1, y0)
+                j = wp.where(ray.dv > zero, y1, y0 - 1)
+                i = wp.clamp(wp.int32(wp.floor(ray.u + out * ray.du)), x0, x1 - 1)
+            t = out
+            if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
+                break
+            if level < blocks.levels and (line & ((1 << (level + 1 + CELL_BITS)) - 1)) == 0:
+                level += 1
+        else:
+            level -= 1
+    return hit

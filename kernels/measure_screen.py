@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a view sees of the reference surface, and how far from their places it sees the points of a mesh.
+
+A point has two heights besides the reference's, from and to, above the same (x, y): reference and mesh, or a mesh
+before and after. Its error is the distance of their projections.
+"""
+
+import warp as wp
+
+from .criterion import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
+from .measure import Facet, Ground, Mesh, facet_of, owns, plane_at, reference_at, sample_at, sample_box, toward_zero
+from .measure_edges import advance, begin, difference_at, on_edge, turning_point
+from .measure_points import POINT_BITS
+from .measure_rays import NOWHERE, Blocks, Ray, first_crossing
+
+wp.set_module_options({"enable_backward": False})
+
+OUTSIDE = wp.constant(wp.uint8(0))
+VISIBLE = wp.constant(wp.uint8(1))
+HIDDEN = wp.constant(wp.uint8(2))
+
+
+@wp.struct
+class Eye:
+    """A view from the terrain's own space in cells and metres, (u, v, z)."""
+
+    kind: wp.int32
+    right: wp.vec4d  # camera space = rows . (u, v, z, 1), metres
+    up: wp.vec4d
+    back: wp.vec4d
+    to_x: wp.vec4d  # rows of the projection: across, up and w, of camera space
+    to_y: wp.vec4d
+    to_w: wp.vec4d
+    half_width: wp.float64  # pixels
+    half_height: wp.float64
+    start: wp.float64  # of the clip range: depth, or distance of a panorama
+    end: wp.float64
+    near: wp.float64  # nearer than this depth nothing is promised
+    pixels_per_radian: wp.float64  # of a panorama
+    eye: wp.vec3d  # of a view that is not orthographic
+    toward: wp.vec3d  # of an orthographic view: a metre of depth less
+    # A pixel's ray: origin + x * across + y * along, and the same for directions; x, y are -1 .. 1 in the frame.
+    origin: wp.mat33d
+    direction: wp.mat33d
+    axes: wp.mat33d  # of a panorama: columns are camera space's axes
+
+
+@wp.func
+def to_camera(eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64) -> wp.vec3d:
+    p = wp.vec4d(u, v, z, wp.float64(1.0))
+    return wp.vec3d(wp.dot(eye.right, p), wp.dot(eye.up, p), wp.dot(eye.back, p))
+
+
+@wp.func
+def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
+    """Normalised device coordinates: -1 .. 1 in the frame. Not of a panorama."""
+    p = wp.vec4d(camera[0], camera[1], camera[2], wp.float64(1.0))
+    w = wp.dot(eye.to_w, p)
+    return wp.vec2d(wp.dot(eye.to_x, p) / w, wp.dot(eye.to_y, p) / w)
+
+
+@wp.func
+def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
+    """Whether a point of camera space is inside the clip range and the frame."""
+    one = wp.float64(1.0)
+    depth = -camera[2]
+    if eye.kind == PANORAMIC:
+        depth = wp.length(camera)
+    seen = depth > eye.start and depth < eye.end
+    if seen and eye.kind != PANORAMIC:
+        p = to_frame(eye, camera)
+        seen = wp.abs(p[0]) <= one and wp.abs(p[1]) <= one
+    return seen
+
+
+@wp.func
+def kept_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
+    """`point`, or where the way to it from `truth` comes to the depth below which nothing is promised."""
+    kept = point
+    if eye.kind == PERSPECTIVE and -point[2] < eye.near and -truth[2] > eye.near:
+        kept = truth + (point - truth) * ((-truth[2] - eye.near) / (point[2] - truth[2]))
+    return kept
+
+
+@wp.func
+def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
+    """Pixels between the projections of two points of camera space, `truth` being the reference point in the frame."""
+    pixels = wp.float64(0.0)
+    if eye.kind == PANORAMIC:
+        pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
+    else:
+        p = to_frame(eye, kept_ahead(eye, truth, a))
+        q = to_frame(eye, kept_ahead(eye, truth, b))
+        x = (p[0] - q[0]) * eye.half_width
+        y = (p[1] - q[1]) * eye.half_height
+        pixels = wp.sqrt(x * x + y * y)
+    return pixels
+
+
+@wp.func
+def hidden(ground: Ground, blocks: Blocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d):
+    """Whether the surface lies between the eye and one of its points; what the clip start cuts away does not hide."""
+    ray = Ray()
+    ray.u = u
+    ray.v = v
+    ray.z = z
+    end = wp.float64(1.0)
+    if eye.kind == ORTHOGRAPHIC:
+        ray.du = eye.toward[0]
+        ray.dv = eye.toward[1]
+        ray.dz = eye.toward[2]
+        end = -camera[2] - eye.start
+    else:
+        ray.du = eye.eye[0] - u
+        ray.dv = eye.eye[1] - v
+        ray.dz = eye.eye[2] - z
+        depth = -camera[2]
+        if eye.kind == PANORAMIC:
+            depth = wp.length(camera)
+        end = wp.float64(1.0) - eye.start / depth
+    return first_crossing(ground, blocks, ray, wp.float64(0.0), end, 0, blocks.tolerance) < NOWHERE
+
+
+@wp.kernel
+def visibility(
+    offset: wp.int32, first_row: wp.int32, ground: Ground, blocks: Blocks, eye: Eye, state: wp.array(dtype=wp.uint8)
+):
+    """A row of samples, from `first_row` on: OUTSIDE the frame, VISIBLE or HIDDEN."""
+    j = first_row + offset + wp.tid()
+    for i in range(ground.columns):
+        u = wp.float64(i)
+        v = wp.float64(j)
+        z = sample_at(ground, i, j)
+        camera = to_camera(eye, u, v, z)
+        seen = OUTSIDE
+        if in_frame(eye, camera):
+            seen = wp.where(hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
+        state[j * ground.columns + i] = seen
+
+
+@wp.kernel
+def sample_errors(
+    offset: wp.int32,
+    first_row: wp.int32,
+    ground: Ground,
+    eye: Eye,
+    state: wp.array(dtype=wp.uint8),
+    before: wp.array(dtype=wp.float32),
+    after: wp.array(dtype=wp.float32),
+    pixels: wp.array(dtype=wp.float32),
+):
+    """Pixels between the points `before` and `after` (metres above the reference) of a row of samples in the frame.
+
+    Rows of `pixels` count from `first_row`.
+    """
+    row = offset + wp.tid()
+    j = first_row + row
+    for i in range(ground.columns):
+        at = j * ground.columns + i
+        if state[at] != OUTSIDE:
+            u = wp.float64(i)
+            v = wp.float64(j)
+            z = sample_at(ground, i, j)
+            a = to_camera(eye, u, v, z + wp.float64(before[at]))
+            b = to_camera(eye, u, v, z + wp.float64(after[at]))
+            pixels[row * ground.columns + i] = toward_zero(apart_px(eye, to_camera(eye, u, v, z), a, b))
+
+
+@wp.kernel
+def point_errors(
+    offset: wp.int32,
+    ground: Ground,
+    eye: Eye,
+    x: wp.array(dtype=wp.int64),
+    y: wp.array(dtype=wp.int64),
+    before: wp.array(dtype=wp.float64),
+    after: wp.array(dtype=wp.float64),
+    pixels: wp.array(dtype=wp.float32),
+):
+    """The same for visible points between the samples, in units of 2^-(bits + 7) cells."""
+    p = offset + wp.tid()
+    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
+    u = wp.float64(x[p]) * per_unit
+    v = wp.float64(y[p]) * per_unit
+    z = reference_at(ground, u, v)
+    truth = to_camera(eye, u, v, z)
+    a = to_camera(eye, u, v, z + before[p])
+    b = to_camera(eye, u, v, z + after[p])
+    pixels[p] = toward_zero(apart_px(eye, truth, a, b))
+
+
+@wp.func
+def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> Ray:
+    """The ray through a place of the frame in pixels from its middle; t is depth, of a panorama distance.
+
+    A panorama's frame is taken to be equirectangular.
+    """
+    o = eye.origin * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
+    d = eye.direction * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
+    if eye.kind == PANORAMIC:
+        longitude = x / eye.pixels_per_radian
+        latitude = y / eye.pixels_per_radian
+        level = wp.cos(latitude)
+        d = eye.axes * wp.vec3d(wp.sin(longitude) * level, wp.sin(latitude), -wp.cos(longitude) * level)
+    ray = Ray()
+    ray.u = o[0]
+    ray.v = o[1]
+    ray.z = o[2]
+    ray.du = d[0]
+    ray.dv = d[1]
+    ray.dz = d[2]
+    return ray
+
+
+@wp.kernel
+def pixel_points(
+    offset: wp.int32,
+    columns: wp.int32,
+    west: wp.float64,
+    south: wp.float64,
+    ground: Ground,
+    blocks: Blocks,
+    eye: Eye,
+    x: wp.array(dtype=wp.int64),
+    y: wp.array(dtype=wp.int64),
+):
+    """The point of the reference surface that is seen in each pixel, `columns` a row from (west, south) on; -1: none.
+
+    Points are in units of 2^-(bits + 7) cells.
+    """
+    p = offset + wp.tid()
+    row = p / columns
+    ray = ray_through(eye, west + wp.float64(p - row * columns), south + wp.float64(row))
+    t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0))
+    x[p] = wp.int64(-1)
+    if t < NOWHERE:
+        units = wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
+        u = wp.clamp(ray.u + t * ray.du, wp.float64(0.0), wp.float64(ground.columns - 1))
+        v = wp.clamp(ray.v + t * ray.dv, wp.float64(0.0), wp.float64(ground.rows - 1))
+        x[p] = wp.int64(wp.floor(u * units + wp.float64(0.5)))
+        y[p] = wp.int64(wp.floor(v * units + wp.float64(0.5)))
+
+
+@wp.func
+def seen_px(ground: Ground, eye: Eye, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Pixels between reference and triangle at a point; 0 outside the frame."""
+    z = reference_at(ground, u, v)
+    truth = to_camera(eye, u, v, z)
+    pixels = wp.float64(0.0)
+    if in_frame(eye, truth):
+        pixels = apart_px(eye, truth, truth, to_camera(eye, u, v, plane_at(f, u, v)))
+    return pixels
+
+
+@wp.kernel
+def triangle_px(
+    first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, eye: Eye, worst: wp.array(dtype=wp.float64)
+):
+    """Raises `worst` of some triangles to the most pixels of error at their samples and along their edges."""
+    half = wp.float64(0.5)
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        most = worst[t]
+        box = sample_box(ground, f)
+        for j in range(box[2], box[3] + 1):
+            for i in range(box[0], box[1] + 1):
+                if owns(ground, f, i, j):
+                    most = wp.max(most, seen_px(ground, eye, f, wp.float64(i), wp.float64(j)))
+        if f.area2 > wp.int64(0):
+            for k in range(3):
+                s = begin(ground, f, k)
+                u, v = on_edge(ground, f, k, wp.float64(0.0))
+                e0 = difference_at(ground, f, u, v)
+                while s.to < wp.float64(1.0):
+                    s = advance(ground, f, k, s)
+                    u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
+                    e1 = difference_at(ground, f, u, v)
+                    u, v = on_edge(ground, f, k, s.to)
+                    e2 = difference_at(ground, f, u, v)
+                    most = wp.max(most, seen_px(ground, eye, f, u, v))
+                    along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
+                    u, v = on_edge(ground, f, k, along)
+                    most = wp.max(most, seen_px(ground, eye, f, u, v))
+                    e0 = e2
+        worst[t] = most

@@ -27,6 +27,9 @@ MEANING = {
     "still_frame": "A frame change in Blender while the camera stands still; no mesh is written.",
     "depth": "refine_1t of the same leaves in trees of depth 20, 24, 28, 32: slowest beside fastest.",
     "depth_reached": "The same, each camera so low that its finest leaves reach that depth: other leaves, as many.",
+    "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
+    "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
+    "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",
     "cold_start": "Python's start to the first mesh of a store, kernels compiled before.",
     "cold_start_no_cache": "The same with an empty kernel cache: everything is compiled.",
     "import": "A 4097² float32 GeoTIFF to a store with its error hierarchy, in the import's own process.",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
 from ..operators.frame_sources import need_bpy
-from . import cycles, engine, files, goals, in_blender, report, scale, scenes, start
+from . import cycles, engine, files, fit_row, goals, in_blender, report, scale, scenes, start
 from .baselines import RoamRebuild, build_roam_rebuild
 from .machine import machine
 from .measure import Row
@@ -96,6 +96,7 @@ def everything(
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:
+        yield partial(fit_row.fit_rows, note)
         yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")
         yield partial(files.import_rows, tiff, folder)

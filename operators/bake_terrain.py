@@ -5,15 +5,17 @@ import bpy
 
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.fit import fit
 from . import session
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .request import gather
 
 
-def bake(obj, depsgraph, error_m: float):
+def bake(obj, depsgraph, error_m: float, fitted: bool = False):
     """A new, ordinary object beside the terrain `obj` whose mesh is nowhere more than `error_m` metres off in height.
 
-    Returns it with the engine's Update. The meshlet level and the triangle limit are those of the render settings.
+    Returns it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
+    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one.
     """
     detail = obj.adaptive_terrain.render
     criterion = Criterion(
@@ -24,7 +26,16 @@ def bake(obj, depsgraph, error_m: float):
     )
     request = gather(obj, depsgraph, criterion=criterion)
     with session.engine_lock:
-        update = session.solve(session.Record(), request)  # an engine of its own: the terrain's stays as it is
+        if fitted:
+            update = fit(
+                session.open_field(request.store),
+                error_m,
+                max_triangles=criterion.max_triangles,
+                vertical_scale=request.vertical_scale,
+                vertical_offset=request.vertical_offset,
+            )
+        else:
+            update = session.solve(session.Record(), request)  # an engine of its own: the terrain's stays as it is
         mesh = bpy.data.meshes.new(f"{obj.name} baked")
         if request.cleanup.active:
             write_mesh_bmesh(mesh, update.surface, request.cleanup, smooth=request.smooth)
@@ -52,8 +63,9 @@ class BakeTerrain(bpy.types.Operator):
 
     def execute(self, context):
         obj = context.object
+        settings = obj.adaptive_terrain
         try:
-            _baked, update = bake(obj, context.evaluated_depsgraph_get(), obj.adaptive_terrain.bake_error_m)
+            _baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -88,6 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
     verb.add_argument("--budget", type=count, metavar="N", help="triangles at most; the error reached is reported")
+    verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
     verb = _verb(verbs, "export", "write the terrain's mesh for each frame", run_export)
     source = verb.add_mutually_exclusive_group(required=True)
@@ -191,7 +192,17 @@ def run_bake(arguments) -> None:
     if form not in FORMATS:
         raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
     check_target(arguments.out)
-    piece = baked_piece(arguments.store, arguments.max_error, arguments.budget, needs_blender([form]))
+    in_blender = needs_blender([form])
+    if arguments.fit:
+        bar = Progress(1.0, "fit", arguments.progress)
+        try:
+            piece = baked_piece(
+                arguments.store, arguments.max_error, arguments.budget, in_blender, fitted=True, on_progress=bar.to
+            )
+        finally:
+            bar.close()
+    else:
+        piece = baked_piece(arguments.store, arguments.max_error, arguments.budget, in_blender)
     write_piece(piece, arguments.out)
     print(summary_line(arguments.out.name, [figures(piece)]))
 

@@ -138,17 +138,30 @@ def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[in
     return Piece(file_name(obj), surface, field.origin, update, info, obj)
 
 
-def baked_piece(store: Path, max_error_m: float, budget: int | None, in_blender: bool) -> Piece:
-    """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field."""
+def baked_piece(
+    store: Path, max_error_m: float, budget: int | None, in_blender: bool, fitted: bool = False, on_progress=None
+) -> Piece:
+    """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field.
+
+    `fitted`: vertices are moved off the surface to save triangles; the info then says so, and the measured maximum.
+    """
+    from ..cbt_terrain.fit import fit
+
     field = open_store(store)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
-    update = Terrain(field).update(criterion)
+    more = {}
+    if fitted:
+        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress or (lambda _fraction: None))
+        more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
+    else:
+        update = Terrain(field).update(criterion)
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
         from .mesh_writer import write_mesh
 
         write_mesh(obj.data, update.surface)
-    return Piece(StoreFrames.name, update.surface, field.origin, update, describe(update, criterion, [], field), obj)
+    info = describe(update, criterion, [], field) | more
+    return Piece(StoreFrames.name, update.surface, field.origin, update, info, obj)
 
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:

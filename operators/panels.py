@@ -237,6 +237,7 @@ class OutputPanel(_TerrainPanel, bpy.types.Panel):
     def draw(self, context):
         column = self._columns()
         column.prop(context.object.adaptive_terrain, "bake_error_m")
+        column.prop(context.object.adaptive_terrain, "bake_fit")
         _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")

@@ -191,6 +191,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Largest vertical error of a baked static mesh, in metres",
         default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
     )  # fmt: skip
+    bake_fit: BoolProperty(
+        name="Fit",
+        description="Move vertices off the surface, within the bake error: fewer triangles, but a slower bake",
+        default=False,
+    )  # fmt: skip
 
 
 CLASSES = (DetailSettings, CleanupSettings, TerrainSettings)

@@ -12,6 +12,7 @@ from adaptive_terrain.benchmarks import (
     baselines,
     engine,
     files,
+    fit_row,
     goals,
     in_blender,
     measure,
@@ -299,3 +300,27 @@ def test_results_go_into_a_pipe_too(tmp_path):
     assert json.loads(os.read(end, 10_000))[0]["name"] == "ingest"
     os.close(end)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_the_fit_stands_beside_interpolation_and_greedy_insertion(rough):
+    class Greedy:
+        """As pydelatin's Delatin is called."""
+
+        def __init__(self, heights, max_error):
+            assert heights.shape == rough.samples.shape and max_error == 2.0
+            self.triangles = np.zeros((1000, 3))
+
+    row = fit_row.fit_row("fit_rough", rough, 2.0, Greedy)
+    figures = row.figures
+    assert row.size < figures["plain_triangles"] and 0 < figures["bound_m"] <= figures["asked_m"] == 2.0
+    assert figures["triangles_to_plain"] == row.size / figures["plain_triangles"]
+    assert figures["triangles_to_greedy"] == row.size / 1000
+    assert row.ratio == row.ms / row.baseline_ms > 0
+    alone = fit_row.fit_row("fit_rough", rough, 2.0)
+    assert alone.size == row.size and alone.ratio is None and "greedy_triangles" not in alone.figures
+
+
+def test_the_real_terrain_of_the_fit_is_what_its_row_says():
+    heights = fit_row.jacksboro()
+    assert heights.shape == (321, 385)
+    assert 200 < heights.min() < 300 and 1000 < heights.max() < 1100

@@ -147,6 +147,21 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
     assert capsys.readouterr().out.startswith(f"hills.npz: {info['triangles']:,} triangles, bound 0.")
 
 
+def test_a_fitted_bake_holds_its_error_with_fewer_triangles(store, tmp_path, capsys):
+    bake = ["bake", "--store", store, "--max-error", "5", "--out"]
+    assert command_line.main([*bake, str(tmp_path / "plain.npz")]) == 0
+    assert command_line.main([*bake, str(tmp_path / "fitted.npz"), "--fit"]) == 0
+    plain, fitted = (read_npz(tmp_path / f"{name}.npz") for name in ("plain", "fitted"))
+    info = fitted["info"]
+    assert info["fitted"] is True and "fitted" not in plain["info"]
+    assert 2.5 < info["measured_max_m"] <= info["bound_m"] <= 5 == info["asked"]["error_m"]
+    assert info["triangles"] == len(fitted["triangles"]) <= 0.85 * len(plain["triangles"])
+    assert f"fitted.npz: {info['triangles']:,} triangles, bound " in capsys.readouterr().out
+    first = (tmp_path / "fitted.npz").read_bytes()
+    assert command_line.main([*bake, str(tmp_path / "again.npz"), "--fit"]) == 0
+    assert (tmp_path / "again.npz").read_bytes() == first
+
+
 def test_import_info_and_export_by_words(tmp_path, flight, capsys):
     heights = np.fromfunction(lambda y, x: 30 * np.sin(x / 9) + y, (60, 90), dtype=np.float32)
     np.save(tmp_path / "hills.npy", heights)

@@ -149,6 +149,18 @@ def test_bake_makes_an_ordinary_object(scene, add_terrain):
     assert positions(terrain) == before
 
 
+def test_a_fitted_bake_has_fewer_triangles(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.bake_error_m = 3.0
+    counts = []
+    for terrain.adaptive_terrain.bake_fit in (False, True):
+        assert bpy.ops.adaptive_terrain.bake() == {"FINISHED"}
+        [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
+        counts.append(len(baked.data.polygons))
+        bpy.data.objects.remove(baked)
+    assert 100 < counts[1] < 0.9 * counts[0]
+
+
 def test_the_update_operator_reports(scene, add_terrain):
     terrain = add_terrain()
     assert bpy.ops.adaptive_terrain.update() == {"FINISHED"}

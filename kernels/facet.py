@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A triangle of a mesh over the surface that it stands for: how far they are apart, and where.
+
+Against a plane the bilinear surface has its extrema at samples, at the triangle's corners, and on the diagonals of
+cells along its sides: `farthest` looks at all of them, and so does `pushed`. Lengths are lattice units (Domain),
+heights metres before scaling, in float64: planes through float32 heights at power-of-two distances are exact.
+"""
+
+import warp as wp
+
+from .criterion import Domain
+from .hierarchy import diagonal_error, row_error
+from .unchecked import height_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Facet:
+    """A triangle in the plane and over it: legs from the apex in units, heights in metres before scaling."""
+
+    x: wp.int32
+    y: wp.int32
+    left_x: wp.int32
+    left_y: wp.int32
+    right_x: wp.int32
+    right_y: wp.int32
+    z: wp.float64
+    slope_x: wp.float64  # metres a unit
+    slope_y: wp.float64
+
+
+@wp.func
+def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Height of the surface, metres before scaling."""
+    bits = d.unit_bits - d.levels
+    i = wp.min(x >> bits, d.width - 2)
+    j = wp.min(y >> bits, d.height - 2)
+    if ((x | y) & ((1 << bits) - 1)) == 0:
+        return wp.float64(height_at(d.samples, wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)))
+    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
+    u = wp.float64(x - (i << bits)) * part
+    v = wp.float64(y - (j << bits)) * part
+    at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
+    one = wp.float64(1.0)
+    south = wp.float64(height_at(d.samples, at)) * (one - u)
+    south += wp.float64(height_at(d.samples, at + wp.int64(1))) * u
+    north = wp.float64(height_at(d.samples, at + wp.int64(d.width))) * (one - u)
+    north += wp.float64(height_at(d.samples, at + wp.int64(d.width + 1))) * u
+    return south * (one - v) + north * v
+
+
+@wp.func
+def above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Metres, before scaling, of the surface over the facet at (x, y) from its apex."""
+    return surface(d, s.x + x, s.y + y) - (s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y))
+
+
+@wp.func
+def rows_of(s: Facet, bits: wp.int32):
+    """First row of samples in the facet, counted from its apex, and how many; none inside a cell."""
+    low = wp.min(wp.min(s.left_y, s.right_y), 0) >> bits
+    high = wp.max(wp.max(s.left_y, s.right_y), 0) >> bits
+    count = high - low + 1
+    if wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) < (1 << bits):
+        count = 0
+    return low, count
+
+
+@wp.func
+def row_of(s: Facet, bits: wp.int32, j: wp.int32):
+    """First sample and samples of row `j` of the facet, both counted from its apex."""
+    n = wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) >> bits
+    away = wp.abs(j)
+    first = wp.int32(0)
+    count = n + 1 - away
+    if s.left_x == 0 or s.left_y == 0:  # the row's far end is on the longest side
+        if s.left_x + s.right_x < 0:
+            first = away - n
+    elif s.left_x == s.right_x:  # the longest side stands upright
+        first = wp.where(s.left_x > 0, away, -n)
+    else:
+        first = -away
+        count = 2 * away + 1
+    return first, count
+
+
+@wp.func
+def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
+    """Twist of the surface over a step (dx, dy), both of one length, along a diagonal of a cell from (x, y)."""
+    bits = d.unit_bits - d.levels
+    i = wp.min(x, x + dx) >> bits
+    j = wp.min(y, y + dy) >> bits
+    at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
+    north = at + wp.int64(d.width)
+    near = wp.float64(height_at(d.samples, at)) - wp.float64(height_at(d.samples, at + wp.int64(1)))
+    far = wp.float64(height_at(d.samples, north + wp.int64(1))) - wp.float64(height_at(d.samples, north))
+    cell = wp.float64(wp.int32(1) << bits)
+    return (near + far) * (wp.float64(dx) / cell) * (wp.float64(dy) / cell)
+
+
+@wp.func
+def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
+    """Where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value; (0, r0) if not inside."""
+    slope = r1 - r0 - twist
+    t = wp.float64(0.0)
+    r = r0
+    if slope * twist < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(twist):
+        t = -slope / (wp.float64(2.0) * twist)
+        r = r0 + t * (slope + twist * t)
+    return t, r
+
+
+@wp.func
+def farthest_on_diagonal(
+    d: Domain, s: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, known: wp.float64
+) -> wp.float64:
+    """`known`, or the largest distance along a diagonal side of the facet if that is more."""
+    bits = d.unit_bits - d.levels
+    dx = x1 - x0
+    dy = y1 - y0
+    most = known
+    cells = wp.abs(dx) >> bits
+    if cells > 0:
+        cell_x = wp.where(dx > 0, 1, -1)
+        cell_y = wp.where(dy > 0, 1, -1)
+        first = ((s.y + y0) >> bits) * d.width + ((s.x + x0) >> bits)
+        start = s.z + s.slope_x * wp.float64(x0) + s.slope_y * wp.float64(y0)
+        unit = wp.float64(wp.int32(1) << bits)
+        slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
+        most = diagonal_error(d.samples, first, cell_x, cell_y * d.width, cells, start, slope, most)
+    else:
+        r0 = above(d, s, x0, y0)
+        r1 = above(d, s, x1, y1)
+        t, r = bulge(r0, r1, twist_over(d, s.x + x0, s.y + y0, dx, dy))
+        most = wp.max(wp.max(most, wp.abs(r)), wp.max(wp.abs(r0), wp.abs(r1)))
+    return most
+
+
+@wp.func
+def farthest(d: Domain, s: Facet) -> wp.float64:
+    """Largest distance between the facet and the surface over it, metres before scaling."""
+    bits = d.unit_bits - d.levels
+    unit = wp.float64(wp.int32(1) << bits)
+    i = s.x >> bits
+    j = s.y >> bits
+    most = wp.float64(0.0)
+    low, count = rows_of(s, bits)
+    for k in range(count):
+        first, samples = row_of(s, bits, low + k)
+        at = (j + low + k) * d.width + i + first
+        plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
+        most = wp.max(most, row_error(d.samples, at, samples, plane, s.slope_x * unit))
+    if s.left_x == 0 or s.left_y == 0:
+        if count == 0:
+            most = wp.abs(above(d, s, 0, 0))
+        most = farthest_on_diagonal(d, s, s.left_x, s.left_y, s.right_x, s.right_y, most)
+    else:
+        most = farthest_on_diagonal(d, s, 0, 0, s.left_x, s.left_y, most)
+        most = farthest_on_diagonal(d, s, 0, 0, s.right_x, s.right_y, most)
+    return most
+
+
+@wp.struct
+class Pushes:
+    """What the points of a facet beyond the aim push, and how many there are, with moments about the apex."""
+
+    n: wp.float64
+    n_x: wp.float64
+    n_y: wp.float64
+    s: wp.float64
+    s_x: wp.float64
+    s_y: wp.float64
+
+
+@wp.func
+def pushed_by(p: Pushes, r: wp.float64, x: wp.float64, y: wp.float64, aim: wp.float64) -> Pushes:
+    """With the point (x, y) from the apex, where the surface is `r` above the facet."""
+    over = wp.abs(r) - aim
+    if over > wp.float64(0.0):
+        push = wp.where(r > wp.float64(0.0), over, -over)
+        p.n += wp.float64(1.0)
+        p.n_x += x
+        p.n_y += y
+        p.s += push
+        p.s_x += push * x
+        p.s_y += push * y
+    return p
+
+
+@wp.func
+def pushed_on_diagonal(
+    p: Pushes, d: Domain, s: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, aim: wp.float64
+) -> Pushes:
+    """With the extrema inside the cells along a diagonal side."""
+    cell = wp.int32(1) << (d.unit_bits - d.levels)
+    length = wp.abs(x1 - x0)
+    step = wp.min(length, cell)
+    dx = wp.where(x1 > x0, step, -step)
+    dy = wp.where(y1 > y0, step, -step)
+    slope = s.slope_x * wp.float64(dx) + s.slope_y * wp.float64(dy)
+    x = x0
+    y = y0
+    h0 = surface(d, s.x + x, s.y + y)
+    plane = s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y)
+    for _ in range(length / step):
+        h1 = surface(d, s.x + x + dx, s.y + y + dy)
+        t, r = bulge(h0 - plane, h1 - plane - slope, twist_over(d, s.x + x, s.y + y, dx, dy))
+        if t > wp.float64(0.0):
+            p = pushed_by(p, r, wp.float64(x) + t * wp.float64(dx), wp.float64(y) + t * wp.float64(dy), aim)
+        h0 = h1
+        plane += slope
+        x += dx
+        y += dy
+    return p
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    const float* row = h.data + first;
+    double n = 0.0, n_i = 0.0, s = 0.0, s_i = 0.0;
+    for (int i = 0; i < count; ++i) {
+        const double r = (double)row[i] - (plane + slope * (double)i);
+        const double up = r - aim > 0.0 ? r - aim : 0.0;
+        const double down = r + aim < 0.0 ? r + aim : 0.0;
+        const double push = up + down;
+        const double one = push != 0.0 ? 1.0 : 0.0;
+        n += one;
+        n_i += one * (double)i;
+        s += push;
+        s_i += push * (double)i;
+    }
+    return {n, n_i, s, s_i};
+""")
+def row_pushes(
+    h: wp.array(dtype=wp.float32), first: wp.int64, count: int, plane: wp.float64, slope: wp.float64, aim: wp.float64
+) -> wp.vec4d:
+    """Samples of a row beyond the aim, their places' sum, their pushes' sum, and the sum of pushes times places."""
+    ...
+
+
+@wp.func
+def pushed(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
+    """All points at which `farthest` looks."""
+    bits = d.unit_bits - d.levels
+    unit = wp.float64(wp.int32(1) << bits)
+    p = Pushes()
+    low, count = rows_of(s, bits)
+    for k in range(count):
+        first, samples = row_of(s, bits, low + k)
+        at = wp.int64((s.y >> bits) + low + k) * wp.int64(d.width) + wp.int64((s.x >> bits) + first)
+        y = wp.float64(low + k) * unit
+        row = s.z + s.slope_y * y
+        x = wp.float64(first) * unit
+        q = row_pushes(d.samples, at, samples, row + s.slope_x * x, s.slope_x * unit, aim)
+        p.n += q[0]
+        p.n_x += q[0] * x + q[1] * unit
+        p.n_y += q[0] * y
+        p.s += q[2]
+        p.s_x += q[2] * x + q[3] * unit
+        p.s_y += q[2] * y
+    if count == 0:
+        zero = wp.float64(0.0)
+        p = pushed_by(p, above(d, s, 0, 0), zero, zero, aim)
+        left = above(d, s, s.left_x, s.left_y)
+        p = pushed_by(p, left, wp.float64(s.left_x), wp.float64(s.left_y), aim)
+        right = above(d, s, s.right_x, s.right_y)
+        p = pushed_by(p, right, wp.float64(s.right_x), wp.float64(s.right_y), aim)
+    if s.left_x == 0 or s.left_y == 0:
+        p = pushed_on_diagonal(p, d, s, s.left_x, s.left_y, s.right_x, s.right_y, aim)
+    else:
+        p = pushed_on_diagonal(p, d, s, 0, 0, s.left_x, s.left_y, aim)
+        p = pushed_on_diagonal(p, d, s, 0, 0, s.right_x, s.right_y, aim)
+    return p

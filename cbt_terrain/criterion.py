@@ -18,6 +18,10 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # What is asked is kept between these: the finest and the coarsest mesh that there can be.
 SMALLEST, LARGEST = 1e-30, 1e30
+# Relative; far above what rounding does to pixels and metres, far below what can be seen of them.
+ROUNDING = 1e-9
+# From above, errors of height move no pixel but show in shading and shadows: they count as if seen 30 degrees off.
+LEAST_SLANT = 0.5
 # How many times coarser a terrain may be of which nothing is in view.
 HIDDEN = 1e90
 
@@ -67,11 +71,13 @@ class Criterion:
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
-def localise(view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion) -> LocalView:
+def localise(
+    view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float
+) -> LocalView:
     """The view from the terrain's own space, as the kernels read it.
 
     `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
-    terrain may occupy in its own space.
+    terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view.
     """
     to_camera = view.world_to_camera @ placement
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -79,17 +85,13 @@ def localise(view: View, placement: np.ndarray, box: np.ndarray, criterion: Crit
     # only under shear. The last factor keeps rounding on the safe side.
     stretch = np.linalg.norm(linear, axis=0)
     sigma = np.linalg.svd(linear / stretch, compute_uv=False)[-1]
-    pixels, secant2 = view.pixels_per_unit, 1.0
-    if view.kind == PANORAMIC and criterion.error_px:
-        # A chord e at distance d or more subtends at most 2 asin(e / 2d): exact at the angle that was asked for.
-        angle = min(criterion.error_px / pixels, math.pi)
-        pixels *= angle / (2 * math.sin(angle / 2))
-    if view.kind == PERSPECTIVE:
-        secant2 = 1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds())
+    pixels = view.pixels_per_unit * height_scale
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
+    # What rounding could put on the wrong side of a plane is inside.
+    planes[:, 3] += 1e-12 * (np.abs(planes[:, :3]) @ np.abs(box).max(axis=0) + np.abs(planes[:, 3]))
     factor = min(criterion.off_screen_factor, LARGEST)
     if factor > 1 and _outside(planes, box):
         factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
@@ -103,8 +105,8 @@ def localise(view: View, placement: np.ndarray, box: np.ndarray, criterion: Crit
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
         "depth": [*-linear[2], -shift[2]],
-        "pixel2": 1 / (pixels**2 * secant2 * stretch[2] ** 2),
-        "cosine2": 1 / secant2,
+        "pixel2": 1 / (pixels**2 * stretch[2] ** 2),
+        "cosine2": 1 / secant_of(view) ** 2,
         "near2": near**2,
         "off_screen2": factor**2,
         "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
@@ -118,6 +120,58 @@ def localise(view: View, placement: np.ndarray, box: np.ndarray, criterion: Crit
             )
         setattr(local, name, value)
     return local
+
+
+def slant_of(view: View, placement: np.ndarray) -> float:
+    """The longest that a metre of height looks anywhere in the frame, in metres across the view at a depth of 1 m.
+
+    That is |t x u| for the direction t of a ray, 1 deep, and the unit vector u of height in camera space: convex in t,
+    so largest in a corner of the frame.
+    """
+    up = view.world_to_camera[:3, :3] @ placement[:3, 2]
+    up = up / np.linalg.norm(up)
+    if view.kind == PANORAMIC:
+        return 1.0
+    across, along = view.bounds() if view.kind == PERSPECTIVE else ((0.0,), (0.0,))
+    x, y, z = up.tolist()
+    looks = (math.hypot(b * z + y, a * z + x, a * y - b * x) for a in across for b in along)
+    return max(LEAST_SLANT, *looks)
+
+
+def as_seen(view: View, slant: float, pixels: float) -> float:
+    """Pixels that a point can be from its place in the frame where its error in height is `pixels` spans of a pixel.
+
+    A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
+    depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - e) at most, a
+    panorama the angle asin(e / d). Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
+    """
+    whole = view.pixels_per_unit * slant  # the error is as long as the depth or the distance
+    if view.kind == PERSPECTIVE:
+        return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
+    if view.kind == PANORAMIC:
+        return whole * (math.asin(pixels / whole) if pixels < whole else math.pi)
+    return pixels
+
+
+def widening(view: View, slant: float, criterion: Criterion) -> float:
+    """The factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
+
+    `as_seen` is convex: at less than what was asked, spans times this factor are still not below it.
+    """
+    asked, whole = criterion.error_px, view.pixels_per_unit * slant
+    if not asked or asked >= LARGEST or view.kind == ORTHOGRAPHIC:
+        return 1 + ROUNDING
+    if view.kind == PANORAMIC:
+        angle = asked / whole
+        return angle / math.sin(min(angle, math.pi / 2)) * (1 + ROUNDING)
+    return (1 + asked / whole) * (1 + ROUNDING)
+
+
+def secant_of(view: View) -> float:
+    """The most that a point in the frame is further away than deep."""
+    if view.kind != PERSPECTIVE:
+        return 1.0
+    return math.sqrt(1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds()))
 
 
 def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:

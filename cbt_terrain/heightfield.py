@@ -24,7 +24,9 @@ class HeightField:
     is that of lattice.py).
     ranges: uint16 [lattice.range_count, 2], diamonds above the raster's cells; a height is range_base + q * range_step
     metres.
+    steepest_x, steepest_y: metres of height per metre, the most between neighbouring samples.
     resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
+    moved: float32 [lattice.node_count] metres, the most of that below each diamond, nested; None where the raster fits.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     key: identifies the content: equal keys, equal terrains.
     """
@@ -37,9 +39,12 @@ class HeightField:
     range_step: float
     min_height: float
     max_height: float
+    steepest_x: float
+    steepest_y: float
     key: str
     resample_max: float = 0.0
     resample_rms: float = 0.0
+    moved: np.ndarray | None = None
     filled: int = 0
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
@@ -108,12 +113,15 @@ def build(
     if missing:
         resample.fill_missing(raster, threads)
     on_progress(0.1)
-    samples, moved_max, moved_rms = raster, 0.0, 0.0
+    samples, moved, moved_max, moved_rms = raster, None, 0.0, 0.0
     if (lattice.height, lattice.width) != raster.shape:
         samples = allocate("samples", (lattice.height, lattice.width), np.dtype(np.float32))
         moved_max, moved_rms = resample.onto_lattice(raster, samples, threads)
+        moved = allocate("moved", (lattice.node_count,), np.dtype(np.float32))
+        hierarchy.build_moved(raster, samples, lattice, moved, threads)
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
+    climb_x, climb_y = hierarchy.climbs(samples)
     base, step = hierarchy.range_scale(low, high)
     ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
@@ -129,9 +137,12 @@ def build(
         range_step=step,
         min_height=low,
         max_height=high,
+        steepest_x=climb_x / lattice.step_x,
+        steepest_y=climb_y / lattice.step_y,
         key=content_key(samples, lattice, moved_max),
         resample_max=moved_max,
         resample_rms=moved_rms,
+        moved=moved,
         filled=missing,
     )
 

@@ -23,6 +23,7 @@ import warp as wp
 from ..kernels import expand as expand_kernels
 from ..kernels import hierarchy as kernels
 from ..kernels import ranges as range_kernels
+from ..kernels import resample as resample_kernels
 from ..kernels.layout import Depth
 from . import launch
 from .lattice import Lattice
@@ -118,12 +119,50 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
             spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells])
 
 
+def build_moved(raster: np.ndarray, samples: np.ndarray, lattice: Lattice, moved: np.ndarray, threads: int) -> None:
+    """Fill `moved` (float32 [lattice.node_count], zeroed): metres that resampling moved the raster below a diamond.
+
+    raster, samples: before and after, float32, over the same rectangle. Of the raster's cells what each holds itself;
+    above them saturated over what `moved_at` in kernels/criterion.py finds below.
+    """
+    out = _shared(moved, wp.float32)
+    cells, own = _depth(lattice, lattice.cell_depth), _depth(lattice, lattice.cell_depth)
+    cells.base = 0
+    held = wp.zeros(lattice.node_count - lattice.range_count, dtype=wp.float32, device=launch.DEVICE)
+
+    def spread(kernel, count: int, inputs: list, cost: float = 1.0) -> None:
+        launch.spread(kernel, count, inputs, step="resample", threads=threads, cost=cost)
+
+    inputs = [_shared(raster, wp.float32), *raster.shape[::-1], _shared(samples, wp.float32), *samples.shape[::-1]]
+    spread(resample_kernels.moved_in_cells, lattice.height - 1, [*inputs, cells, held], 2.0 * lattice.width)
+    columns, rows, count = _extent(lattice, lattice.cell_depth)
+    spread(expand_kernels.widen_cells, count, [columns, rows, cells, held, own, out])
+    for depth in range(lattice.cell_depth - 1, 0, -1):
+        columns, rows, count = _extent(lattice, depth)
+        places = [_depth(lattice, depth + 1), _depth(lattice, depth), out]
+        if depth % 2:
+            spread(expand_kernels.raise_centres, count, [columns, *places])
+        else:
+            spread(expand_kernels.raise_sides, count, [columns, rows, *places])
+    moved[lattice.range_count :] = held.numpy()
+
+
 def range_scale(low: float, high: float) -> tuple[float, float]:
     """Base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535."""
     step = (high - low) / 65535.0
     while low + 65535.0 * step < high:
         step = np.nextafter(step, np.inf)
     return float(low), float(step) if step > 0.0 else 1.0
+
+
+def climbs(samples: np.ndarray) -> tuple[float, float]:
+    """Largest differences in metres, rounded up, between neighbours in a row and in a column of `samples`."""
+    x = y = 0.0
+    for first in range(0, samples.shape[0] - 1, 64):  # blocks stay in the cache
+        rows = samples[first : first + 65]
+        x = max(x, float(np.abs(np.diff(rows, axis=1)).max()))
+        y = max(y, float(np.abs(np.diff(rows, axis=0)).max()))
+    return x * (1 + 1e-6), y * (1 + 1e-6)
 
 
 def build_ranges(

@@ -84,7 +84,7 @@ def run_import(
         field.crs = place.crs
         field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
         field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
-        report = _report(field, raster, place, largest)
+        report = _report(field, raster, settings, place, largest)
         report["seconds"] = round(time.monotonic() - started, 3)
         draft.publish(field, digest, report)
         return report
@@ -149,7 +149,7 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
 def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
     needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * lattice.range_count
-    needed += 0 if fits else 4 * width * height
+    needed += 0 if fits else 4 * width * height + 4 * lattice.node_count
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
@@ -190,7 +190,23 @@ def _read_heights(
     return missing, largest
 
 
-def _report(field: heightfield.HeightField, raster: Raster, place: Georeference, largest: float) -> dict:
+def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
+    """Half a step of the stored values in metres, of floats at the largest: what the source itself leaves open.
+
+    largest: metres, the largest height that was read.
+    """
+    scale = abs(raster.scale * settings.height_scale)
+    stored = np.dtype(raster.stored)
+    if stored.kind != "f":
+        return 0.5 * scale
+    offset = abs(raster.offset * settings.height_scale + settings.height_offset)
+    value = min((largest + offset) / scale, float(np.finfo(stored).max))
+    return 0.5 * scale * float(np.spacing(stored.type(value)))
+
+
+def _report(
+    field: heightfield.HeightField, raster: Raster, settings: ImportSettings, place: Georeference, largest: float
+) -> dict:
     lattice = field.lattice
     warnings = [*raster.warnings, *place.warnings]
     if raster.stored == "float16":
@@ -208,6 +224,7 @@ def _report(field: heightfield.HeightField, raster: Raster, place: Georeference,
         "filled": field.filled,
         "moved_max_m": field.resample_max,
         "moved_rms_m": field.resample_rms,
+        "source_step_m": _source_step(raster, settings, largest),
         "crs": field.crs,
         "warnings": warnings,
     }

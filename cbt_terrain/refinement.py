@@ -41,7 +41,9 @@ class Leaves:
     `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
     4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
     `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
-    square pixels of a triangle, metres of weighed error and of all error.
+    square pixels of a triangle, squared metres of weighed error and of all error.
+    `parts` float64 [2, 2]: own error and what resampling moved, metres before scaling, of the leaf that has the most
+    error in pixels and of the one that has it in metres.
     """
 
     counts: np.ndarray
@@ -50,6 +52,7 @@ class Leaves:
     sides: np.ndarray
     base: np.ndarray
     bounds: np.ndarray
+    parts: np.ndarray
     changed_words: int = 0
 
     @property
@@ -64,8 +67,13 @@ def depth_limit(field: HeightField) -> int:
     return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
 
 
-def make_domain(field: HeightField, meshlet: int, height_scale: float, height_offset: float) -> Domain:
-    """The height field as the kernels read it; memory is shared, nothing is read."""
+def make_domain(
+    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: float = 0.0
+) -> Domain:
+    """The height field as the kernels read it; memory is shared, nothing is read.
+
+    rounding: metres that positions may be off, see `terms.rounding`.
+    """
     lattice = field.lattice
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
@@ -77,7 +85,9 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
-    domain.extra_error = field.resample_max
+    domain.error_scale, domain.rounding = abs(height_scale), rounding
+    domain.resampled = int(field.moved is not None)
+    domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
@@ -181,7 +191,7 @@ class Refinement:
             "blocks": _blocks(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
             "counts": get("counts", slices * 4, wp.int64),
-            "bounds": get("bounds", slices * 6, wp.float64),
+            "bounds": get("bounds", slices * 10, wp.float64),
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
         while len(self._walk_structs) < slices:
@@ -215,8 +225,10 @@ class Refinement:
         # A slice whose first cells belong to the last leaf of a square begins with the next square.
         squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
         before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
-        bounds = self.buffers.numpy("bounds")[: slices * 6].reshape(slices, 6)[used].max(axis=0)
-        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds)
+        bounds = self.buffers.numpy("bounds")[: slices * 10].reshape(slices, 10)[used]
+        parts = np.stack([bounds[bounds[:, 1].argmax(), 6:8], bounds[bounds[:, 5].argmax(), 8:]])
+        bounds = bounds[:, :6].max(axis=0)
+        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts)
 
     def _mark(self, walks: list[kernels.Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its words changed."""

@@ -5,6 +5,7 @@
     STORE/data-*/samples.npy    float32 [height, width]
     STORE/data-*/error.npy      float32 [lattice.node_count], in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
+    STORE/data-*/moved.npy      float32 [lattice.node_count], where the raster did not fit its lattice
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
 
 A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
@@ -28,16 +29,21 @@ from .heightfield import HeightField
 from .lattice import Lattice
 from .store_entries import check_entries, is_data_name
 
-VERSION = 2
+VERSION = 3
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 PAGE_BYTES = 4096
 # A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
 STALE_SECONDS = 86_400.0
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
-_OWN_FILE = re.compile(r"(samples|raster|error|ranges|error_m\d+)\.npy|error_m\d+\.[0-9a-f]{32}\.part|store\.json")
+_OWN_FILE = re.compile(
+    r"(samples|raster|error|ranges|moved|error_m\d+)\.npy|error_m\d+\.[0-9a-f]{32}\.part|store\.json"
+)
 
-_NUMBERS = ("range_base", "range_step", "min_height", "max_height", "resample_max", "resample_rms", "filled")
+_NUMBERS = (
+    *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
+    *("resample_max", "resample_rms", "filled"),
+)
 
 
 def read_json(path: Path) -> dict:
@@ -76,11 +82,13 @@ def _open(path: Path) -> HeightField:
     content = read_json(path)
     lattice = Lattice(**content["lattice"])
     folder = path / content["data"]
+    moved = _map(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
     return HeightField(
         samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
         lattice=lattice,
         error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
         ranges=_map(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        moved=moved,
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),
@@ -224,6 +232,7 @@ class Draft:
             "digest": digest,
             "key": field.key,
             "lattice": lattice,
+            "resampled": field.moved is not None,
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,

@@ -11,23 +11,28 @@ import warp as wp
 from ..kernels.criterion import Asked, Domain, LocalView
 from . import launch
 from .buffers import Buffers
-from .criterion import Criterion, localise, unit_lengths
+from .criterion import ROUNDING, Criterion, as_seen, localise, secant_of, slant_of, unit_lengths, widening
 from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
+from .terms import Terms, rounding
 from .view import View
+
+# Relative; above what rounding does to a sum of metres.
+MARGIN = 1e-12
 
 
 @dataclass(frozen=True)
 class Update:
     """What one update did. Bounds are None where nothing was asked of them.
 
-    `bound_px`: no visible point of the reference surface is further than this from its place, in pixels; what
-    resampling at import has moved is included. `bound_m`: the same in metres of height, everywhere. `bound_edge_px`,
-    `bound_area_px`: longest edge, largest triangle. `relaxed`: the factor by which a triangle limit coarsened what was
-    asked. `limited`: "", "max_triangles", "max_depth" or "resampling" (at import): what kept a bound above what was
-    asked. `changed`: False if the mesh is the one of the last update.
+    `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
+    (1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere. Both include what
+    resampling at import has moved and what float32 positions are off; `terms_px` and `terms_m` divide them.
+    `bound_edge_px`, `bound_area_px`: longest edge, largest triangle. `relaxed`: the factor by which a triangle limit
+    coarsened what was asked. `limited`: what kept a bound above what was asked: "", "max_triangles", "max_depth",
+    "resampling" (at import) or "precision" (float32 alone). `changed`: False if the mesh is the one of the last update.
     """
 
     surface: Surface
@@ -39,6 +44,8 @@ class Update:
     bound_area_px: float | None
     relaxed: float
     limited: str
+    terms_px: Terms | None
+    terms_m: Terms
     ms: dict[str, float] = field(compare=False)
 
     @property
@@ -97,14 +104,20 @@ class Terrain:
             raise TerrainError("The terrain is scaled to nothing in some direction; give it a scale other than 0.")
         if criterion.needs_view and not views:
             raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
-        domain = self._placed_domain(criterion.meshlet, vertical_scale, vertical_offset)
+        depth = self._max_depth(criterion)
+        domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
         steps = (domain.unit_x, domain.unit_y)
         views = views if criterion.needs_view else ()
-        asked = _pack(criterion, [localise(v, placement, box, criterion) for v in views])
+        slants = [slant_of(v, placement) for v in views]
+        widened = [widening(v, s, criterion) for v, s in zip(views, slants, strict=True)]
+        scales = [w * s for w, s in zip(widened, slants, strict=True)]
+        local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
+        # Spans of a pixel are those of heights; edges may lie across the view.
+        edge_scale = min((s / secant_of(v) for v, s in zip(views, scales, strict=True)), default=1.0)
+        asked = _pack(criterion, local, edge_scale)
         if criterion.edge_px or criterion.area_px:
             lengths = [unit_lengths(v, placement, steps) for v in views]
             asked.diagonal2, asked.axis2 = (max(of_one) for of_one in zip(*lengths, strict=True))
-        depth = self._max_depth(criterion)
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
         shape = (criterion.meshlet, depth, vertical_scale, vertical_offset)
@@ -114,37 +127,32 @@ class Terrain:
             self._shape_key = None
             surface = self._builder.build(leaves, domain, criterion.meshlet)
             self._shape_key = shape
-        error_px2, total_px2, edge_px2, area_px2, metres, total_metres = (float(b) for b in leaves.bounds)
-        excess = max(
-            error_px2 / asked.error_px2,
-            edge_px2 / asked.edge_px2,
-            2 * area_px2 / asked.area_px2,
-            metres * metres / asked.metres2,
-        )
-        limited = ""
-        if relaxed > 1:
-            limited = "max_triangles"
-        elif excess > 1:
-            limited = "max_depth"
-        elif max(total_px2 / asked.error_px2, total_metres**2 / asked.metres2) > 1:
-            limited = "resampling"
+        total_px2, edge_px2, area_px2 = (float(b) for b in leaves.bounds[1:4])
+        parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), domain.rounding] for p in leaves.parts)
+        spans, bound_m = math.sqrt(total_px2) * (1 + 0.5 * ROUNDING), sum(parts_m) * (1 + MARGIN)
+        seen = [as_seen(v, s, spans / w) for v, s, w in zip(views, slants, widened, strict=True)]
+        bound_px = max(seen, default=0.0)
+        measures_edges = bool(asked.measures_edges)
         return Update(
             surface,
             leaves.total,
             changed,
-            math.sqrt(total_px2) if views else None,
-            total_metres,
-            math.sqrt(edge_px2) if criterion.edge_px or criterion.area_px else None,
-            area_px2 if criterion.edge_px or criterion.area_px else None,
+            bound_px if views else None,
+            bound_m,
+            math.sqrt(edge_px2) / edge_scale if measures_edges else None,
+            area_px2 / edge_scale**2 if measures_edges else None,
             relaxed,
-            limited,
+            _limited(asked, leaves.bounds.tolist(), relaxed, parts_px, parts_m),
+            Terms.shares(bound_px, *parts_px) if views else None,
+            Terms.shares(bound_m, *parts_m),
             ms,
         )
 
-    def _placed_domain(self, meshlet: int, vertical_scale: float, vertical_offset: float) -> Domain:
-        key = (meshlet, vertical_scale, vertical_offset)
+    def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
+        key = (meshlet, depth, vertical_scale, vertical_offset)
         if key != self._domain_key:
-            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset)
+            rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
+            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
             self._domain_key = key
         return self._domain
 
@@ -178,7 +186,23 @@ def _max_leaves(criterion: Criterion) -> int:
     return triangles >> (2 * criterion.meshlet)
 
 
-def _pack(criterion: Criterion, views: list[LocalView]) -> Asked:
+def _limited(asked: Asked, bounds: list[float], relaxed: float, parts_px: list[float], parts_m: list[float]) -> str:
+    """What kept a bound above what was asked; `parts` are the own error, what resampling moved and rounding, metres."""
+    error_px2, total_px2, edge_px2, area_px2, metres2, total_metres2 = bounds
+    if relaxed > 1:
+        return "max_triangles"
+    excess = (error_px2 / asked.error_px2, edge_px2 / asked.edge_px2, 2 * area_px2 / asked.area_px2)
+    if max(*excess, metres2 / asked.metres2) > 1:
+        return "max_depth"
+    over = [(total_px2 / asked.error_px2, parts_px), (total_metres2 / asked.metres2, parts_m)]
+    over = [(math.sqrt(ratio), parts) for ratio, parts in over if ratio > 1]
+    if not over:
+        return ""
+    return "precision" if all(r * (p[0] + p[1]) <= sum(p) for r, p in over) else "resampling"
+
+
+def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float) -> Asked:
+    """What is asked, in spans of a pixel as the kernels measure them; an edge has `edge_scale` a pixel at least."""
     asked = Asked()
 
     def squared(value: float) -> float:
@@ -186,8 +210,9 @@ def _pack(criterion: Criterion, views: list[LocalView]) -> Asked:
 
     asked.view_count = len(views)
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
-    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px)
-    asked.area_px2, asked.metres2 = 2 * squared(math.sqrt(criterion.area_px)), squared(criterion.error_m)
+    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * edge_scale)
+    asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * edge_scale)
+    asked.metres2 = squared(criterion.error_m * (1 - 2 * MARGIN))
     asked.limit = 1.0
     views = views or [LocalView()]
     asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")

@@ -54,12 +54,15 @@ class Domain:
     height_offset: wp.float64
     range_base: wp.float64
     range_step: wp.float64
-    extra_error: wp.float64  # metres, before scaling: what resampling at import has moved
+    error_scale: wp.float64  # magnitude of height_scale
+    rounding: wp.float64  # metres: what float32 positions may be off
+    resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
     base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
     cell_base: wp.int64  # the same of the raster's cells
     cell_pages: wp.int32
     error: wp.array(dtype=wp.float32)
+    moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
     ranges: wp.array(dtype=wp.uint16)
     samples: wp.array(dtype=wp.float32)
 
@@ -157,13 +160,22 @@ class Diamond:
 
 
 @wp.func
+def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
+    """Lattice units that a diamond's box reaches from its split vertex along each axis.
+
+    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
+    centre and 2 s from an edge's middle.
+    """
+    s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
+    return 2 * s + (depth & 1) * s
+
+
+@wp.func
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
     """The box of the diamond split at (x, y)."""
     half = (depth - 1) >> 1
     odd = depth & 1
-    s = wp.int32(1) << (domain.unit_bits - half - 1)  # half a side of the cell, or half the edge
-    # Offsets to the vertices below add up to 3 s from a cell's centre and 2 s from an edge's middle, in each axis.
-    reach = 2 * s + odd * s
+    reach = reach_of(domain.unit_bits, depth)
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if depth <= 2 * domain.levels:
@@ -222,15 +234,37 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def metres2_of(domain: Domain, error: wp.float32):
+def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Metres, before scaling, that resampling moved the raster's samples below the diamond split at (x, y).
+
+    Below the raster's cells: in the cells that the diamond's box touches; boxes are nested, and so is this.
+    """
+    moved = wp.float32(0.0)
+    if domain.resampled == 1:
+        if depth <= 2 * domain.levels:
+            moved = height_at(domain.moved, place(domain, x, y, depth))
+        else:
+            reach = reach_of(domain.unit_bits, depth)
+            bits = domain.unit_bits - domain.levels
+            i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
+            j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+            for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
+                for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
+                    cell = height_at(domain.moved, domain.cell_base + tile_index(i, j, domain.cell_pages))
+                    moved = wp.where(cell > moved, cell, moved)
+    return moved
+
+
+@wp.func
+def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
     """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
 
-    All error is the diamond's own and what resampling moved. The second part cannot be refined away: where it alone
-    comes near what was asked, the weighed error asks for a quarter of that from the first, and no more.
+    All error is the diamond's own, what resampling moved and what rounding adds. The last two cannot be refined away:
+    where they alone come near what was asked, the weighed error asks for a quarter of that from the first, and no more.
     """
     e = wp.float64(error)
-    total = (e + domain.extra_error) * domain.height_scale
-    own = wp.float64(4.0) * e * domain.height_scale
+    total = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
+    own = wp.float64(4.0) * e * domain.error_scale
     total2 = total * total
     return smaller(total2, own * own), total2
 

@@ -24,6 +24,7 @@ from .criterion import (
     larger,
     leaves_tile,
     metres2_of,
+    moved_at,
     sizes,
     smaller,
     too_coarse,
@@ -120,7 +121,11 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     worst_total_px2 = wp.float64(0.0)
     worst_long_px2 = wp.float64(0.0)
     worst_legs_px2 = wp.float64(0.0)
-    worst_error = wp.float32(0.0)
+    worst_metres2 = wp.float64(0.0)
+    worst_total2 = wp.float64(0.0)
+    # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
+    in_metres = wp.vec2f()
+    in_pixels = wp.vec2f()
     split_error2 = asked.limit * asked.error_px2
     split_metres2 = asked.limit * asked.metres2
     place = w.slot * STACK
@@ -165,7 +170,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
             y = (left_y + right_y) >> 1
             split = wp.int32(0)
             known = wp.int32(1)
-            metres2, total2 = metres2_of(domain, error)
+            moved = moved_at(domain, x, y, depth)
+            metres2, total2 = metres2_of(domain, error, moved)
             if depth < w.max_depth:
                 if depth < split_depth or metres2 > split_above2:
                     split = 1
@@ -222,8 +228,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                                 worst_legs_px2 * finest2,
                             )
                         # No error below asks for a split or is a new maximum: depths alone decide.
-                        if metres2 <= smaller(leaf_up_to2, worst_px2 * finest2):
-                            if total2 <= worst_total_px2 * finest2 and error <= worst_error:
+                        if metres2 <= smaller(leaf_up_to2, smaller(worst_px2 * finest2, worst_metres2)):
+                            if total2 <= smaller(worst_total_px2 * finest2, worst_total2):
                                 even_depth = wp.where(split_depth == leaf_depth, leaf_depth, -1)
                     w.bands[place + band_at] = wp.vec3d(finest2, split_above2, leaf_up_to2)
                     w.depths[place + band_at] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
@@ -232,7 +238,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     if metres2 > worst_px2 * near2:
                         worst_px2 = larger(worst_px2, metres2 / pixel2)
                     if total2 > worst_total_px2 * near2:
-                        worst_total_px2 = larger(worst_total_px2, total2 / pixel2)
+                        total_px2 = total2 / pixel2
+                        if total_px2 > worst_total_px2:
+                            worst_total_px2 = total_px2
+                            in_pixels = wp.vec2f(error, moved)
                     if long2 + climb2 > worst_long_px2 * near2:
                         worst_long_px2 = larger(worst_long_px2, (long2 + climb2) / pixel2)
                     if legs2 + climb2 > worst_legs_px2 * near2:
@@ -307,7 +316,10 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 apex_y = y
             else:
                 if split == 0 and cell >= start:
-                    worst_error = wp.where(error > worst_error, error, worst_error)
+                    worst_metres2 = larger(worst_metres2, metres2)
+                    if total2 > worst_total2:
+                        worst_total2 = total2
+                        in_metres = wp.vec2f(error, moved)
                     room = wp.where(leaves < w.leaf_capacity, 1, 0)
                     code = (
                         wp.uint32(state)
@@ -419,11 +431,14 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     w.counts[c + 1] = vertices
     w.counts[c + 2] = edges
     w.counts[c + 3] = words
-    b = 6 * w.slot
-    metres2, total2 = metres2_of(domain, worst_error)
+    b = 10 * w.slot
     w.bounds[b] = worst_px2
     w.bounds[b + 1] = worst_total_px2
     w.bounds[b + 2] = worst_long_px2
     w.bounds[b + 3] = worst_legs_px2 * wp.float64(0.5)
-    w.bounds[b + 4] = wp.sqrt(metres2)
-    w.bounds[b + 5] = wp.sqrt(total2)
+    w.bounds[b + 4] = worst_metres2
+    w.bounds[b + 5] = worst_total2
+    w.bounds[b + 6] = wp.float64(in_pixels[0])
+    w.bounds[b + 7] = wp.float64(in_pixels[1])
+    w.bounds[b + 8] = wp.float64(in_metres[0])
+    w.bounds[b + 9] = wp.float64(in_metres[1])

@@ -3,6 +3,9 @@
 
 import warp as wp
 
+from .hierarchy import round_up
+from .layout import Depth, entry
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -112,6 +115,35 @@ def correct(
             new_at = j * new_width + i
             z = wp.float32(wp.float64(resampled[new_at]) + total / weights)
             resampled[new_at] = wp.clamp(z, low, high) + wp.float32(0.0)
+
+
+@wp.kernel
+def moved_in_cells(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    resampled: wp.array(dtype=wp.float32),
+    new_width: int,
+    new_height: int,
+    cells: Depth,
+    moved: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid` of the new raster's cells: largest change in metres at the old samples in or on each."""
+    j = offset + wp.tid()
+    near = wp.float64(1e-6)  # far above rounding: a sample on the border of a cell counts on both sides
+    first_y = wp.max(wp.int32(wp.ceil(place(j, new_height, height) - near)), 0)
+    last_y = wp.min(wp.int32(wp.floor(place(j + 1, new_height, height) + near)), height - 1)
+    for i in range(new_width - 1):
+        first_x = wp.max(wp.int32(wp.ceil(place(i, new_width, width) - near)), 0)
+        last_x = wp.min(wp.int32(wp.floor(place(i + 1, new_width, width) + near)), width - 1)
+        most = wp.float64(0.0)
+        for old_y in range(first_y, last_y + 1):
+            y = place(old_y, height, new_height)
+            for old_x in range(first_x, last_x + 1):
+                z = bilinear(resampled, new_width, new_height, place(old_x, width, new_width), y)
+                most = wp.max(most, wp.abs(z - wp.float64(h[old_y * width + old_x])))
+        moved[entry(cells, i, j)] = round_up(most)
 
 
 @wp.kernel

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import hierarchy
+from adaptive_terrain.cbt_terrain import heightfield, hierarchy
 from adaptive_terrain.cbt_terrain.lattice import Lattice
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
@@ -239,6 +239,29 @@ def check_nested(values, lattice, depth):
         return
     for corner in (own[:-1, :-1], own[:-1, 1:], own[1:, :-1], own[1:, 1:]):
         assert (np.isnan(corner) | (corner >= finer)).all()
+
+
+def test_what_resampling_moved_is_nested_local_and_complete():
+    rng = np.random.default_rng(4)
+    raster = np.zeros((40, 61), np.float32)
+    raster[30:, :20] = rng.standard_normal((10, 20)) * 100
+    field = heightfield.from_array(raster, 10.0)
+    lattice = field.lattice
+    for depth in range(1, lattice.cell_depth - 1):
+        check_nested(field.moved, lattice, depth)
+    j, i = np.indices(raster.shape)
+    x, y = i * (lattice.width - 1) / 60, j * (lattice.height - 1) / 39
+    change = np.abs(bilinear(field.samples, x, y) - raster)
+    cells = level(field.moved, lattice, lattice.cell_depth)
+    held = np.zeros_like(cells)
+    np.maximum.at(held, (y.astype(int).clip(0, len(cells) - 1), x.astype(int).clip(0, cells.shape[1] - 1)), change)
+    assert (cells >= held - 1e-9).all() and cells.max() == pytest.approx(change.max(), rel=1e-6)
+    assert field.moved[lattice.root_entries].max() == cells.max() and (cells[:, 60:] == 0).all()
+    # the last sides above the cells hold what all cells do that a diamond below them can touch
+    sides = level(field.moved, lattice, lattice.cell_depth - 1)
+    for y, x in np.argwhere(np.isfinite(sides)):
+        assert sides[y, x] == cells[max(y - 2, 0) : y + 2, max(x - 2, 0) : x + 2].max()
+    assert heightfield.from_array(raster[:33, :33], 10.0).moved is None
 
 
 def test_entries_of_no_diamond_are_zero():

@@ -10,10 +10,12 @@ import time
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.importing import (
     ImportCancelled,
     ImportJob,
     ImportSettings,
+    describe,
     import_source,
     run_import,
     source_digest,
@@ -172,3 +174,26 @@ def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
         "assert not {'rasterio', 'OpenEXR', 'bpy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True, env=environment(), timeout=60)
+
+
+def test_the_steps_of_the_stored_values_are_reported(tmp_path):
+    heights = hills(33, 33)
+    for kind, scale, half in (
+        ("uint16", 1.0, 0.5),
+        ("int16", 0.25, 0.125),
+        ("float16", 2.0, 0.5),
+        ("float32", 1.0, 2.0**-15),
+    ):
+        source = tmp_path / f"{kind}.npy"
+        np.save(source, heights.astype(kind))
+        report = run_import(ImportSettings(source=str(source), height_scale=scale), tmp_path / kind)
+        assert report["source_step_m"] == half == describe(tmp_path / kind)["source_step_m"]
+
+
+def test_a_store_keeps_what_resampling_moved_and_the_steepest_slopes(tmp_path):
+    source = tmp_path / "a.npy"
+    np.save(source, hills(40, 60))
+    run_import(ImportSettings(source=str(source), extent=(390.0, 590.0)), tmp_path / "store")
+    kept, made = open_store(tmp_path / "store"), from_array(hills(40, 60)[::-1], 10.0)
+    assert kept.moved.max() > 0 and np.array_equal(kept.moved, made.moved)
+    assert (kept.steepest_x, kept.steepest_y) == (made.steepest_x, made.steepest_y) and made.steepest_x > 0

@@ -142,7 +142,7 @@ def damage(path, how):
 DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
-    "other version": "version 99, expected 2",
+    "other version": "version 99, expected 3",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
     "array a folder": "error.npy is damaged",

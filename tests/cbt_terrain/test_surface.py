@@ -74,13 +74,13 @@ def test_vertical_scale_and_offset_move_every_height():
     plain = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=5.0))
     scaled = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=10.0), vertical_scale=2.0, vertical_offset=7.0)
     assert np.allclose(scaled.surface.positions[:, 2], plain.surface.positions[:, 2] * 2 + 7, atol=1e-4)
-    assert scaled.bound_m == 2 * plain.bound_m
+    assert scaled.terms_m.geometric == pytest.approx(2 * plain.terms_m.geometric, rel=1e-9)
 
 
 def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
     field = from_array(np.full((5, 9), -3.0, np.float32), 10.0)
     update = Terrain(field, 1).update(Criterion(error_px=0.01), [VIEW])
-    assert update.triangles == 2 * field.lattice.squares and update.bound_px == 0.0
+    assert update.triangles == 2 * field.lattice.squares and update.terms_px.geometric == 0.0
     assert np.array_equal(np.unique(update.surface.normals, axis=0), [[0, 0, 1]])
 
 

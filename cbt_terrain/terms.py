@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bound is made of, and how far rounding to float32 can take a mesh from where it was computed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .heightfield import HeightField
+
+# Significant bits of float32: whole multiples of a power of two up to 2^24 times that power are exact.
+SINGLE_BITS = 24
+# Displacement rounds about ten times in float64, each time by 2^-53 of its largest number at most.
+DISPLACEMENT_ERROR = 2.0**-48
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The parts of a bound at the leaf that decides it, in the bound's own unit; they add up to it.
+
+    `geometric`: interpolation by triangles; of a leaf that is drawn as a meshlet, by those that are drawn.
+    `resampling`: what importing moved the raster's own samples there. `precision`: float32 positions.
+    """
+
+    geometric: float
+    resampling: float
+    precision: float
+
+    @classmethod
+    def shares(cls, bound: float, geometric: float, resampling: float, precision: float) -> "Terms":
+        """A bound divided in proportion to its parts in metres."""
+        total = geometric + resampling + precision
+        part = bound / total if total > 0.0 else 0.0
+        return cls(geometric * part, resampling * part, precision * part)
+
+
+def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> float:
+    """Metres of height by which float32 positions of leaves at `depth` or above can move a mesh, at most.
+
+    A height is rounded by half a step of float32 at the highest. A plane coordinate that is rounded moves the mesh
+    sideways, hence up or down by that times the steepest slope; coordinates that float32 holds exactly do not count.
+    """
+    lattice = field.lattice
+    heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
+    highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
+    moved = _half_step(highest) + DISPLACEMENT_ERROR * (heights + abs(vertical_offset))
+    for cells, step, slope in (
+        (lattice.width - 1, lattice.step_x, field.steepest_x),
+        (lattice.height - 1, lattice.step_y, field.steepest_y),
+    ):
+        spacing = step * 2.0 ** (lattice.levels - depth // 2)
+        if not _is_exact(0.5 * cells * step, spacing):
+            moved += _half_step(0.5 * cells * step) * slope * abs(vertical_scale)
+    return moved * (1 + 1e-6)
+
+
+def _half_step(largest: float) -> float:
+    """Half the distance between neighbouring float32 near a number."""
+    return 0.5 * float(np.spacing(np.float32(largest)))
+
+
+def _is_exact(largest: float, spacing: float) -> bool:
+    """Whether float32 holds every number from -largest to largest in steps of `spacing`."""
+    quantum = min(_power_of_two(largest), _power_of_two(spacing))
+    return largest <= quantum * 2.0**SINGLE_BITS
+
+
+def _power_of_two(number: float) -> float:
+    """The largest power of two of which a positive number is a multiple."""
+    numerator, denominator = number.as_integer_ratio()
+    return (numerator & -numerator) / denominator

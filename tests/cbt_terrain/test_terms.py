@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bound is made of: geometry, resampling, float32."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terms import rounding
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
+from fields import rough
+
+
+def test_rounding_is_half_a_step_of_the_highest_where_float32_holds_the_plane():
+    field = from_array(np.full((17, 33), 5000.0, np.float32), 30.0)
+    assert rounding(field, 17, 1.0, 0.0) == pytest.approx(2.0**-12, rel=1e-5)
+    assert rounding(field, 17, 1.0, 12000.0) == pytest.approx(2.0**-10, rel=1e-5)
+    assert rounding(field, 17, -2.0, 0.0) == pytest.approx(2.0**-11, rel=1e-5)
+
+
+def test_rounding_of_plane_coordinates_counts_by_the_slope():
+    y, x = np.indices((33, 33))
+    for step, off in ((1.0, 0.0), (1e6 / 3, 0.25)):  # 5.3e6 m from the middle: half a step of float32 is 0.25 m
+        field = from_array((0.5 * step * x).astype(np.float32), step)
+        assert (field.steepest_x, field.steepest_y) == (pytest.approx(0.5, rel=1e-5), 0.0)
+        high = 0.5 * float(np.spacing(np.float32(field.max_height)))
+        assert rounding(field, 11, 1.0, 0.0) == pytest.approx(high + 0.5 * off, rel=1e-4)
+        assert rounding(field, 11, 3.0, 0.0) == pytest.approx(
+            0.5 * float(np.spacing(np.float32(3 * field.max_height))) + 1.5 * off, rel=1e-4
+        )
+
+
+def test_rounding_counts_lattice_lines_that_only_deep_leaves_use():
+    field = from_array(np.arange(25.0, dtype=np.float32).reshape(5, 5), 1.0)
+    assert rounding(field, 5, 1.0, 0.0) == rounding(field, 40, 1.0, 0.0) < rounding(field, 60, 1.0, 0.0)
+
+
+def test_terms_add_up_to_the_bound():
+    rng = np.random.default_rng(2)
+    raster = np.cumsum(np.cumsum(rng.standard_normal((48, 61)), axis=0), axis=1).astype(np.float32)
+    view = View.look((0, -500, 300), (0, 0, 0))
+    for field, resampled in ((rough(33, 33), False), (from_array(raster, 10.0), True)):
+        for threads in (1, 2):
+            update = Terrain(field, threads).update(Criterion(error_px=0.5, error_m=2.0), [view])
+            for terms, bound in ((update.terms_px, update.bound_px), (update.terms_m, update.bound_m)):
+                assert terms.geometric + terms.resampling + terms.precision == pytest.approx(bound, rel=1e-12)
+                assert terms.geometric > 100 * terms.precision > 0 and (terms.resampling > 0) == resampled
+    assert Terrain(field, 1).update(Criterion(error_px=0, error_m=2.0)).terms_px is None
+
+
+def test_rounding_alone_is_called_precision_and_is_not_refined_away():
+    z = (8000 + 0.01 * np.random.default_rng(0).standard_normal((9, 9))).astype(np.float32)
+    terrain = Terrain(from_array(z, 10.0), 1)
+    lost = terrain.update(Criterion(error_px=0, error_m=10.0)).terms_m.precision
+    update = terrain.update(Criterion(error_px=0, error_m=0.8 * lost))
+    assert update.limited == "precision" and lost < update.bound_m <= 1.2 * lost
+    # four thirds of what is lost can be had, and less costs no more than a few times that
+    other = terrain.update(Criterion(error_px=0, error_m=1.5 * lost))
+    assert other.limited == "" and other.bound_m <= 1.5 * lost
+    assert other.triangles < update.triangles < 8 * other.triangles

@@ -28,6 +28,7 @@ from .criterion import Criterion
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
+from .terms import Terms
 from .terrain import Terrain, Update
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
@@ -40,6 +41,8 @@ STRETCH, AIM = 1.25, 0.95
 # rounds have gone.
 LOCAL, FEW, MANY_ROUNDS = 0.75, 0.02, 16
 MAX_ROUNDS = 64
+# Part of the error that resampling at import may have taken: with less of it left, a fit saves nothing.
+MOST_MOVED = 0.5
 # Vertices in raster cells lie on parts of a cell of 2^-FINEST.
 FINEST = DEPTH_BELOW_CELLS // 2 + 1
 # Far more than float64 rounds off the sum of a few terms.
@@ -52,7 +55,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Fitted(Update):
-    """What a fit did, as `Update`; `limited` may also be "rounding": float32 positions hold no less.
+    """What a fit did, as `Update`.
 
     `worst_m`: the exact largest distance of the delivered heights from the surface, metres; `bound_m` is that with
     what resampling at import and rounding of plane coordinates add. `rounds`: meshes it took; 0 if the interpolating
@@ -87,7 +90,9 @@ def fit(
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = _Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
         best = fitter.run(error_m)
-        if best is None or best.beyond_plain or best.limited or best.triangles > most:
+        # Interpolation allows for what resampling moved in each place, the fit for the most of it everywhere.
+        unsure = best is None or best.beyond_plain or best.limited or fitter.moved_m > 0.0
+        if unsure or best.triangles > most:
             plain = Terrain(field, threads).update(criterion, (), None, vertical_scale, vertical_offset)
             if best is not None and best.triangles > most:
                 best = _within(fitter, error_m, most, plain)
@@ -97,16 +102,18 @@ def fit(
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(
-        best.surface,
-        best.triangles,
-        True,
-        None,
-        best.bound_m,
-        None,
-        None,
-        best.relaxed,
-        limited,
-        ms,
+        surface=best.surface,
+        leaves=best.triangles,
+        changed=True,
+        bound_px=None,
+        bound_m=best.bound_m,
+        bound_edge_px=None,
+        bound_area_px=None,
+        relaxed=best.relaxed,
+        limited=limited,
+        terms_px=None,
+        terms_m=best.terms,
+        ms=ms,
         worst_m=best.worst_m,
         rounds=best.rounds,
     )
@@ -134,6 +141,7 @@ class _Mesh:
     surface: Surface
     bound_m: float
     worst_m: float
+    terms: Terms
     limited: str
     rounds: int
     beyond_plain: bool = False  # it was split where interpolation would not be
@@ -159,18 +167,17 @@ class _Fitter:
         self.moved_m = field.resample_max * self.scale
 
     def run(self, error_m: float) -> _Mesh | None:
-        """The fit for one error; None if it was given up after MAX_ROUNDS."""
-        if not self.scale:
+        """The fit for one error; None if it was given up after MAX_ROUNDS, or resampling leaves it too little."""
+        if not self.scale or self.moved_m > error_m * MOST_MOVED:
             return None
         buffers, field = Buffers(), self.field
         refinement = Refinement(field, buffers, self.threads)
         builder = SurfaceBuilder(buffers, self.threads)
-        # As the criterion weighs what resampling has moved: metres2_of in kernels/criterion.py.
-        own_m = max(error_m - self.moved_m, error_m / 4)
+        own_m = error_m - self.moved_m
         shift_m = self._shift(own_m)
         f = self._fit(own_m - min(shift_m, own_m / 2))
         errors = field.error * np.float32(1.0 / START)
-        domain = make_domain(replace(field, error=errors, resample_max=0.0, _expanded={}), 0, *self.placement)
+        domain = make_domain(replace(field, error=errors, moved=None, _expanded={}), 0, *self.placement)
         asked = _asked(own_m)
         known = self._nothing_known()
         stack, found = wp.zeros(1024, wp.vec3i, device="cpu"), wp.zeros(4, wp.int32, device="cpu")
@@ -196,7 +203,7 @@ class _Fitter:
                 worst = float(buffers.numpy("fit_worst")[:triangles].max())
                 bound, limited = self._bound(worst, shift_m, error_m)
                 limited = "max_depth" if limited and deepest else limited
-                return _Mesh(surface, bound, worst, limited, rounds, beyond_plain)
+                return _Mesh(surface, bound, worst, self._terms(bound, worst, shift_m), limited, rounds, beyond_plain)
             self._spread(kernels.keep, vertices, [f, *known])
         return None
 
@@ -209,8 +216,12 @@ class _Fitter:
             self._spread(kernels.gather, len(update.surface.positions), [f, *self._nothing_known()])
             self._spread(kernels.pull, update.triangles, [-1, f], cost=5.0)
             worst = float(buffers.numpy("fit_worst")[: update.triangles].max())
-        bound, limited = self._bound(worst, self._shift(0.0), error_m)
-        return _Mesh(update.surface, bound, worst, update.limited or limited, 0, relaxed=update.relaxed)
+        shift_m = self._shift(0.0)
+        bound, limited = self._bound(worst, shift_m, error_m)
+        terms = self._terms(bound, worst, shift_m)
+        if update.bound_m < bound:  # it allows for what resampling moved in each place
+            bound, limited, terms = update.bound_m, update.limited, update.terms_m
+        return _Mesh(update.surface, bound, worst, terms, update.limited or limited, 0, relaxed=update.relaxed)
 
     def _fit(self, bound_m: float) -> kernels.Fit:
         f = kernels.Fit()
@@ -234,7 +245,10 @@ class _Fitter:
         total = worst_m + shift_m + self.moved_m
         if total <= error_m:
             return min(total * OUTWARD, error_m), ""
-        return total * OUTWARD, "resampling" if worst_m + shift_m <= error_m else "rounding"
+        return total * OUTWARD, "resampling" if worst_m + shift_m <= error_m else "precision"
+
+    def _terms(self, bound_m: float, worst_m: float, shift_m: float) -> Terms:
+        return Terms.shares(bound_m, worst_m, self.moved_m, shift_m)
 
     def _sweep(self, f: kernels.Fit, triangles: int, vertices: int, buffers: Buffers) -> int:
         """Move the vertices; returns how many triangles were beyond the bound before the last move."""
@@ -256,25 +270,16 @@ class _Fitter:
         # Of what is split in raster cells only the corners of the cells are moved.
         twist = float(self.field.error[lattice.range_count :].max()) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
-        axes = ((lattice.width, lattice.step_x, 1), (lattice.height, lattice.step_y, 0))
-        for samples, step, axis in axes:
+        axes = (
+            (lattice.width, lattice.step_x, self.field.steepest_x),
+            (lattice.height, lattice.step_y, self.field.steepest_y),
+        )
+        for samples, step, slope in axes:
             places = (np.arange(((samples - 1) << FINEST) + 1) * 0.5**FINEST - 0.5 * (samples - 1)) * step
             off = float(np.abs(places.astype(np.float32) - places).max())
-            if off:
-                # No facet is steeper than the surface, but for its vertices' moves.
-                steepest = _steepest(self.field.samples, axis) * self.scale + 2.0 * error_m * finer
-                shift += off * steepest / step
+            # No facet is steeper than the surface, but for its vertices' moves.
+            shift += off * (slope * self.scale + 2.0 * error_m * finer / step)
         return shift
-
-
-def _steepest(samples: np.ndarray, axis: int) -> float:
-    """Largest difference of neighbours along an axis, metres; row by row, as a raster may be larger than memory."""
-    most = 0.0
-    for row in range(0, len(samples), 256):
-        part = samples[row : row + 257]
-        if part.shape[axis] > 1:
-            most = max(most, float(np.abs(np.diff(part.astype(np.float64), axis=axis)).max()))
-    return most
 
 
 def _asked(error_m: float) -> Asked:

@@ -142,8 +142,19 @@ def test_resampling_is_part_of_the_bound():
     heights = np.asarray(rough(33, 33).samples)[:31, :30]
     field = from_array(np.ascontiguousarray(heights), 10.0)
     assert field.resample_max > 0
-    fitted = fit(field, 3 * field.resample_max)
-    assert fitted.worst_m + field.resample_max <= fitted.bound_m <= 3 * field.resample_max
+    fitted = fit(field, 6 * field.resample_max)
+    assert fitted.rounds > 0
+    assert fitted.worst_m + field.resample_max <= fitted.bound_m <= 6 * field.resample_max
+    assert fitted.terms_m.resampling == pytest.approx(field.resample_max, rel=1e-6)
+
+
+def test_where_resampling_takes_most_of_the_error_interpolation_is_kept():
+    heights = np.asarray(rough(33, 33).samples)[:31, :30]
+    field = from_array(np.ascontiguousarray(heights), 10.0)
+    fitted = fit(field, 1.5 * field.resample_max)
+    plain = Terrain(field).update(Criterion(error_px=0.0, error_m=1.5 * field.resample_max))
+    assert fitted.rounds == 0 and fitted.triangles == plain.triangles
+    assert fitted.worst_m <= fitted.bound_m <= plain.bound_m
 
 
 @pytest.mark.parametrize("budget", [0, 40, 300])

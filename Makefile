@@ -7,12 +7,13 @@ TESTS ?= tests
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test fuzz bench profile lint format extension clean help
+.PHONY: demo test fuzz hard-cases bench profile lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
-	@echo "make fuzz       10,000 random views"
+	@echo "make fuzz       10,000 random views, and twenty times the usual examples of the property tests"
+	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make lint       ruff check and format check"
@@ -25,7 +26,11 @@ test: $(READY)
 	$(PY) -m pytest $(TESTS)
 
 fuzz: $(READY)
-	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views_keep
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/properties
+
+hard-cases: $(READY)
+	$(PY) tools/hard_cases_page.py
 
 bench: $(READY)
 	$(PY) -m adaptive_terrain.operators.command_line bench $(BENCH)

@@ -22,6 +22,8 @@ MAX_FRAMES = 1_000_000
 MAX_FRAME = 1_048_574  # what Blender holds
 # A partial file of a process that runs may be work in progress, also on another machine; after a day it is not.
 STALE_SECONDS = 86_400.0
+# More than the blocks in which Blender's exporters write.
+PROBE_BYTES = 1 << 16
 
 
 def parse_frames(text: str) -> range:
@@ -112,7 +114,8 @@ def _written(path: Path):
     except OSError as error:
         reason = error.strerror or error
     except RuntimeError as error:  # what Blender's exporters report; of a traceback, the last line
-        reason = (str(error).strip().splitlines() or ["no reason given"])[-1].removeprefix("Error: ")
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith("Location: ")]
+        reason = (lines or ["no reason given"])[-1].removeprefix("Error: ")
     else:
         return
     reason = str(reason).replace(f".partial-{os.getpid()}-", "")  # the user knows the file by its final name
@@ -214,6 +217,18 @@ def _written_by_blender(path: Path):
         yield partial
         if not partial.exists():
             raise RuntimeError("Blender wrote nothing")
+        _need_room_for_more(partial)
+
+
+def _need_room_for_more(path: Path) -> None:
+    """Raise OSError where a file cannot grow: Blender's PLY, OBJ and STL writers do not say that a full disk, a quota
+    or a limit has cut theirs short."""
+    with path.open("r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.write(bytes(PROBE_BYTES))
+        file.flush()
+        os.fsync(file.fileno())
+        file.truncate(size)
 
 
 def write_blend(path: Path) -> None:

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clean end of the test run, whatever the bpy module makes of it."""
+"""How hypothesis looks for failures, and a clean end of the test run, whatever the bpy module makes of it."""
 
 import os
 import sys
 
 import pytest
+from hypothesis import settings
+
+# The same examples in every run; CI asks for twice as many (ADAPTIVE_TERRAIN_FUZZ=1000), `make fuzz` for twenty times.
+EXAMPLES = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
+settings.register_profile("project", max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
+settings.load_profile("project")
 
 _exit_status = 0
 

@@ -19,13 +19,14 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert surface.uv.min() >= 0 and surface.uv.max() <= 1
 
     # indices in range, every vertex used
-    assert corners.min() == 0 and corners.max() == count_v - 1 and len(np.unique(corners)) == count_v
+    assert corners.min() == 0 and corners.max() == count_v - 1 and np.bincount(corners.ravel()).min() > 0
     assert sides.min() == 0 and sides.max() == count_e - 1
 
     # corner edges are the edges between corners, each edge once
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1), axis=-1)
     assert np.array_equal(ends, np.sort(edges, axis=1)[sides])
-    keys = np.sort(edges, axis=1) @ np.array([count_v, 1], np.int64)
+    pair = np.array([count_v, 1], np.int64)
+    keys = np.sort(edges, axis=1) @ pair
     assert len(np.unique(keys)) == count_e
 
     # I2 interior edges belong to two triangles, border edges to one; and the border is the domain's
@@ -40,9 +41,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
 
     # I3 one sheet; every triangle counter-clockwise seen from above; each interior edge is run in both directions
     assert count_v - count_e + count_t == 1
-    directed = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2) @ np.array(
-        [count_v, 1], np.int64
-    )
+    directed = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2) @ pair
     assert len(np.unique(directed)) == 3 * count_t
 
     # I4 the leaves partition the domain: two triangles of depth 1 a root square, in integers
@@ -52,7 +51,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert count_t % (1 << 2 * meshlet) == 0
 
     # I5 no two vertices at one place
-    assert len(np.unique(plane, axis=0)) == count_v
+    assert len(np.unique(plane.view(np.complex128))) == count_v
 
     # I6 positive area in the plane, adding up to the domain
     p = plane[corners]
@@ -65,3 +64,11 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
 def arrays(surface: Surface) -> dict[str, bytes]:
     """The bytes of every array, to compare meshes that must be the same."""
     return {name: array.tobytes() for name, array in vars(surface).items()}
+
+
+def assert_blender_invariants(obj, meshlet: int = 0) -> None:
+    """Assert I1 .. I6 for the mesh that a Blender object holds, read back from Blender, and Blender's own check."""
+    from adaptive_terrain.operators import frame_sources, session
+
+    assert obj.data.validate(verbose=True) is False
+    assert_invariants(frame_sources._surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)

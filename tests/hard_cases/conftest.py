@@ -1,4 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fixtures for Blender are shared with the tests of the operators."""
+"""Fixtures of the hard cases; those for Blender are shared with the tests of the operators."""
 
+import pytest
 from blender_scenes import add_terrain, empty, grid_surface, scene, store  # noqa: F401
+
+
+@pytest.fixture
+def flight(scene):  # noqa: F811
+    """The camera hangs on an animated, turning parent and flies over frames 1 to 20."""
+    import bpy
+
+    parent = bpy.data.objects.new("Rig", None)
+    scene.collection.objects.link(parent)
+    scene.camera.parent = parent
+    for frame, x, turn in ((1, -300.0, 0.0), (20, 300.0, 0.6)):
+        parent.location.x, parent.rotation_euler.z = x, turn
+        parent.keyframe_insert("location", frame=frame)
+        parent.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(1)
+    return scene

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.criterion import Criterion, as_seen, slant_of
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
-from fields import random_view, rough
+from fields import random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants
 
 VIEW = View.look((-300.0, -400.0, 150.0), (0, 0, 0))
@@ -28,82 +28,140 @@ def eager_threads(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
 
 
-def test_case_37_budget_of_nothing_and_exactly_full(field):
-    full = Terrain(field, 1).update(Criterion(error_px=0.5), [VIEW])
-    for budget in (0, 1, 2, 3, 100, full.triangles - 1, full.triangles, full.triangles + 1):
-        update = Terrain(field, 1).update(Criterion(error_px=0.5, max_triangles=budget), [VIEW])
-        assert_invariants(update.surface, field.lattice)
-        assert update.triangles <= max(budget, 2)
+def checked(terrain, criterion, views, **placed):
+    """An update whose mesh keeps the invariants."""
+    update = terrain.update(criterion, views, **placed)
+    assert_invariants(update.surface, terrain.field.lattice, criterion.meshlet)
+    return update
+
+
+def budgets(full, least):
+    return sorted({0, 1, 2, 3, 100, least - 1, least, least + 1, full - 1, full, full + 1})
+
+
+@pytest.mark.parametrize("shape", [(65, 65), (33, 97)])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, threads):
+    """A closed mesh of at most max(budget, two a root square) triangles; the bound reported covers what is measured."""
+    field = rough(*shape)
+    full = checked(Terrain(field, threads), Criterion(error_px=0.5), [VIEW])
+    whole, least, points = arrays(full.surface), 2 * field.lattice.squares, scattered(field, 1000)
+    for budget in budgets(full.triangles, least):
+        update = checked(Terrain(field, threads), Criterion(error_px=0.5, max_triangles=budget), [VIEW])
+        assert least <= update.triangles <= max(budget, least)
         assert (update.limited == "max_triangles") == (budget < full.triangles)
+        assert screen_error(VIEW, field, update.surface, points) <= update.bound_px
         assert update.bound_px <= as_seen(VIEW, slant_of(VIEW, np.eye(4)), 0.5 * update.relaxed)
     assert arrays(update.surface) == arrays(full.surface)
+    assert arrays(update.surface) == whole
 
 
 def test_case_38_a_larger_budget_is_never_worse(field):
+    """Over budgets 2 .. 4,000 the bound never rises and the number of triangles never falls."""
     terrain, last_bound, last_triangles = Terrain(field, 1), np.inf, 0
     for budget in range(2, 4000, 97):
-        update = terrain.update(Criterion(error_px=0.1, max_triangles=budget), [VIEW])
+        update = checked(terrain, Criterion(error_px=0.1, max_triangles=budget), [VIEW])
+        assert update.triangles <= budget
         assert update.bound_px <= last_bound and update.triangles >= last_triangles
         last_bound, last_triangles = update.bound_px, update.triangles
 
 
 def test_case_39_the_same_view_changes_nothing(field):
+    """A second update at one view, and one asked in other words, leave the tree's and the mesh's bytes as they are."""
     terrain = Terrain(field, 1)
-    assert terrain.update(Criterion(), [VIEW]).changed
-    before = terrain.tree.to_bytes()
+    first = checked(terrain, Criterion(), [VIEW])
+    assert first.changed
+    mesh, before = arrays(first.surface), terrain.tree.to_bytes()
     assert not terrain.update(Criterion(), [VIEW]).changed
     # asked in other words, so that the walk runs: still the same tree
-    assert not terrain.update(Criterion(guard_deg=5.0000001), [VIEW]).changed
+    again = checked(terrain, Criterion(guard_deg=5.0000001), [VIEW])
+    assert not again.changed and arrays(again.surface) == mesh
     assert terrain.tree.to_bytes() == before
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_case_40_threads_do_not_show(eager_threads, meshlet):
+    """1, 2, 3 and 16 threads: the same bytes of every array, the same bounds, the same tree."""
     for shape in ((65, 65), (33, 97), (129, 33)):
         field = rough(*shape)
         criterion = Criterion(error_px=0.5, meshlet=meshlet)
-        one = Terrain(field, 1).update(criterion, [VIEW])
+        alone = Terrain(field, 1)
+        one = checked(alone, criterion, [VIEW])
         for threads in (2, 3, 16):
             terrain = Terrain(field, threads)
             terrain.update(Criterion(error_px=1.5, meshlet=meshlet), [VIEW])  # so that there is something to cut by
             many = terrain.update(criterion, [VIEW])
             assert arrays(many.surface) == arrays(one.surface)
             assert (many.bound_px, many.bound_m, many.leaves) == (one.bound_px, one.bound_m, one.leaves)
+            assert terrain.tree.to_bytes() == alone.tree.to_bytes()
 
 
 def test_case_41_there_and_back_again(field):
+    """A -> B -> A: the mesh's and the tree's bytes are those of A."""
     terrain = Terrain(field, 2)
     there = View.look((500.0, 100.0, 40.0), (0, 0, 0), fov_deg=30)
-    first = terrain.update(Criterion(), [VIEW])
+    first = checked(terrain, Criterion(), [VIEW])
     first, tree = arrays(first.surface), terrain.tree.to_bytes()
-    assert arrays(terrain.update(Criterion(), [there]).surface) != first
-    assert arrays(terrain.update(Criterion(), [VIEW]).surface) == first
+    assert arrays(checked(terrain, Criterion(), [there]).surface) != first
+    assert arrays(checked(terrain, Criterion(), [VIEW]).surface) == first
     assert terrain.tree.to_bytes() == tree
 
 
-def test_case_42_a_trembling_camera_flips_no_leaf_back_and_forth(field):
-    """The refinement has no state, so a leaf can only change where the view crosses its threshold, and then stays."""
-    terrain = Terrain(field, 1)
+def test_case_42_a_trembling_camera_changes_no_leaf(field):
+    """200 frames from within 1e-6 m of one place: one mesh, whatever the place (ten of them)."""
     rng = np.random.default_rng(3)
-    changes = 0
-    for _ in range(200):
-        eye = np.array([-300.0, -400.0, 150.0]) + rng.uniform(-1e-6, 1e-6, 3)
-        changes += terrain.update(Criterion(), [View.look(eye, (0, 0, 0))]).changed
-    assert changes <= 1  # the first
+    for _ in range(10):
+        terrain, changes = Terrain(field, 1), 0
+        middle = np.array([-300.0, -400.0, 150.0]) + rng.uniform(-50, 50, 3)
+        for _ in range(20):
+            eye = middle + rng.uniform(-1e-6, 1e-6, 3)
+            changes += checked(terrain, Criterion(), [View.look(eye, eye + [300.0, 400.0, -150.0])]).changed
+        assert changes == 1  # the first
+
+
+def leaf_set(terrain):
+    return set(terrain.tree.leaves().tolist())
+
+
+def test_case_42_on_the_threshold_itself_one_diamond_flips_within_the_bound(field):
+    """Two places a nanometre apart that differ differ by one diamond, and both meshes keep the bound that was asked."""
+    terrain, asked = Terrain(field, 1), Criterion(error_px=2.0, off_screen_factor=1.0)
+    low, high = np.array([-300.0, -400.0, 150.0]), np.array([-280.0, -370.0, 140.0])
+
+    def seen_from(eye):
+        return View.look(eye, eye + [300.0, 400.0, -150.0])
+
+    def leaves(eye):
+        terrain.update(asked, [seen_from(eye)])
+        return leaf_set(terrain)
+
+    first = leaves(low)
+    assert leaves(high) != first
+    while np.linalg.norm(high - low) > 1e-9:
+        middle = (low + high) / 2
+        low, high = (middle, high) if leaves(middle) == first else (low, middle)
+    before, after = leaves(low), leaves(high)
+    assert 0 < len(before ^ after) <= 6  # a diamond: its two triangles against their four halves
+    points = scattered(field, 2000)
+    for eye in (low, high):
+        update = checked(terrain, asked, [seen_from(eye)])
+        assert screen_error(seen_from(eye), field, update.surface, points) <= update.bound_px
+        assert update.bound_px <= 2.0
 
 
 def test_case_43_a_teleport_converges_in_one_call(field):
+    """20 jumps with a budget: after one call the mesh is the one that a new terrain makes for that view."""
     terrain = Terrain(field, 2)
     rng = np.random.default_rng(5)
     for _ in range(20):
         view = random_view(rng, field)
         criterion = Criterion(error_px=1.0, max_triangles=30_000)
-        jumped = arrays(terrain.update(criterion, [view]).surface)
+        jumped = arrays(checked(terrain, criterion, [view]).surface)
         assert jumped == arrays(Terrain(field, 1).update(criterion, [view]).surface)
 
 
 def test_case_46_random_views_keep_all_invariants(monkeypatch):
-    """Sizes, depths, lenses, budgets, meshlets, one and two threads."""
+    """Random sizes, depths, lenses, budgets, meshlets, scales: budget kept, one and two threads the same bytes."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng = np.random.default_rng(46)
     shapes = [(2, 2), (3, 3), (5, 9), (33, 33), (17, 49), (65, 33), (7, 40), (33, 129)]

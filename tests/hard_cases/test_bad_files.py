@@ -2,18 +2,21 @@
 """Hard case 20: files that are truncated, corrupted or lie, a full disk, files that vanish."""
 
 import json
-import resource
 import shutil
 import struct
-import time
+import subprocess
+import sys
 import zlib
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import store as stores
+from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source, run_import
 from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from invariants import arrays, assert_invariants
 from rasters import hills, imported, write_exr, write_raster
 
 
@@ -185,34 +188,60 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_case_20_a_bad_file_is_one_clear_error_soon_and_the_store_stays(tmp_path, name):
+def test_case_20_a_bad_file_is_one_clear_error_and_the_store_stays(tmp_path, name):
+    """Every kind of truncated, corrupted or lying file is one sentence that names it, and the store keeps its key."""
     imported(tmp_path, "island", size=17)
     key = open_store(tmp_path / "store").key
     path = tmp_path / name
     BAD_FILES[name](path)
-    start = time.monotonic()
     with pytest.raises(TerrainError) as caught:
         imported(tmp_path, path)
-    assert time.monotonic() - start < 5.0
     message = str(caught.value)
     assert name in message and message.endswith(".") and "\n" not in message and len(message) < 500
     assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
 
 
-def test_case_20_bad_files_cost_the_child_neither_time_nor_memory(tmp_path):
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    for name in ("lying.tif", "lying.exr", "bomb.tif"):
-        path = tmp_path / name
-        BAD_FILES[name](path)
-        start = time.monotonic()
-        with pytest.raises(TerrainError):
-            import_source(ImportSettings(source=str(path)), tmp_path / "store")
-        assert time.monotonic() - start < 10.0
-        assert not (tmp_path / "store").exists()
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(before, 1 << 20)  # kilobytes
+# Imports every file that it is given, and says how much memory the process has gained after each.
+HUNGER = """
+import json, resource, sys
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
+run_import(ImportSettings(source="island", size=17), sys.argv[1] + "/warm")
+usage = lambda: resource.getrusage(resource.RUSAGE_SELF)
+before, added = usage().ru_maxrss, {}
+for source in sys.argv[2:]:
+    try:
+        run_import(ImportSettings(source=source), sys.argv[1] + "/store")
+    except TerrainError:
+        added[source] = usage().ru_maxrss - before
+print(json.dumps(added))
+"""
+
+
+def test_case_20_bad_files_cost_no_memory(tmp_path):
+    """All bad files one after the other in one process: its peak memory grows by less than 256 MB."""
+    paths = [tmp_path / name for name in BAD_FILES]
+    for path in paths:
+        BAD_FILES[path.name](path)
+    command = [sys.executable, "-c", HUNGER, str(tmp_path), *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)  # only so that a hang ends
+    added = json.loads(done.stdout.splitlines()[-1])
+    assert sorted(added) == sorted(map(str, paths)), done.stderr
+    assert max(added.values()) < 256 * 1024, added  # kilobytes
+    assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.parametrize("name", ["lying.tif", "lying.exr", "bomb.tif"])
+def test_case_20_a_bad_file_in_the_child_process(tmp_path, name):
+    """The error of the import's own process comes through, and no folder is left behind."""
+    BAD_FILES[name](tmp_path / name)
+    with pytest.raises(TerrainError, match=name):
+        import_source(ImportSettings(source=str(tmp_path / name)), tmp_path / "store")
+    assert not (tmp_path / "store").exists()
 
 
 def test_case_20_a_full_disk(tmp_path, monkeypatch):
+    """No room before, while and after the arrays are written: one sentence each, and the store stays (see faults/)."""
     imported(tmp_path, "island", size=17)
     key = open_store(tmp_path / "store").key
 
@@ -236,12 +265,14 @@ def test_case_20_a_full_disk(tmp_path, monkeypatch):
 
 
 def test_case_20_a_folder_that_may_not_be_written(tmp_path):
+    """A store inside a file is refused."""
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(TerrainError, match="cannot be written"):
         run_import(ImportSettings(source="island", size=17), tmp_path / "file" / "store")
 
 
 def test_case_20_a_file_deleted_while_in_use(tmp_path):
+    """A raster deleted while it is read is imported whole or is an error that names it, and then no store is left."""
     source = write_raster(tmp_path / "a.tif", hills(257, 257), blockysize=1)
 
     def delete(_fraction, _message):
@@ -257,15 +288,21 @@ def test_case_20_a_file_deleted_while_in_use(tmp_path):
 
 
 def test_case_20_a_store_deleted_while_in_use(tmp_path):
+    """A store deleted while open stays readable and makes the same mesh; opening it again is an error."""
     imported(tmp_path, "island", size=65)
     field = open_store(tmp_path / "store")
-    peak = float(field.samples.max())
+    peak, asked = float(field.samples.max()), Criterion(error_px=0.0, error_m=5.0)
+    before = arrays(Terrain(field, 1).update(asked).surface)
     shutil.rmtree(tmp_path / "store")
     assert float(field.samples.max()) == peak and field.error_for(1).shape == field.error.shape
+    surface = Terrain(field, 1).update(asked).surface
+    assert_invariants(surface, field.lattice)
+    assert arrays(surface) == before
     assert not (tmp_path / "store").exists()
     with pytest.raises(TerrainError, match="no terrain store"):
         open_store(tmp_path / "store")
 
 
 def test_case_20_a_report_is_plain_json(tmp_path):
+    """The report of an import is JSON without NaN or infinity."""
     json.dumps(imported(tmp_path, "island", size=17)[1], allow_nan=False)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hard cases 21 to 31 and 33, 34: cameras and transforms, as the engine sees them."""
 
+import math
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.criterion import Criterion
@@ -20,8 +22,6 @@ from fields import (
 from invariants import arrays, assert_invariants
 
 ONE_PIXEL = Criterion(error_px=1.0, max_triangles=20_000)
-# float32 positions and the tests' own float64 projection move a point by far less than this.
-ROUNDING_PX = 1e-2
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +37,11 @@ def update_and_check(field, views, criterion=ONE_PIXEL, **placed):
 
 def assert_bound(field, view, update, placement=None):
     measured = screen_error(view, field, update.surface, scattered(field, 2000), placement)
-    assert measured <= update.bound_px * (1 + 1e-6) + ROUNDING_PX
+    assert measured <= update.bound_px
 
 
 def test_case_21_eye_on_vertex_on_surface_inside_and_below(field):
+    """An eye on a vertex, on an edge, 20 m inside and 500 m below: a finite bound that covers what is measured."""
     on_vertex = sample_position(field, 20, 30)
     edge = (sample_position(field, 20, 30) + sample_position(field, 21, 30)) / 2
     for eye in (on_vertex, edge, on_vertex - [0, 0, 20], on_vertex - [0, 0, 500]):
@@ -51,16 +52,20 @@ def test_case_21_eye_on_vertex_on_surface_inside_and_below(field):
 
 
 def test_case_22_roll_and_looking_straight_down_up_and_upside_down(field):
+    """Straight down, up and level: a panorama at any roll is the same bytes, a perspective keeps its bound."""
     position_only = Criterion(error_px=1.0, off_screen_factor=1.0)
     eye = np.array([30.0, -40.0, 400.0])
     for target in (eye - [0, 0, 1], eye + [0, 0, 1], eye + [1, 0, 0]):
         views = [View.look(eye, target, roll_deg=roll, kind=PANORAMIC, fov_deg=360) for roll in (0, 90, 180)]
         meshes = [arrays(update_and_check(field, [view], position_only).surface) for view in views]
         assert meshes[0] == meshes[1] == meshes[2]
-        update_and_check(field, [View.look(eye, target)])
+        for roll in (0, 180):
+            view = View.look(eye, target, roll_deg=roll)
+            assert_bound(field, view, update_and_check(field, [view]))
 
 
 def test_case_23_orthographic(field):
+    """An orthographic view reaches 1 px and keeps it; the projection of ortho_scale 0 is refused."""
     view = View.look((0, 0, 1000), (1, 2, 0), kind=ORTHOGRAPHIC, ortho_width=300.0, clip=(0.1, 5000))
     update = update_and_check(field, [view])
     assert 0 < update.bound_px <= 1
@@ -72,15 +77,20 @@ def test_case_23_orthographic(field):
 
 
 def test_case_24_field_of_view_near_180_and_near_0(field):
+    """179.9999 and 0.0001 degrees keep their bound; 180 and 0 are refused."""
     for fov in (179.9999, 0.0001):
         view = View.look((0, -400, 200), (0, 0, 0), fov_deg=fov)
         update = update_and_check(field, [view])
         assert_bound(field, view, update)
+    for fov in (180.0, 0.0, math.nan):
+        with pytest.raises(TerrainError, match="expected more than 1e-7 and less than 180"):
+            View.look((0, -400, 200), (0, 0, 0), fov_deg=fov)
     with pytest.raises(TerrainError, match="180"):
         View(np.eye(4), np.diag([0.0, 0.0, 1.0, 0.0]), (100, 100))
 
 
 def test_case_25_panorama_bounds_the_angle(field):
+    """A full panorama reaches 1 px, measured as an angle between the true and the shown direction."""
     view = View.look((0, 0, 150), (1, 0, 150), kind=PANORAMIC, fov_deg=360, resolution=(2000, 1000))
     update = update_and_check(field, [view])
     assert 0 < update.bound_px <= 1
@@ -88,6 +98,7 @@ def test_case_25_panorama_bounds_the_angle(field):
 
 
 def test_case_26_triangle_behind_the_eye_is_not_judged_small():
+    """An eye 2 m above triangles that reach behind it: the spike in front is within 1 px."""
     # The eye stands 2 m above big flat triangles that reach behind it; one sample in front of it is a spike.
     samples = np.zeros((33, 33), np.float32)
     samples[16, 17] = 3.0
@@ -99,6 +110,7 @@ def test_case_26_triangle_behind_the_eye_is_not_judged_small():
 
 
 def test_case_27_clip_start_beyond_clip_end_culls_nothing(field):
+    """A view away from the terrain with an upside-down clip range refines it all the same."""
     turned = Criterion(error_px=4.0)
     eye, target = (0, -600, 300), (0, -2000, 300)
     culled = update_and_check(field, [View.look(eye, target, clip=(0.1, 1e5))], turned)
@@ -107,6 +119,7 @@ def test_case_27_clip_start_beyond_clip_end_culls_nothing(field):
 
 
 def test_case_28_nan_in_the_matrix_leaves_the_last_mesh(field):
+    """NaN or infinity in the camera's or terrain's matrix is refused, and the mesh's bytes stay."""
     terrain = Terrain(field, threads=1)
     view = View.look((0, -400, 200), (0, 0, 0))
     before = arrays(terrain.update(ONE_PIXEL, [view]).surface)
@@ -118,10 +131,13 @@ def test_case_28_nan_in_the_matrix_leaves_the_last_mesh(field):
     placement[2, 3] = np.inf
     with pytest.raises(TerrainError, match="not finite"):
         terrain.update(ONE_PIXEL, [view], placement)
-    assert arrays(terrain.update(ONE_PIXEL, [view]).surface) == before
+    kept = terrain.update(ONE_PIXEL, [view])
+    assert_invariants(kept.surface, field.lattice)
+    assert not kept.changed and arrays(kept.surface) == before
 
 
 def test_case_29_far_away_shifted_and_stretched(field):
+    """From 1e30 m two triangles; a lens shift of 1e6 and pixels of 1 : 100 keep their bound."""
     far = update_and_check(field, [View.look((1e30, 0, 0), (0, 0, 0))])
     assert far.leaves == 2
     base = View.look((0, -400, 200), (0, 0, 0))
@@ -135,22 +151,49 @@ def test_case_29_far_away_shifted_and_stretched(field):
 
 
 def test_case_30_looking_away_gives_the_smallest_mesh():
+    """Looking away leaves two triangles a root square."""
     field = rough(33, 65)
     update = update_and_check(field, [View.look((0, -500, 200), (0, -1000, 200))])
     assert update.leaves == 2 * field.lattice.squares
 
 
+def refined(field, views):
+    """Heap ids of all inner nodes: what was split."""
+    terrain = Terrain(field, 1)
+    terrain.update(Criterion(error_px=1.0), views)
+    split = set()
+    for leaf in terrain.tree.leaves().tolist():
+        while (leaf := leaf >> 1) and leaf not in split:
+            split.add(leaf)
+    return split
+
+
 def test_case_31_several_cameras_each_bound_holds(field):
+    """Two cameras: the union reaches 1 px for both, and each alone needs fewer leaves."""
     left = View.look((-300, -300, 80), (0, 0, 0))
     right = View.look((300, 200, 60), (0, 0, 0), fov_deg=20)
     union = update_and_check(field, [left, right], Criterion(error_px=1.0))
     assert 0 < union.bound_px <= 1
     for view in (left, right):
         assert_bound(field, view, union)
-        assert update_and_check(field, [view], Criterion(error_px=1.0)).leaves < union.leaves
+        alone = update_and_check(field, [view], Criterion(error_px=1.0))
+        assert alone.leaves < union.leaves
+    both = [set(refined(field, views)) for views in ([left], [right], [left, right])]
+    assert both[2] == both[0] | both[1]  # what is split for one of them is split for both
+
+
+def assert_outward(surface, placement):
+    """In world space vertex normals and triangles face where the terrain's own up points."""
+    normals = surface.normals.astype(np.float64) @ np.linalg.inv(placement[:3, :3])  # covectors
+    corners = surface.positions.astype(np.float64)[surface.triangles] @ placement[:3, :3].T
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    faces *= np.sign(np.linalg.det(placement[:3, :3]))  # a mirror turns the winding over
+    up = placement[:3, 2]
+    assert (normals @ up > 0).all() and (faces @ up > 0).all()
 
 
 def test_case_33_mirrored_sheared_and_stretched(field):
+    """Mirrored, sheared, stretched: the bound holds in world space, normals face up and outward."""
     mirrored, sheared, stretched = np.eye(4), np.eye(4), np.diag([1, 1, 10.0, 1])
     mirrored[0, 0] = -1
     sheared[0, 1], sheared[0, 2] = 1.5, 0.7
@@ -158,6 +201,7 @@ def test_case_33_mirrored_sheared_and_stretched(field):
         view = View.look((100, -500, 400), (0, 0, 0))
         update = update_and_check(field, [view], Criterion(error_px=2.0, max_triangles=200_000), placement=placement)
         assert_bound(field, view, update, placement)
+        assert_outward(update.surface, placement)
     camera = View.look((100, -500, 400), (0, 0, 0))
     bent = np.eye(4)
     bent[0, 1] = 0.8
@@ -166,16 +210,19 @@ def test_case_33_mirrored_sheared_and_stretched(field):
 
 
 def test_case_34_zero_scale_is_refused_and_nothing_changes(field):
+    """A scale of 0 is refused; the next update is the surface of before, untouched."""
     terrain = Terrain(field, threads=1)
     view = View.look((0, -400, 200), (0, 0, 0))
     before = terrain.update(ONE_PIXEL, [view])
     with pytest.raises(TerrainError, match="scale"):
         terrain.update(ONE_PIXEL, [view], np.diag([1, 0, 1, 1.0]))
     after = terrain.update(ONE_PIXEL, [view])
+    assert_invariants(after.surface, field.lattice)
     assert not after.changed and after.surface is before.surface
 
 
-def test_bounds_hold_for_random_views():
+def test_case_46_bounds_hold_for_random_views():
+    """40 random views, meshlets, budgets: pixels and metres measured at 2,000 points stay within the bounds."""
     rng = np.random.default_rng(7)
     for round_ in range(40):
         field = rough(*[(33, 33), (17, 49), (33, 65)][round_ % 3], seed=round_)

@@ -11,7 +11,10 @@ import time
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.archive import read_npz
+from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.surface import Surface
 from adaptive_terrain.operators import command_line
+from invariants import assert_invariants
 
 FRAMES = 8
 # The child kills itself with the third entry of the third frame's archive written.
@@ -56,7 +59,22 @@ def undisturbed(arguments, tmp_path_factory):
     assert command_line.main([*arguments, "--out", str(out)]) == 0
     meshes = {path.name: path.read_bytes() for path in out.glob("*.npz")}
     assert len(meshes) == FRAMES
+    lattice = open_store(arguments[arguments.index("--store") + 1]).lattice
+    for path in out.glob("*.npz"):
+        assert_invariants(surface_of(path), lattice)
     return meshes
+
+
+def surface_of(path):
+    """The surface that an exported file holds."""
+    entries = read_npz(path)
+    corners, count = entries["triangles"], len(entries["positions"])
+    pairs = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1), axis=-1) @ [count, 1]
+    keys = np.sort(entries["edges"], axis=1) @ [count, 1]
+    order = np.argsort(keys)
+    edge_of_corner = order[np.searchsorted(keys, pairs.ravel(), sorter=order)].astype(np.int32)
+    named = {name: entries[name] for name in ("positions", "normals", "uv", "edges", "level")}
+    return Surface(**named, corner_verts=corners.ravel(), corner_edges=edge_of_corner)
 
 
 def final_meshes(out):
@@ -68,6 +86,7 @@ def final_meshes(out):
 
 
 def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
+    """Killed within the third frame's file: two whole frames stand, a rerun gives the undisturbed bytes."""
     out = tmp_path / "out"
     child = subprocess.run([sys.executable, "-c", SUICIDE, *arguments, "--out", str(out)], capture_output=True)
     assert child.returncode == -signal.SIGKILL
@@ -81,7 +100,7 @@ def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, 
 
 
 def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
-    """Killed again and again as soon as one more frame stands, at varied moments after it."""
+    """Killed three times, each as soon as one more frame stands: what stands is whole, the rest is completed."""
     out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments]
     for round_ in range(3):
         child = subprocess.Popen(
@@ -101,6 +120,7 @@ def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
 
 
 def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
+    """Two exports into one folder at once, beside leftovers of dead ones: every frame whole, nothing else left."""
     out = tmp_path / "out"
     out.mkdir()
     gone = subprocess.Popen([sys.executable, "-c", ""])

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What goes wrong from outside while a height map is imported: one clear error, and the store as it was."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings, import_source, run_import
+from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from invariants import assert_invariants
+from rasters import hills, write_exr, write_raster
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals, mounts and limits are those of POSIX")
+LONG = ImportSettings(source="island", size=2049)
+
+
+def wait_for(job, fraction):
+    """Until the import is so far; it must not be done."""
+    while job.poll().fraction < fraction and not job.poll().done:
+        time.sleep(0.005)
+    assert not job.poll().done
+
+
+def assert_works(store):
+    """The store opens, and a mesh of it keeps the invariants."""
+    field = open_store(store)
+    assert_invariants(Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface, field.lattice)
+
+
+KILLS = [(0.001, signal.SIGKILL), (0.3, signal.SIGTERM), (0.3, signal.SIGSEGV), (0.6, signal.SIGKILL)]
+
+
+@pytest.mark.parametrize(("fraction", "killed_by"), KILLS)
+def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
+    store = tmp_path / "store"
+    run_import(ImportSettings(source="island", size=65), store)
+    before = contents(store)
+    job = ImportJob(LONG, store)
+    wait_for(job, fraction)
+    os.kill(job._process.pid, killed_by)
+    while not job.poll().done:
+        time.sleep(0.005)
+    assert f"signal {killed_by.name}" in job.poll().error and "\n" not in job.poll().error
+    assert contents(store) == before
+    import_source(ImportSettings(source="island", size=129), store)
+    assert open_store(store).samples.shape == (129, 129) and len(list(store.glob("data-*"))) == 1
+    assert_works(store)
+
+
+def test_the_child_of_a_first_import_is_killed(tmp_path):
+    job = ImportJob(LONG, tmp_path / "store")
+    wait_for(job, 0.001)
+    os.kill(job._process.pid, signal.SIGKILL)
+    while not job.poll().done:
+        time.sleep(0.005)
+    assert not (tmp_path / "store").exists()
+
+
+def fill(disk):
+    """Take all the room that a disk has left."""
+    with (disk / "ballast").open("wb", buffering=0) as ballast:
+        size = 1 << 16
+        while size:
+            try:
+                ballast.write(bytes(size))
+            except OSError:
+                size //= 2
+
+
+@pytest.mark.parametrize("when", [0.0, 0.5, 0.9])
+def test_the_disk_fills_up_while_the_import_runs(small_disk, contents, when):
+    disk = small_disk(24 << 20)
+    store = disk / "store"
+    run_import(ImportSettings(source="island", size=65), store)
+    before, seen = contents(store), []
+
+    def on_progress(fraction, _message):
+        if fraction >= when and not seen:
+            fill(disk)
+            seen.append(fraction)
+
+    try:
+        run_import(ImportSettings(source="island", size=1025), store, on_progress)
+    except TerrainError as error:
+        assert "No space left on device" in str(error) and "make room" in str(error)
+        assert contents(store) == before
+    else:
+        assert when == 0.9, "all arrays had their room, and so had store.json in a page that was there"
+    assert seen and len(list(store.glob("data-*"))) == 1
+    (disk / "ballast").unlink()
+    run_import(ImportSettings(source="island", size=1025), store)
+    assert open_store(store).samples.shape == (1025, 1025) and len(list(store.glob("data-*"))) == 1
+    assert_works(store)
+
+
+def test_the_disk_is_full_before_the_import_begins(small_disk, run_command, contents):
+    disk = small_disk(2 << 20)
+    store = disk / "store"
+    run_import(ImportSettings(source="island", size=65), store)
+    before = contents(store)
+    fill(disk)
+    done = run_command("import", "island", "--size", "257", "--store", store)
+    assert done.returncode == 1 and "make room" in done.stderr and "Traceback" not in done.stderr
+    assert contents(store) == before
+
+
+def test_a_mesh_is_made_though_its_expanded_errors_find_no_room(small_disk):
+    disk = small_disk(2 << 20)
+    run_import(ImportSettings(source="island", size=257), disk / "store")
+    fill(disk)
+    field = open_store(disk / "store")
+    update = Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0, meshlet=2))
+    assert_invariants(update.surface, field.lattice, meshlet=2)
+    [folder] = (disk / "store").glob("data-*")
+    assert sorted(path.name for path in folder.iterdir()) == ["error.npy", "ranges.npy", "samples.npy"]
+
+
+@pytest.mark.parametrize("size", [100, 5000, 300_000])
+def test_no_file_may_be_larger(tmp_path, run_command, contents, size):
+    """A limit of the system on the size of files (a quota ends the same way)."""
+    store = tmp_path / "store"
+    run_import(ImportSettings(source="island", size=65), store)
+    before = contents(store)
+
+    import resource
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    done = run_command("import", "island", "--size", "513", "--store", store, preexec_fn=limit)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert contents(store) == before
+
+
+HOW = ["deleted", "cut to half", "emptied"]
+SOURCES = {
+    "a.tif": lambda path: write_raster(path, hills(1025, 1025), tiled=True, blockxsize=256, blockysize=256),
+    "a.exr": lambda path: write_exr(path, Y=hills(1025, 513)),
+    "a.npy": lambda path: np.save(path, hills(1025, 1025)),
+    "a.png": lambda path: write_raster(path, hills(1025, 513).astype(np.uint16)),
+}
+
+
+@pytest.mark.parametrize(("name", "how"), [*((name, how) for name in SOURCES for how in HOW[:2]), ("a.tif", HOW[2])])
+def test_the_file_vanishes_while_it_is_imported(tmp_path, contents, name, how):
+    store, source = tmp_path / "store", tmp_path / name
+    run_import(ImportSettings(source="island", size=65), store)
+    before = contents(store)
+    SOURCES[name](source)
+    job = ImportJob(ImportSettings(source=str(source)), store)
+    while job.poll().fraction == 0.0 and not job.poll().done:
+        time.sleep(0.001)
+    if how == "deleted":
+        source.unlink()
+    else:
+        os.truncate(source, source.stat().st_size // 2 if how == "cut to half" else 0)
+    while not job.poll().done:
+        time.sleep(0.005)
+    progress = job.poll()
+    if progress.error is None:  # all of it had been read, or an open file stays whole
+        assert open_store(store).max_height > 700.0
+    else:
+        assert name in progress.error and "\n" not in progress.error
+        assert contents(store) == before
+    assert len(list(store.glob("data-*"))) == 1
+    assert_works(store)

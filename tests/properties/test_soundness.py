@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whatever the field, the view and the request: a sound mesh, and no error beyond its bound."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from scenarios import assert_sound
+from strategies import criteria, fields, scenarios, views
+
+
+@given(scenarios())
+def test_any_scene_is_sound(scenario):
+    assert_sound(scenario)
+
+
+@given(scenarios(views=st.lists(views(("ORTHOGRAPHIC",)), min_size=1, max_size=1)))
+def test_orthographic_scenes_are_sound(scenario):
+    assert_sound(scenario)
+
+
+@given(scenarios(views=st.lists(views(("PANORAMIC",)), min_size=1, max_size=1)))
+def test_panoramic_scenes_are_sound(scenario):
+    assert_sound(scenario)
+
+
+@given(scenarios(field=fields(shapes=[(2, 2), (3, 3), (5, 9), (9, 9)]), criterion=criteria(meshlets=(3, 4))))
+def test_large_meshlets_are_sound(scenario):
+    assert_sound(scenario)
+
+
+@given(
+    scenarios(field=fields(shapes=[(6, 7), (20, 31), (2, 40), (13, 13)]), criterion=criteria(meshlets=(0, 1))),
+)
+def test_fields_that_are_not_on_a_lattice_are_sound(scenario):
+    assert_sound(scenario)

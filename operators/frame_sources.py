@@ -290,7 +290,7 @@ def _linked_digest(library) -> str:
 
 def _override(detail, pixel_error: float | None, budget: int | None, meshlet: int | None) -> None:
     if pixel_error is not None:
-        detail.error_px = pixel_error
+        detail.error_px, detail.limit_time = pixel_error, False
     if budget is not None:
         detail.limit_triangles, detail.max_triangles = True, budget
     if meshlet is not None:

@@ -114,7 +114,9 @@ def _windows():
 
 def _solve(record: session.Record, request: Request):
     with session.engine_lock:
-        return session.solve(record, request), record.serial
+        update = session.solve(record, request)
+        session.paint(record, request, update)
+        return update, record.serial
 
 
 def _finish(job: Job) -> None:

@@ -4,31 +4,11 @@
 import bpy
 
 from ..cbt_terrain import warmup
-from . import import_terrain, session
+from ..cbt_terrain.errors import TerrainError
+from . import import_terrain, overlay_panel, session, statistics_panel
+from .panel_parts import TerrainSubpanel, message, switched
 from .properties import CHOSEN_CAMERA, FILE
-
-LIMITS = {
-    "max_triangles": "the triangle limit",
-    "max_depth": "the depth limit",
-    "resampling": "resampling at import",
-}
-
-STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
-
-
-class _TerrainPanel:
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Terrain"
-
-    @classmethod
-    def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
-
-    def _columns(self):
-        self.layout.use_property_split = True
-        self.layout.use_property_decorate = False
-        return self.layout.column()
+from .request import criterion_from, unit_asked, within_time
 
 
 class TerrainPanel(bpy.types.Panel):
@@ -69,55 +49,14 @@ def _waiting_row(layout):
 def draw_warnings(layout, context, obj) -> None:
     status = session.record_of(obj).status
     if status.error:
-        box = layout.box()
-        box.alert = True
-        for number, line in enumerate(wrapped(status.error, 44)):
-            box.label(text=line, icon="ERROR" if number == 0 else "NONE")
+        message(layout, status.error, "ERROR")
     if not context.scene.render.use_lock_interface:
         box = layout.box()
         box.label(text="A render may crash the viewport", icon="ERROR")
         box.operator("adaptive_terrain.lock_interface", icon="LOCKED")
 
 
-def wrapped(text: str, width: int) -> list[str]:
-    """The text in lines of at most `width` characters, cut between words."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return lines
-
-
-class StatisticsPanel(_TerrainPanel, bpy.types.Panel):
-    bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
-    bl_label = "Last Update"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-
-    def draw(self, context):
-        column = self._columns()
-        for name, value in statistics_lines(session.record_of(context.object).status):
-            row = column.split(factor=0.5)
-            row.label(text=name)
-            row.label(text=value)
-
-
-def statistics_lines(status) -> list[tuple[str, str]]:
-    """What the panel says of an update: pairs of a name and a figure with its unit."""
-    if not status.mode:
-        return [("No update yet", "")]
-    lines = [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
-    bounds = [("Screen error", status.bound_px, "px"), ("Vertical error", status.bound_m, "m")]
-    bounds += [("Longest edge", status.bound_edge_px, "px"), ("Largest triangle", status.bound_area_px, "px²")]
-    lines += [(name, f"≤ {value:.4g} {unit}") for name, value, unit in bounds if value is not None]
-    if status.limited:
-        lines.append(("Held back by", LIMITS.get(status.limited, status.limited)))
-    if status.relaxed != 1.0:
-        lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
-    return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
-
-
-class SourcePanel(_TerrainPanel, bpy.types.Panel):
+class SourcePanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_source"
     bl_label = "Height Map"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -132,7 +71,7 @@ class SourcePanel(_TerrainPanel, bpy.types.Panel):
         else:
             column.prop(settings, "island_size")
             column.prop(settings, "seed")
-        _switched(column, settings, "use_extent", "extent")
+        switched(column, settings, "use_extent", "extent")
         column.prop(settings, "height_scale")
         column.prop(settings, "height_offset")
         progress = import_terrain.progress_of(obj)
@@ -157,17 +96,10 @@ class SourcePanel(_TerrainPanel, bpy.types.Panel):
         else:
             column.prop(settings, "band")
         column.prop(settings, "first_row_south")
-        _switched(column, settings, "use_no_data", "no_data")
+        switched(column, settings, "use_no_data", "no_data")
 
 
-def _switched(column, settings, switch: str, name: str) -> None:
-    """A value and the check box that switches it on."""
-    column.prop(settings, switch)
-    if getattr(settings, switch):
-        column.prop(settings, name)
-
-
-class CameraPanel(_TerrainPanel, bpy.types.Panel):
+class CameraPanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_camera"
     bl_label = "Camera"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -188,11 +120,27 @@ def _draw_detail(column, detail) -> None:
     column.prop(detail, "off_screen_factor")
     column.prop(detail, "meshlet")
     column.separator()
-    _switched(column, detail, "limit_depth", "max_depth")
-    _switched(column, detail, "limit_triangles", "max_triangles")
+    switched(column, detail, "limit_depth", "max_depth")
+    switched(column, detail, "limit_triangles", "max_triangles")
+    switched(column, detail, "limit_time", "max_ms")
+    if detail.limit_time:
+        _draw_budget(column, detail)
 
 
-class ViewportPanel(_TerrainPanel, bpy.types.Panel):
+def _draw_budget(column, detail) -> None:
+    """The error that fits the time, or why none is known."""
+    try:
+        criterion, note = within_time(criterion_from(detail), detail)
+    except TerrainError as error:  # every criterion is off
+        note = str(error)
+    if note:
+        message(column, note, "INFO")
+    else:
+        unit = unit_asked(criterion)
+        column.label(text=f"Finest error that fits: {getattr(criterion, f'error_{unit}'):.4g} {unit}")
+
+
+class ViewportPanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_viewport"
     bl_label = "Detail in Viewport"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -201,7 +149,7 @@ class ViewportPanel(_TerrainPanel, bpy.types.Panel):
         _draw_detail(self._columns(), context.object.adaptive_terrain.viewport)
 
 
-class RenderPanel(_TerrainPanel, bpy.types.Panel):
+class RenderPanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_render"
     bl_label = "Detail in Render"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -211,7 +159,7 @@ class RenderPanel(_TerrainPanel, bpy.types.Panel):
         _draw_detail(self._columns(), context.object.adaptive_terrain.render)
 
 
-class MeshPanel(_TerrainPanel, bpy.types.Panel):
+class MeshPanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_mesh"
     bl_label = "Mesh"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -222,13 +170,13 @@ class MeshPanel(_TerrainPanel, bpy.types.Panel):
         settings = context.object.adaptive_terrain
         column.prop(settings, "smooth")
         cleanup = settings.cleanup
-        _switched(column, cleanup, "use_below", "below")
+        switched(column, cleanup, "use_below", "below")
         column.prop(cleanup, "boundary")
         if cleanup.use_below or cleanup.boundary is not None:
             column.prop(cleanup, "remove_loose")
 
 
-class OutputPanel(_TerrainPanel, bpy.types.Panel):
+class OutputPanel(TerrainSubpanel, bpy.types.Panel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_output"
     bl_label = "Bake and Export"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -243,5 +191,15 @@ class OutputPanel(_TerrainPanel, bpy.types.Panel):
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
 
 
-CLASSES = (TerrainPanel, StatisticsPanel, SourcePanel, CameraPanel, ViewportPanel, RenderPanel, MeshPanel, OutputPanel)
+CLASSES = (
+    TerrainPanel,
+    statistics_panel.StatisticsPanel,
+    SourcePanel,
+    CameraPanel,
+    ViewportPanel,
+    RenderPanel,
+    overlay_panel.OverlayPanel,
+    MeshPanel,
+    OutputPanel,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

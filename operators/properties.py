@@ -19,6 +19,7 @@ from ..cbt_terrain.sources import RAW_TYPES
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
 PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
+NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
 # Since Blender 4.5 a path says that it may begin with "//"; before, every path could.
@@ -78,6 +79,23 @@ class DetailSettings(bpy.types.PropertyGroup):
     )
     max_triangles: IntProperty(
         name="Max Triangles", description="Triangles at most", default=1_000_000, min=0, update=_changed
+    )
+    limit_time: BoolProperty(
+        name="Time Budget",
+        description="Instead of the error above ask for the finest error that fits a time, from the curve that "
+        "Measure Accuracy has measured; the same curve and the same time give the same mesh on every machine",
+        update=_changed,
+    )  # fmt: skip
+    max_ms: FloatProperty(
+        name="Max Time",
+        description="Milliseconds of the engine for a new view; handing the mesh to Blender comes on top",
+        default=50.0, min=0.01, soft_max=1000.0, precision=1, update=_changed,
+    )  # fmt: skip
+    curve: StringProperty(
+        name="Cost Curve", description="What errors cost, as Measure Accuracy has measured it; JSON", update=_changed
+    )
+    measured: StringProperty(
+        name="Measured Accuracy", description="Errors of one mesh, as Measure Accuracy has measured them; JSON"
     )
 
 
@@ -184,6 +202,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Smooth Shading",
         description="Shade with the height field's own normals at full resolution; otherwise each face is flat",
         default=True, update=_changed,
+    )  # fmt: skip
+    overlay: EnumProperty(
+        name="Overlay",
+        items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
+               (ERROR_OVERLAY, "Screen Error", "Each triangle's largest error, as the camera sees it; takes longer"),
+               (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
+        update=_changed,
     )  # fmt: skip
     cleanup: PointerProperty(type=CleanupSettings)
     bake_error_m: FloatProperty(

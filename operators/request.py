@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..cbt_terrain.cost_curve import CostCurve
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.view import View
@@ -21,7 +23,8 @@ VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 class Request:
     """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
 
-    `placement` float64 [4, 4]: the terrain's space to the world, metres.
+    `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
+    `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     """
 
     store: str
@@ -32,12 +35,22 @@ class Request:
     vertical_offset: float
     smooth: bool
     cleanup: Cleanup
+    overlay: str
+    max_ms: float | None
+    note: str
 
     def key(self) -> tuple:
         """Equal for equal requests."""
+        return self.store, *self._shape(), self.smooth, self.cleanup.key(), self.overlay, self.note
+
+    def digest(self, field_key: str) -> str:
+        """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
+        height field, the criterion, the views, where the terrain stands."""
+        return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
+
+    def _shape(self) -> tuple:
         views = tuple(view.key() for view in self.views)
-        heights = self.vertical_scale, self.vertical_offset
-        return self.store, self.criterion, views, self.placement.tobytes(), heights, self.smooth, self.cleanup.key()
+        return self.criterion, views, self.placement.tobytes(), (self.vertical_scale, self.vertical_offset)
 
 
 def gather(
@@ -65,7 +78,11 @@ def gather(
         )
     if abs(np.linalg.det(placement[:3, :3])) == 0.0:
         raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
-    criterion = criterion or criterion_from(settings.render if mode == RENDER else settings.viewport)
+    max_ms, note = None, ""
+    if criterion is None:
+        detail = settings.render if mode == RENDER else settings.viewport
+        criterion, note = within_time(criterion_from(detail), detail)
+        max_ms = detail.max_ms if detail.limit_time else None
     views = []
     if criterion.needs_view:
         views = _views(settings, depsgraph, mode, camera, resolution)
@@ -78,6 +95,9 @@ def gather(
         vertical_offset=settings.vertical_offset,
         smooth=settings.smooth,
         cleanup=cleanup_from(settings.cleanup, evaluated, depsgraph),
+        overlay=settings.overlay,
+        max_ms=max_ms,
+        note=note,
     )
 
 
@@ -94,6 +114,31 @@ def criterion_from(detail) -> Criterion:
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
         meshlet=detail.meshlet,
     )
+
+
+def unit_asked(criterion: Criterion) -> str:
+    """The unit of the error that is swept and budgeted: px where a screen error is asked for, else m, else ""."""
+    return "px" if criterion.error_px else "m" if criterion.error_m else ""
+
+
+def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
+    """The criterion with the finest error that fits the time budget of a DetailSettings, which depends on the measured
+    curve and the budget alone; or the criterion as it is, and why."""
+    if not detail.limit_time:
+        return criterion, ""
+    unit = unit_asked(criterion)
+    if not unit:
+        return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
+    if not detail.curve:
+        return criterion, "Time budget needs a measured curve: press Measure Accuracy"
+    try:
+        curve = CostCurve.from_json(detail.curve)
+        error = curve.error_for_ms(detail.max_ms)
+    except TerrainError as damaged:
+        return criterion, str(damaged)
+    if curve.unit != unit:
+        return criterion, f"Time budget needs a curve measured in {unit}: press Measure Accuracy again"
+    return replace(criterion, **{f"error_{unit}": error}), ""
 
 
 def cleanup_from(settings, terrain, depsgraph) -> Cleanup:

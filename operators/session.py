@@ -15,40 +15,59 @@ import bpy
 from ..cbt_terrain import warmup
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.store import open_store
+from ..cbt_terrain.terms import Terms
 from ..cbt_terrain.terrain import Terrain
 from .mesh_writer import write_mesh, write_mesh_bmesh
+from .overlay import Overlay, make_overlay
+from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
 
 
 @dataclasses.dataclass
 class Status:
-    """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for."""
+    """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
+    `request`: what was asked, of the height field with the key `field_key`; None before the first update."""
 
     mode: str = ""
+    request: Request | None = None
+    field_key: str = ""
+    changed: bool = False
     leaves: int = 0
     triangles: int = 0
     bound_px: float | None = None
     bound_m: float | None = None
     bound_edge_px: float | None = None
     bound_area_px: float | None = None
+    terms_px: Terms | None = None
+    terms_m: Terms | None = None
     limited: str = ""
     relaxed: float = 1.0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
     error: str = ""
 
+    @property
+    def digest(self) -> str:
+        """Names the mesh and the views that it was made for."""
+        return self.request.digest(self.field_key) if self.request else ""
 
-FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in ("mode", "ms", "error")]
+
+_OWN = ("mode", "request", "field_key", "ms", "error")
+FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
 
 
 @dataclasses.dataclass
 class Record:
     """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
-    `generation` counts everything that makes an update that is under way stale."""
+    `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
+    `overlay_key` names what it was made of, in `overlay_ms`."""
 
     terrain: Terrain | None = None
     field: object = None
     serial: int = 0
     shown: tuple | None = None
+    overlay: Overlay | None = None
+    overlay_key: tuple | None = None
+    overlay_ms: float = 0.0
     live_key: tuple | None = None
     generation: int = 0
     status: Status = dataclasses.field(default_factory=Status)
@@ -98,6 +117,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, *, camera=None, res
         )
         with engine_lock:
             update = solve(record, request)
+            paint(record, request, update)
             show(obj, record, request, update, mode)
         record.live_key = request.key() if mode == VIEWPORT else None
     except Exception as error:
@@ -131,6 +151,18 @@ def solve(record: Record, request: Request):
     return update
 
 
+def paint(record: Record, request: Request, update) -> None:
+    """Make the overlay that the request asks for, or drop it; after `solve`, and like it for any thread."""
+    key = None
+    if request.overlay != NO_OVERLAY:
+        # The error is another one in each view, also on the same mesh.
+        key = (record.serial, request.overlay, request.key() if request.overlay == ERROR_OVERLAY else None)
+    if key != record.overlay_key:
+        start = time.perf_counter()
+        record.overlay = None if key is None else make_overlay(record.field, request, update.surface)
+        record.overlay_key, record.overlay_ms = key, (time.perf_counter() - start) * 1e3
+
+
 def open_field(store: str):
     """The height field of a store folder, opened once for as long as the folder is the same."""
     try:
@@ -153,19 +185,28 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
     if written:
         start = time.perf_counter()
         record.shown = None
+        how = {"smooth": request.smooth, "overlay": record.overlay}
         if request.cleanup.active:
-            write_mesh_bmesh(obj.data, update.surface, request.cleanup, smooth=request.smooth)
+            write_mesh_bmesh(obj.data, update.surface, request.cleanup, **how)
         else:
-            write_mesh(obj.data, update.surface, smooth=request.smooth)
+            write_mesh(obj.data, update.surface, **how)
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
-    record.status = Status(mode=mode, ms=ms, **{name: getattr(update, name) for name in FIGURES})
+        if record.overlay is not None:
+            ms["overlay"] = record.overlay_ms
+    record.status = Status(
+        mode=mode,
+        request=request,
+        field_key=record.field.key,
+        ms=ms,
+        **{name: getattr(update, name) for name in FIGURES},
+    )
     return written
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
-    return mesh.session_uid, counts, record.serial, request.smooth, request.cleanup.key()
+    return mesh.session_uid, counts, record.serial, request.smooth, request.cleanup.key(), record.overlay_key
 
 
 def _own_mesh(obj) -> None:

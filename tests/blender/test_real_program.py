@@ -140,6 +140,9 @@ def test_clicks_on_the_panel(program, tmp_path):
             picture = read_screen(tmp_path)
             picture.save(pictures / "panel.png")
             (tmp_path / "pictured").touch()
+            wait_for(tmp_path / "measured", blender, 300)
+            read_screen(tmp_path).save(pictures / "measured.png")
+            (tmp_path / "measured_pictured").touch()
             wait_for(tmp_path / "done.json", blender, 300)
         finally:
             read_screen(tmp_path).save(pictures / "end.png")
@@ -153,6 +156,10 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert said["live_triangles"] < said["triangles"]
     assert said["not_live_triangles"] == said["live_triangles"]
     assert said["updated_triangles"] > said["live_triangles"]
+    assert said["turns_while_measuring"] > 10, "the window lives while errors are measured"
+    assert said["could_cancel_measuring"] and said["curve_after_cancel"] == ""
+    assert all(len(curve["error"]) > 2 for curve in said["curves"])
+    assert 0.0 < said["error_px"] <= 2.0
     assert said["viewport_triangles"] > said["further_triangles"] > 0, "the terrain follows the viewport's own view"
     assert said["import_started_s"] < 0.5, "an import does not hold the window up"
     assert said["could_cancel"] and said["can_import_again"] and said["store_after_cancel"] == said["store"]

@@ -8,7 +8,9 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators import session
-from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel, statistics_lines, wrapped
+from adaptive_terrain.operators.panel_parts import wrapped
+from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
+from adaptive_terrain.operators.statistics_panel import statistics_lines
 from adaptive_terrain.operators.update_terrain import UpdateTerrain
 
 
@@ -21,6 +23,20 @@ def test_every_figure_has_its_unit(scene, add_terrain):
     assert lines["Longest edge"].endswith(" px") and lines["Engine in all"].endswith(" ms")
     assert lines["Into Blender"].endswith(" ms")
     assert lines["Triangles"] == f"{len(terrain.data.polygons):,}"
+
+
+def test_the_bound_has_its_parts(scene, add_terrain):
+    from adaptive_terrain.cbt_terrain.terms import Terms
+
+    terrain = add_terrain()
+    update = session.update_object(terrain)
+    status = session.record_of(terrain).status
+    assert (status.terms_px, status.terms_m) == (update.terms_px, update.terms_m)
+    status.bound_px, status.terms_px, status.terms_m = 2.0, Terms(1.5, 0.5, 0.0), None
+    lines = statistics_lines(status)
+    at = lines.index(("Screen error", "≤ 2 px"))
+    assert lines[at + 1 : at + 3] == [("    by triangles", "1.5 px"), ("    by resampling", "0.5 px")]
+    assert lines[at + 3][0] == "Vertical error", "what is 0 is left out"
 
 
 def test_long_messages_are_cut_between_words():

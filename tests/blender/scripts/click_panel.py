@@ -92,11 +92,49 @@ def steps():
     yield 1.0
     (folder / "updated").touch()
     yield from until((folder / "pictured").exists)
+    yield from measure_accuracy()
+    yield from show_the_error()
     yield from follow_the_viewport()
     yield from cancel_an_import()
     yield from render_in_the_window()
     yield from render_the_viewport()
     (folder / "done.json").write_text(json.dumps(result))
+
+
+def measure_accuracy():
+    """Measuring runs beside the window; stopped it leaves nothing, and at its end the curves are there."""
+    settings = terrain().adaptive_terrain
+    operators = bpy.ops.adaptive_terrain
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        operators.measure_accuracy("INVOKE_DEFAULT")
+    yield 0.5
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        result["could_cancel_measuring"] = operators.cancel_measure.poll()
+        operators.cancel_measure()
+    yield from until(operators.measure_accuracy.poll)
+    result["curve_after_cancel"] = settings.viewport.curve
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        operators.measure_accuracy("INVOKE_DEFAULT")
+    result["turns_while_measuring"] = 0
+    while not operators.measure_accuracy.poll():
+        result["turns_while_measuring"] += 1
+        yield 0.02
+    result["curves"] = [json.loads(detail.curve) for detail in (settings.viewport, settings.render)]
+
+
+def show_the_error():
+    """The overlay appears without a click, in the viewport's own shading, and goes again."""
+    settings = terrain().adaptive_terrain
+    settings.live, settings.overlay = True, "ERROR"
+    yield from until(lambda: "error_px" in terrain().data.attributes)
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1], screen=parts()[0].screen):
+        bpy.ops.adaptive_terrain.show_overlay()
+    yield 1.0
+    result["error_px"] = max(item.value for item in terrain().data.attributes["error_px"].data)
+    (folder / "measured").touch()
+    yield from until((folder / "measured_pictured").exists)
+    settings.overlay = "NONE"
+    yield from until(lambda: "error_px" not in terrain().data.attributes)
 
 
 def follow_the_viewport():

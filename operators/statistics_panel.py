@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the last update gave and took, how large its errors were measured to be, and what other errors would cost."""
+
+import json
+
+import bpy
+
+from ..cbt_terrain.accuracy import Measured
+from ..cbt_terrain.cost_curve import CostCurve
+from ..cbt_terrain.criterion import LARGEST
+from ..cbt_terrain.errors import TerrainError
+from . import measure_accuracy, session
+from .panel_parts import TerrainSubpanel, figures, message
+from .request import unit_asked
+
+LIMITS = {
+    "max_triangles": "the triangle limit",
+    "max_depth": "the depth limit",
+    "resampling": "resampling at import",
+    "precision": "float32 positions",
+}
+
+TERMS = {"geometric": "by triangles", "resampling": "by resampling", "precision": "by rounding"}
+
+STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
+
+
+class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
+    bl_label = "Last Update"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        status = session.record_of(obj).status
+        if status.mode and status.request.note:
+            message(column, status.request.note, "INFO")
+        figures(column, statistics_lines(status))
+        if status.mode:
+            detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
+            self._draw_measured(column, status, detail)
+        progress = measure_accuracy.progress_of(obj)
+        if progress is None:
+            column.operator("adaptive_terrain.measure_accuracy", icon="DRIVER_DISTANCE")
+        else:
+            row = column.row(align=True)
+            row.progress(factor=progress[0], text=progress[1])
+            row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
+
+    def _draw_measured(self, column, status, detail):
+        measured = read_measured(detail)
+        lines = measured_lines(measured) if measured.get("digest") == status.digest else []
+        if lines:
+            column.separator()
+            figures(column, lines)
+        try:
+            curve = CostCurve.from_json(detail.curve) if detail.curve else None
+        except TerrainError as damaged:
+            message(column, str(damaged), "INFO")
+            return
+        predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
+        if predicted:
+            column.separator()
+        for line in predicted:
+            column.label(text=line)
+
+
+def statistics_lines(status) -> list[tuple[str, str]]:
+    """What the panel says of an update: pairs of a name and a figure with its unit."""
+    if not status.mode:
+        return [("No update yet", "")]
+    unit = unit_asked(status.request.criterion)
+    lines = [("Asked", f"{getattr(status.request.criterion, f'error_{unit}'):.4g} {unit}")] if unit else []
+    bounds = [("Screen error", status.bound_px, "px", status.terms_px)]
+    bounds += [("Vertical error", status.bound_m, "m", status.terms_m)]
+    bounds += [("Longest edge", status.bound_edge_px, "px", None)]
+    bounds += [("Largest triangle", status.bound_area_px, "px²", None)]
+    for name, value, unit, terms in bounds:
+        if value is not None:
+            lines.append((name, f"≤ {value:.4g} {unit}" if value < LARGEST else "no bound: at the camera"))
+            parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms else {}
+            lines += [(f"    {label}", f"{part:.2g} {unit}") for label, part in parts.items() if part]
+    if status.limited:
+        lines.append(("Held back by", LIMITS.get(status.limited, status.limited)))
+    if status.relaxed != 1.0:
+        lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
+    lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
+    return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
+
+
+def read_measured(detail) -> dict:
+    """What a DetailSettings keeps of the last measurement: the fields of accuracy.Measured and the mesh's digest; {}
+    where there is none, or it is damaged."""
+    try:
+        measured = json.loads(detail.measured)
+    except ValueError:
+        return {}
+    whole = isinstance(measured, dict) and measured.keys() >= {"digest", *Measured.__dataclass_fields__}
+    return measured if whole else {}
+
+
+def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
+    """The errors that were measured: name and unit, largest (of height: anywhere), what 95 % are below."""
+    distributions = [
+        ("Screen (px)", "screen_px"),
+        ("Occluded (px)", "hidden_px"),
+        ("Silhouette (px)", "silhouette_px"),
+        ("Vertical (m)", "vertical_m"),
+        ("Facet normal (°)", "facet_deg"),
+        ("Shading normal (°)", "shading_deg"),
+    ]
+    lines = [("Measured", "largest", "95 %")]
+    for name, key in distributions:
+        errors = measured[key]
+        if errors and errors["count"]:
+            largest = measured["vertical_max_m"] if key == "vertical_m" else errors["max"]
+            lines.append((name, f"{largest:.3g}", f"{errors['p95']:.3g}"))
+    return [*lines, ("Rounding (m)", f"{measured['rounding_m']:.2g}", "")]
+
+
+def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
+    """What half and twice the error of the last update would cost, by the measured curve: a line each.
+
+    `exact`: the update is the one that was measured. Any other scales the curve to go through its own point.
+    """
+    error = getattr(status.request.criterion, f"error_{curve.unit}") * status.relaxed
+    if not error:
+        return []
+    triangles, ms = curve.at(error)
+    more, longer = 1.0, 1.0
+    if not exact:
+        more = status.triangles / triangles
+        if status.changed and "total" in status.ms:  # the time of a mesh that stayed says nothing
+            longer = status.ms["total"] / ms
+    lines = []
+    for other in (error / 2, error * 2):
+        triangles, ms = curve.at(other)
+        cost = f"~{_rounded(triangles * more)} triangles, ~{_rounded(ms * longer)} ms"
+        lines.append(f"{other:.3g} {curve.unit}: {cost}")
+    return lines
+
+
+def _rounded(value: float) -> str:
+    """Two digits: a prediction is no better."""
+    return f"{float(f'{value:.2g}'):,.6g}" if value < 1e5 else f"{float(f'{value:.2g}'):,.0f}"

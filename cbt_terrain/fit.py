@@ -3,7 +3,7 @@
 
 Between two points of a bend a chord that starts on the surface errs twice as much as one that is moved to the middle
 of its error, so heights that are free allow a coarser mesh. The mesh of the walk for a larger error is a start. A few
-sweeps move its vertices (kernels/fit.py); triangles that are still too far are split where they stand out, by raising
+sweeps move its vertices (kernels/fitting/sweep.py); triangles that are still too far are split where they stand out, by raising
 their diamonds in a copy of the error hierarchy, and the walk makes the next mesh, which keeps the heights. A triangle
 is split only if interpolation would split it too, else its vertices go back to the surface for good: at worst the end
 is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and what is told,
@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from ..kernels import fit as kernels
-from ..kernels import fit_refine as refine_kernels
 from ..kernels.criterion import Asked, LocalView
+from ..kernels.fitting import refine as refine_kernels
+from ..kernels.fitting import sweep as kernels
 from . import launch
 from .buffers import Buffers, shared
 from .criterion import Criterion

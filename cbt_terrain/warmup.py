@@ -111,7 +111,7 @@ def wait() -> None:
 
 
 def kernel_modules() -> list[ModuleType]:
-    """Every module of the package that has kernels of its own, not only functions for others."""
+    """Every module that has kernels for a frame; folders beside them hold kernels for what is asked now and then."""
     names = [module.name for module in pkgutil.iter_modules(kernels.__path__)]
     modules = [importlib.import_module(f"{kernels.__name__}.{name}") for name in names]
     return [module for module in modules if _kernels_of(module)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, triangle_errors
-from adaptive_terrain.cbt_terrain.accuracy_mesh import Ground, MeasuredMesh, errors_of
+from adaptive_terrain.cbt_terrain.accuracy.mesh import Ground, MeasuredMesh, errors_of
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.heightfield import from_array

@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from adaptive_terrain.kernels.measure_screen import HIDDEN, VISIBLE
+from adaptive_terrain.kernels.accuracy.screen import HIDDEN, VISIBLE
 from fields import project, reference_heights, rough, screen_error
 
 PLACEMENT = np.array([[1.1, 0.3, 0, 20], [-0.2, 0.8, 0.1, -10], [0.1, 0, 1.3, 5], [0, 0, 0, 1]])

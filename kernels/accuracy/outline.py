@@ -6,10 +6,10 @@ Places are in pixels from the frame's middle; a flip is the pair of a pixel and 
 
 import warp as wp
 
-from .criterion import PANORAMIC
-from .measure import Ground, Mesh
-from .measure_rays import NOWHERE, Blocks, Ray, first_crossing, within
-from .measure_screen import Eye, ray_through
+from ..criterion import PANORAMIC
+from .facets import Ground, Mesh
+from .rays import NOWHERE, Blocks, Ray, first_crossing, within
+from .screen import Eye, ray_through
 
 wp.set_module_options({"enable_backward": False})
 

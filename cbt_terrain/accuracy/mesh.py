@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..kernels import measure as kernels
-from ..kernels import measure_edges as edge_kernels
-from ..kernels import measure_points as point_kernels
-from . import launch
-from .buffers import shared
-from .errors import TerrainError
-from .heightfield import HeightField
-from .refinement import PLANE_BITS
-from .surface import Surface
+from ...kernels.accuracy import edges as edge_kernels
+from ...kernels.accuracy import facets as kernels
+from ...kernels.accuracy import points as point_kernels
+from .. import launch
+from ..buffers import shared
+from ..errors import TerrainError
+from ..heightfield import HeightField
+from ..refinement import PLANE_BITS
+from ..surface import Surface
 
 POINT_BITS = int(point_kernels.POINT_BITS)
 

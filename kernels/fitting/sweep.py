@@ -9,7 +9,7 @@ convergence in Censor and Elfving 2002). All moves of a sweep use the heights of
 
 import warp as wp
 
-from .criterion import Domain
+from ..criterion import Domain
 from .facet import Facet, farthest, pushed
 
 wp.set_module_options({"enable_backward": False})

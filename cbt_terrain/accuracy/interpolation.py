@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from .accuracy_mesh import Errors, errors_of
-from .heightfield import HeightField
+from ..heightfield import HeightField
+from .mesh import Errors, errors_of
 
 ROWS = 256
 

@@ -8,7 +8,7 @@ at most four squares of its own size that hold it (Morton 1966; Samet 1990, line
 
 import warp as wp
 
-from .measure import Facet, Ground, Mesh, covers, facet_of, plane_at, reference_at, shift_of
+from .facets import Facet, Ground, Mesh, covers, facet_of, plane_at, reference_at, shift_of
 
 wp.set_module_options({"enable_backward": False})
 

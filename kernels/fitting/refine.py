@@ -3,11 +3,11 @@
 
 import warp as wp
 
-from .criterion import Domain, cell_error, place
+from ..criterion import Domain, cell_error, place
+from ..layout import tile_index
+from ..unchecked import height_at
 from .facet import surface
-from .fit import HOT, PINNED, Fit
-from .layout import tile_index
-from .unchecked import height_at
+from .sweep import HOT, PINNED, Fit
 
 wp.set_module_options({"enable_backward": False})
 

@@ -14,11 +14,11 @@ panorama is taken to be equirectangular; across, its distances are those on the 
 import numpy as np
 import warp as wp
 
-from ..kernels import measure_outline as kernels
-from . import launch
-from .accuracy_mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
-from .accuracy_screen import BLOCK, Sight
-from .buffers import shared
+from ...kernels.accuracy import outline as kernels
+from .. import launch
+from ..buffers import shared
+from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
+from .screen import BLOCK, Sight
 
 MARGIN = 16
 # Boxes grow by this part of the mesh's size: a float32 ray through it strays by less.

@@ -7,11 +7,11 @@ before and after. Its error is the distance of their projections.
 
 import warp as wp
 
-from .criterion import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
-from .measure import Facet, Ground, Mesh, facet_of, owns, plane_at, reference_at, sample_at, sample_box, toward_zero
-from .measure_edges import advance, begin, difference_at, on_edge, turning_point
-from .measure_points import POINT_BITS
-from .measure_rays import NOWHERE, Blocks, Ray, first_crossing
+from ..criterion import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
+from .edges import advance, begin, difference_at, on_edge, turning_point
+from .facets import Facet, Ground, Mesh, facet_of, owns, plane_at, reference_at, sample_at, sample_box, toward_zero
+from .points import POINT_BITS
+from .rays import NOWHERE, Blocks, Ray, first_crossing
 
 wp.set_module_options({"enable_backward": False})
 

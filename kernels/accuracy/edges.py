@@ -7,7 +7,7 @@ of the cell. Along cell borders both are straight; along a triangle's edge the d
 
 import warp as wp
 
-from .measure import Facet, Ground, Mesh, facet_of, plane_at, reference_at
+from .facets import Facet, Ground, Mesh, facet_of, plane_at, reference_at
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,8 +10,8 @@ ray slips through. All arithmetic is float64.
 
 import warp as wp
 
-from .measure import Ground
-from .unchecked import height_at
+from ..unchecked import height_at
+from .facets import Ground
 
 wp.set_module_options({"enable_backward": False})
 

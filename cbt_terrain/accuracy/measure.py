@@ -11,19 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..kernels import measure_normals, measure_screen
-from .accuracy_interpolation import interpolation
-from .accuracy_mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
-from .accuracy_outline import silhouette
-from .accuracy_screen import Sight
-from .buffers import shared
-from .errors import TerrainError
-from .heightfield import HeightField
-from .launch import default_threads
-from .surface import Surface
-from .view import View
-
-__all__ = ["Errors", "Measured", "interpolation", "look", "measure", "popping", "triangle_errors"]
+from ...kernels.accuracy import normals as normal_kernels
+from ...kernels.accuracy import screen as screen_kernels
+from ..buffers import shared
+from ..errors import TerrainError
+from ..heightfield import HeightField
+from ..launch import default_threads
+from ..surface import Surface
+from ..view import View
+from .mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
+from .outline import silhouette
+from .screen import Sight
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Measured:
     coordinates included; a fitted corner is not on the reference, there half a unit in the last place of its height
     stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the interpolated vertex normals
     against the reference's (central differences) at every sample. `screen_px`, `hidden_px`, `silhouette_px`:
-    accuracy_screen.py says how; None without a view, the last also where no outline is in the frame.
+    screen.py and outline.py say how; None without a view, the last also where no outline is in the frame.
     """
 
     vertical_m: Errors
@@ -84,7 +82,7 @@ def measure(
     vertical = errors_of(np.concatenate([difference.reshape(-1), between]))
     on_progress(0.2)
     facet, shading = (np.zeros(difference.size, np.float32) for _ in range(2))
-    mesh.walk(measure_normals.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
+    mesh.walk(normal_kernels.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
     facet_deg, shading_deg = errors_of(facet), errors_of(shading)
     on_progress(0.3)
     screen = hidden = outline = None
@@ -141,7 +139,7 @@ def triangle_errors(
     worst = np.zeros(mesh.triangles)
     for view in views:
         sight = Sight(ground, view, placement)
-        mesh.walk(measure_screen.triangle_px, [sight.eye, shared(worst, wp.float64)])
+        mesh.walk(screen_kernels.triangle_px, [sight.eye, shared(worst, wp.float64)])
         there, owner = mesh.differences_at(sight.visible_points())
         np.maximum.at(worst, owner, sight.point_errors(np.zeros_like(there), there))
     return worst.astype(np.float32)

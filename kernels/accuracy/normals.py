@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from .displace import on_sample
-from .measure import Facet, Ground, Mesh, facet_of, owns, sample_box
+from ..displace import on_sample
+from .facets import Facet, Ground, Mesh, facet_of, owns, sample_box
 
 wp.set_module_options({"enable_backward": False})
 

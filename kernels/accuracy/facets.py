@@ -8,7 +8,7 @@ triangle's plane goes through its three float32 positions as they were delivered
 
 import warp as wp
 
-from .unchecked import height_at
+from ..unchecked import height_at
 
 wp.set_module_options({"enable_backward": False})
 

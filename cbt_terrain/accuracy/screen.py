@@ -18,18 +18,19 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from ..kernels import measure_rays, measure_screen
-from . import launch
-from .accuracy_mesh import Ground, Progress, errors_of, ignore
-from .buffers import shared
-from .errors import TerrainError
-from .view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
+from ...kernels.accuracy import rays as ray_kernels
+from ...kernels.accuracy import screen as screen_kernels
+from .. import launch
+from ..buffers import shared
+from ..errors import TerrainError
+from ..view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
+from .mesh import Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
 
 
-def pack_blocks(ground: Ground) -> measure_rays.Blocks:
+def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     """The lowest and highest samples of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block."""
     low = _reduce(_reduce(ground.field.samples, 4, np.minimum, 1), 4, np.minimum, 0)
     high = _reduce(_reduce(ground.field.samples, 4, np.maximum, 1), 4, np.maximum, 0)
@@ -43,7 +44,7 @@ def pack_blocks(ground: Ground) -> measure_rays.Blocks:
             break
         low, high = _halve(low, np.minimum), _halve(high, np.maximum)
     ends = sorted(float(h[0]) * ground.scale + ground.offset for h in (lows[-1], highs[-1]))
-    b = measure_rays.Blocks()
+    b = ray_kernels.Blocks()
     b.levels, b.low_z, b.high_z = len(lows), *ends
     b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
     b.base, b.width = (shared(np.array(a, np.int32), wp.int32) for a in (bases, widths))
@@ -71,7 +72,7 @@ def _halve(blocks: np.ndarray, reduce) -> np.ndarray:
     return blocks
 
 
-def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> measure_screen.Eye:
+def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernels.Eye:
     """The view as the kernels of the measurement read it: from cells and metres of height."""
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
@@ -86,7 +87,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> measure_scree
     culls = view.clip[0] < view.clip[1]
     start = view.clip[0] if culls else (-np.inf if view.kind == ORTHOGRAPHIC else 0.0)
     size = np.array([g.columns - 1, g.rows - 1, (ground.field.max_height - ground.field.min_height) * ground.scale])
-    e = measure_screen.Eye()
+    e = screen_kernels.Eye()
     e.kind = KINDS.index(view.kind)
     e.right, e.up, e.back = matrix[:3]
     e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
@@ -135,7 +136,7 @@ class Sight:
         self._pixels = self._state = None
 
     @cached_property
-    def blocks(self) -> measure_rays.Blocks:
+    def blocks(self) -> ray_kernels.Blocks:
         """The surface as rays read it."""
         return pack_blocks(self.ground)
 
@@ -148,7 +149,7 @@ class Sight:
                 x, y = np.zeros(here, np.int64), np.zeros(here, np.int64)
                 inputs = [self.columns, 0.5 - self.columns / 2, 0.5 + row - self.rows / 2, self.ground.packed]
                 inputs += [self.blocks, self.eye, shared(x, wp.int64), shared(y, wp.int64)]
-                self._launch(measure_screen.pixel_points, here, inputs, cost=50.0)
+                self._launch(screen_kernels.pixel_points, here, inputs, cost=50.0)
                 points[row * self.columns :][:here] = np.stack([x, y], axis=1)
                 on_progress((row + rows) / self.rows)
             self._pixels = points
@@ -170,7 +171,7 @@ class Sight:
             state = np.zeros(height * width, np.uint8)
             for row, rows in _row_blocks(height, width):
                 inputs = [row, self.ground.packed, self.blocks, self.eye, shared(state, wp.uint8)]
-                self._launch(measure_screen.visibility, rows, inputs, cost=20.0 * width)
+                self._launch(screen_kernels.visibility, rows, inputs, cost=20.0 * width)
                 on_progress((row + rows) / height)
             self._state = state
         return self._state
@@ -187,9 +188,9 @@ class Sight:
         for row, rows in _row_blocks(height, width):
             pixels, state = np.zeros(rows * width, np.float32), states[row * width :][: rows * width]
             inputs = [row, self.ground.packed, self.eye, *flat, shared(pixels, wp.float32)]
-            self._launch(measure_screen.sample_errors, rows, inputs, cost=2.0 * width)
-            seen.append(pixels[state == int(measure_screen.VISIBLE)])
-            unseen.append(pixels[state == int(measure_screen.HIDDEN)])
+            self._launch(screen_kernels.sample_errors, rows, inputs, cost=2.0 * width)
+            seen.append(pixels[state == int(screen_kernels.VISIBLE)])
+            unseen.append(pixels[state == int(screen_kernels.HIDDEN)])
         return errors_of(np.concatenate(seen)), errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -199,7 +200,7 @@ class Sight:
         inputs = [self.ground.packed, self.eye]
         inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]
         inputs += [shared(a, wp.float64) for a in (before, after)] + [shared(pixels, wp.float32)]
-        self._launch(measure_screen.point_errors, len(points), inputs, cost=4.0)
+        self._launch(screen_kernels.point_errors, len(points), inputs, cost=4.0)
         return pixels
 
     def _launch(self, kernel, count: int, inputs: list, cost: float) -> None:

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far a delivered mesh is from the reference surface, measured."""
+
+from .interpolation import interpolation
+from .measure import Errors, Measured, Sight, look, measure, popping, triangle_errors
+
+__all__ = ["Errors", "Measured", "Sight", "interpolation", "look", "measure", "popping", "triangle_errors"]

@@ -3,11 +3,11 @@
 
 Between two points of a bend a chord that starts on the surface errs twice as much as one that is moved to the middle
 of its error, so heights that are free allow a coarser mesh. The mesh of the walk for a larger error is a start. A few
-sweeps move its vertices (kernels/fitting/sweep.py); triangles that are still too far are split where they stand out, by raising
-their diamonds in a copy of the error hierarchy, and the walk makes the next mesh, which keeps the heights. A triangle
-is split only if interpolation would split it too, else its vertices go back to the surface for good: at worst the end
-is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and what is told,
-is each triangle's exact distance from the whole surface, of heights as they are delivered.
+sweeps move its vertices (kernels/fitting/sweep.py); triangles that are still too far are split where they stand out, by
+raising their diamonds in a copy of the error hierarchy, and the walk makes the next mesh, which keeps the heights. A
+triangle is split only if interpolation would split it too, else its vertices go back to the surface for good: at worst
+the end is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and what
+is told, is each triangle's exact distance from the whole surface, of heights as they are delivered.
 
 The bound is that of greedy insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection.
 """

@@ -7,7 +7,7 @@ TESTS ?= tests
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test fuzz hard-cases bench profile lint format extension clean help
+.PHONY: demo test fuzz hard-cases bench profile accuracy lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -16,6 +16,7 @@ help:
 	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
+	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 
@@ -37,6 +38,9 @@ bench: $(READY)
 
 profile: $(READY)
 	$(PY) -m adaptive_terrain.benchmarks.profile
+
+accuracy: $(READY)
+	$(PY) tools/write_accuracy.py
 
 lint: $(READY)
 	$(PY) -m ruff check .

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from ..cbt_terrain.timed_runs import median_by_step
+
 BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.
 SHORT_MS, SHORT_BLOCKS = 5.0, 15
@@ -63,12 +65,6 @@ def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] 
             other += [theirs() for _ in range(RUNS)]
         mine += [ours() for _ in range(RUNS)]
     return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
-
-
-def median_by_step(runs: list[dict[str, float]]) -> dict[str, float]:
-    """A step that a run did not take took it no time."""
-    steps = dict.fromkeys(step for run in runs for step in run)
-    return {step: statistics.median(run.get(step, 0.0) for run in runs) for step in steps}
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
 from ..operators.frame_sources import need_bpy
+from ..operators.machine import machine
 from . import cycles, engine, files, fit_row, goals, in_blender, report, scale, scenes, start
 from .baselines import RoamRebuild, build_roam_rebuild
-from .machine import machine
 from .measure import Row
 
 # Measures one row or several, and measures them anew whenever it is called.

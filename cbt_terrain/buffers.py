@@ -46,3 +46,8 @@ class Buffers:
     def numpy(self, name: str) -> np.ndarray:
         """The memory of a buffer that `get` has made."""
         return self._arrays[name][0]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays, touched or not."""
+        return sum(array.nbytes for array, _ in self._arrays.values())

@@ -72,6 +72,11 @@ class Terrain:
         """The concurrent binary tree of the last update."""
         return self._refinement.tree
 
+    @property
+    def buffer_bytes(self) -> int:
+        """Address space of the engine's arrays; the system commits what is touched of it."""
+        return self._buffers.nbytes
+
     def update(
         self,
         criterion: Criterion,

@@ -107,6 +107,16 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
+    verb = _verb(verbs, "accuracy", "measure errors, and what they cost in time and triangles", run_accuracy)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    verb.add_argument("--frames", type=argument(parse_frames), metavar="A-B[:S]", help="of the path or the scene")
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+
     verb = _verb(verbs, "demo", "the built-in island: 24 frames, pictures and a page", run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
@@ -232,9 +242,8 @@ def _export_source(arguments):
     from .exporting import needs_blender
     from .frame_sources import SceneFrames, StoreFrames
 
+    _check_source(arguments)
     if arguments.scene:
-        if arguments.path:
-            raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
         return SceneFrames(
             arguments.scene,
             arguments.camera,
@@ -243,8 +252,6 @@ def _export_source(arguments):
             arguments.budget,
             arguments.meshlet,
         )
-    if arguments.camera:
-        raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
     criterion = Criterion(
@@ -254,6 +261,30 @@ def _export_source(arguments):
     )
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     return StoreFrames(arguments.store, arguments.path, criterion, resolution, needs_blender(arguments.format))
+
+
+def run_accuracy(arguments) -> None:
+    from . import accuracy_command
+
+    _check_source(arguments)
+    if arguments.scene:
+        subjects = accuracy_command.scene_subjects(
+            arguments.scene, arguments.camera, arguments.frames, arguments.resolution
+        )
+    else:
+        if arguments.frames and not arguments.path:
+            raise UsageError("--frames are those of a --path FILE.json, or of a scene")
+        resolution = arguments.resolution or DEFAULT_RESOLUTION
+        subjects = [accuracy_command.store_subject(arguments.store, arguments.path, arguments.frames, resolution)]
+    accuracy_command.run(subjects, arguments.out, arguments.progress)
+
+
+def _check_source(arguments) -> None:
+    """A scene has cameras, a store a camera path."""
+    if arguments.scene and arguments.path:
+        raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
+    if arguments.store and arguments.camera:
+        raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
 
 
 def run_demo(arguments) -> None:

@@ -33,7 +33,7 @@ figcaption, .small { font-size: 14px; color: var(--soft); margin-top: 8px; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { font-size: 14px; text-align: right; padding: 5px 12px; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; color: var(--soft); }
-th:first-child, td:first-child { text-align: left; padding-left: 0; }
+th:first-child, td:first-child { text-align: left; padding-left: 0; white-space: nowrap; }
 .scroll { overflow-x: auto; }
 svg { display: block; width: 100%; height: auto; }
 svg text { font-size: 12px; fill: var(--soft); }
@@ -102,12 +102,17 @@ def write_page(
         + ", ".join(f"{html.escape(step.lower())} {seconds:.1f} s" for step, seconds in steps.items())
         + ".</p>",
     ]
-    page = (
+    path.write_text(document("Adaptive Terrain: a demonstration", body), encoding="utf-8")
+
+
+def document(title: str, body: list[str]) -> str:
+    """A whole page of that title, from the pieces of its body; it needs no other file."""
+    head = (
         '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>Adaptive Terrain: a demonstration</title>\n<style>{STYLE}</style>\n<main>\n"
+        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n<main>\n"
     )
-    path.write_text(page + "\n".join(body) + "\n</main>\n</html>\n", encoding="utf-8")
+    return head + "\n".join(body) + "\n</main>\n</html>\n"
 
 
 def _figure(name: str, title: str, caption: str) -> str:

@@ -80,8 +80,7 @@ def export_frames(
                 summary_path.unlink(missing_ok=True)
             _remove_interrupted(out, frame)
             summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
-            with _written(summary_path), written_beside(summary_path) as partial:
-                partial.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            write_text(summary_path, json.dumps(summary, indent=1) + "\n")
             on_frame(frame, summary, False)
         else:
             on_frame(frame, summary, True)
@@ -120,6 +119,12 @@ def _written(path: Path):
         return
     reason = str(reason).replace(f".partial-{os.getpid()}-", "")  # the user knows the file by its final name
     raise TerrainError(f"{path} cannot be written ({reason}); check the disk, or choose another place.")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically; raises TerrainError where that cannot be."""
+    with _written(path), written_beside(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _remove_interrupted(out: Path, frame: int) -> None:

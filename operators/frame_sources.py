@@ -118,7 +118,7 @@ class SceneFrames:
         """Every terrain of the scene at `frame`; its mesh is written first."""
         import bpy
 
-        with _handlers_off():
+        with handlers_off():
             self.scene.frame_set(frame)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         for obj in self.objects:
@@ -298,7 +298,7 @@ def _override(detail, pixel_error: float | None, budget: int | None, meshlet: in
 
 
 @contextmanager
-def _handlers_off():
+def handlers_off():
     """An export updates each terrain once, for the render; the frame handler would do it a second time."""
     from . import handlers
 

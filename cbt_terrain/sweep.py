@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What accuracy costs: one terrain refined with one setting after the other; what was asked, what was reached, what it
+took."""
+
+import dataclasses
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .accuracy import Errors, Measured, measure, popping
+from .cost_curve import CostCurve
+from .criterion import Criterion
+from .fit import fit
+from .heightfield import HeightField
+from .surface import Surface
+from .terms import Terms
+from .terrain import Terrain
+from .timed_runs import RUNS, Frame, median_by_step, timed_runs
+
+PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
+# Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
+METRE_STEPS, COARSEST_PART = 7, 1 / 32
+MESHLETS = (1, 2, 3, 4)
+# Bisections that a limit of depth stops short of the raster's cells.
+SHORT_OF_CELLS = (6, 4, 2, 0)
+# Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
+MAX_TRIANGLES = 1 << 23
+# A fit that takes this long is timed as it is.
+LONG_FIT_MS = 1000.0
+STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
+TERMS = tuple(Terms.__dataclass_fields__)
+PARTS = ("count", "max", "p95", "mean", "rms")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
+    Criterion. `fitted`: heights of vertices are fitted (metres only)."""
+
+    unit: str
+    error: float
+    max_depth: int | None = None
+    meshlet: int = 0
+    fitted: bool = False
+
+    @property
+    def plain(self) -> bool:
+        """Whether the error is all that is asked."""
+        return self.max_depth is None and self.meshlet == 0 and not self.fitted
+
+    def criterion(self, base: Criterion) -> Criterion:
+        """`base` with this setting in place of its errors, lengths, areas and limits."""
+        asked = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
+        limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
+        return dataclasses.replace(base, **asked, **limits)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a setting gave, over all frames: the largest errors and bounds, the median of triangles and times.
+
+    `bound_px`: None in metres. `limited`: as in Update, of any frame. `surface_mb`: the mesh's arrays; `buffers_mb`:
+    address space of all arrays of the engine, of which the system commits what is touched (None for a fit).
+    `terms`: the parts of the largest bound, in the setting's unit.
+    `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
+    "ingest", writing a Blender mesh, comes on top.
+    """
+
+    setting: Setting
+    bound_px: float | None
+    bound_m: float
+    limited: str
+    triangles: int
+    vertices: int
+    surface_mb: float
+    buffers_mb: float | None
+    measured: Measured
+    terms: Terms | None = None
+    popping_px: Errors | None = None
+    ms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def bound(self) -> float:
+        """In the setting's unit."""
+        return self.bound_px if self.setting.unit == "px" else self.bound_m
+
+    @property
+    def error(self) -> float:
+        """The largest error that was measured, in the setting's unit: of visible points, or of height."""
+        return self.measured.screen_px.max if self.setting.unit == "px" else self.measured.vertical_max_m
+
+    @property
+    def whole_ms(self) -> float:
+        """From the camera to the finished mesh, in Blender's memory if that was measured."""
+        return self.ms["total"] + self.ms.get("ingest", 0.0)
+
+    def figures(self) -> dict[str, float | int | str | None]:
+        """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
+        figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
+        figures |= {"bound": self.bound, "measured": self.error, "bound_px": self.bound_px, "bound_m": self.bound_m}
+        figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
+        figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
+        figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
+        figures |= {"surface_mb": self.surface_mb, "buffers_mb": self.buffers_mb}
+        measured = {f.name: getattr(self.measured, f.name) for f in dataclasses.fields(self.measured)}
+        for name, value in (measured | {"popping_px": self.popping_px}).items():
+            if isinstance(value, float):
+                figures[name] = value
+            else:
+                figures |= {
+                    f"{name}_{part}": getattr(value, part, None) for part in ("count", "max", "p95", "mean", "rms")
+                }
+        return figures
+
+
+def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
+    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted."""
+    settings = []
+    if frame.views:
+        settings += [Setting("px", error) for error in PIXELS]
+        depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
+        settings += [Setting("px", 1.0, max_depth=depth) for depth in depths if depth >= 1]
+        settings += [Setting("px", 1.0, meshlet=meshlet) for meshlet in MESHLETS]
+    metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
+    settings += [Setting("m", error) for error in metres]
+    return settings + [Setting("m", error, fitted=True) for error in metres]
+
+
+def metre_steps(relief_m: float) -> list[float]:
+    """Errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
+    coarsest = 2.0 ** math.floor(math.log2(relief_m * COARSEST_PART)) if relief_m > 0 else 1.0
+    return [coarsest / 2**i for i in range(METRE_STEPS)]
+
+
+def sweep(
+    heights: HeightField,
+    settings: Sequence[Setting],
+    frames: Sequence[Frame],
+    *,
+    base: Criterion | None = None,
+    threads: int | None = None,
+    write: Callable[[Surface], None] | None = None,
+    on_row: Callable[[Row], None] = lambda row: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Row]:
+    """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
+
+    `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh; its time is
+    the step "ingest". `on_progress` gets 0 .. 1. Both callbacks may raise: that ends the sweep, and nothing is left.
+    """
+    rows = []
+    for i, setting in enumerate(settings):
+
+        def on_part(fraction: float, done: int = i) -> None:
+            on_progress((done + fraction) / len(settings))
+
+        on_part(0.0)
+        if setting.fitted:
+            row = _fitted_row(heights, setting, frames[0], threads, on_part)
+        else:
+            row = _row(heights, setting, frames, base or Criterion(), threads, write, on_part)
+        rows.append(row)
+        on_row(row)
+    on_progress(1.0)
+    return rows
+
+
+def curve_of(rows: Sequence[Row]) -> CostCurve:
+    """The cost curve through the plain rows of the first row's unit; milliseconds are those to the finished mesh.
+
+    Raises TerrainError where there are fewer than two.
+    """
+    unit = rows[0].setting.unit if rows else "px"
+    plain = [r for r in rows if r.setting.plain and r.setting.unit == unit and r.limited != "max_triangles"]
+    return CostCurve.through(unit, [(row.setting.error, row.triangles, row.whole_ms) for row in plain])
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Which of the points (error, cost) no other beats: none is as good in both and better in one. By rising cost."""
+    front, best = [], math.inf
+    for i in sorted(range(len(points)), key=lambda i: (points[i][1], points[i][0])):
+        if points[i][0] < best:
+            front.append(i)
+            best = points[i][0]
+    return front
+
+
+def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, write, on_part) -> Row:
+    criterion, terrain = setting.criterion(base), Terrain(heights, threads)
+    if setting.unit == "m":
+        frames = [dataclasses.replace(frames[0], views=(), after=None)]
+    looks = [(frame, view) for frame in frames for view in frame.views or [None]]
+    updates, sizes, measured, popped, runs = [], [], [], [], []
+    for frame in frames:
+        update = terrain.update(criterion, frame.views, *frame.heights)
+        # The next update overwrites the surface.
+        surface = _copy(update.surface) if frame.after else update.surface
+        updates.append(update)
+        sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
+        for view in frame.views or [None]:
+            done = len(measured)
+            measured.append(
+                measure(
+                    heights,
+                    surface,
+                    view,
+                    *frame.heights,
+                    threads=threads,
+                    on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
+                )
+            )
+        runs += timed_runs(terrain, criterion, frame, RUNS if len(frames) == 1 else 1, write)
+        if frame.after:
+            popped += _popped(terrain, criterion, surface, frame.after, threads)
+    triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
+    bounds_px = [update.bound_px for update in updates] if setting.unit == "px" else []
+    bounds_m = [update.bound_m for update in updates]
+    loosest = int(np.argmax(bounds_px or bounds_m))
+    return Row(
+        setting,
+        max(bounds_px, default=None),
+        max(bounds_m),
+        ", ".join(sorted({update.limited for update in updates} - {""})),
+        triangles,
+        vertices,
+        surface_bytes / 1e6,
+        terrain.buffer_bytes / 1e6,
+        worst(measured),
+        updates[loosest].terms_px if bounds_px else updates[loosest].terms_m,
+        worst(popped),
+        median_by_step(runs),
+    )
+
+
+def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Row:
+    """A fit depends on no view; its time is that of a second run where the first is short enough to be disturbed."""
+    scale, offset = frame.vertical_scale, frame.vertical_offset
+    for part in range(2):
+        fitted = fit(
+            heights,
+            setting.error,
+            vertical_scale=scale,
+            vertical_offset=offset,
+            threads=threads,
+            on_progress=lambda fraction, part=part: on_part((part + fraction) / 3),
+        )
+        if fitted.ms["total"] > LONG_FIT_MS:
+            break
+    surface = fitted.surface
+    measured = measure(
+        heights, surface, None, *frame.heights, threads=threads, on_progress=lambda f: on_part((2 + f) / 3)
+    )
+    return Row(
+        setting,
+        None,
+        fitted.bound_m,
+        fitted.limited,
+        fitted.triangles,
+        len(surface.positions),
+        _bytes(surface) / 1e6,
+        None,
+        measured,
+        fitted.terms_m,
+        ms={"fit": fitted.ms["total"], "total": fitted.ms["total"]},
+    )
+
+
+def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads) -> list:
+    """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
+    after = terrain.update(criterion, frame.views, *frame.heights).surface
+    return [popping(terrain.field, before, after, view, *frame.heights, threads=threads) for view in frame.views]
+
+
+def _copy(surface: Surface) -> Surface:
+    return Surface(*(getattr(surface, f.name).copy() for f in dataclasses.fields(Surface)))
+
+
+def _bytes(surface: Surface) -> int:
+    return sum(getattr(surface, f.name).nbytes for f in dataclasses.fields(Surface))
+
+
+def worst(parts: Sequence):
+    """The largest of every figure of several Errors or Measured, counts added; None of none."""
+    parts = [part for part in parts if part is not None]
+    if not parts or isinstance(parts[0], float):
+        return max(parts, default=None)
+    if isinstance(parts[0], int):
+        return sum(parts)
+    names = [f.name for f in dataclasses.fields(parts[0])]
+    return type(parts[0])(**{name: worst([getattr(part, name) for part in parts]) for name in names})

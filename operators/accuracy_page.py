@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What `accuracy` writes: one table as CSV and JSON, and the same pages as HTML and Markdown, with their plots."""
+
+import csv
+import io
+import json
+
+from ..cbt_terrain.sweep import STEPS, TERMS, Row, Setting, curve_of, pareto
+from .log_plot import CROSS, RING, Curve, draw
+from .page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
+
+GREY, TEAL, RED, GREEN, BLUE, BROWN, INK = "#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#1c1f26"
+UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
+TITLE = "What accuracy costs"
+MEANING = (
+    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of "
+    "the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved and "
+    "what float32 rounds included. *Measured* is the largest error that was found against the height field as it was "
+    "imported: in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
+    "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
+    "the camera moves by a thousandth of the terrain, so that nothing is reused; of a fit, its one run."
+)
+
+
+def files(subjects, machine: dict[str, str]) -> dict[str, str]:
+    """Every file of a report by its name. `subjects`: accuracy_command.Subject, measured."""
+    blocks = page(subjects, machine)
+    plots = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
+    return plots | {
+        "accuracy.csv": as_csv(subjects),
+        "accuracy.json": as_json(subjects, machine),
+        "accuracy.md": as_markdown(TITLE, blocks),
+        "index.html": as_html(TITLE, blocks),
+    }
+
+
+def as_csv(subjects) -> str:
+    """One line a row; empty where nothing was measured."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
+    writer.writerow(lines[0])
+    writer.writerows(line.values() for line in lines)
+    return text.getvalue()
+
+
+def as_json(subjects, machine: dict[str, str]) -> str:
+    terrains = [
+        {
+            "name": s.name,
+            "height_field": s.heights.key,
+            "seen": s.seen,
+            "frames": s.numbers,
+            "current": None if s.current is None else label(s.current),
+            "notes": s.notes,
+            "curves": [json.loads(curve.to_json()) for curve in curves(s)],
+            "rows": [row.figures() for row in s.rows],
+        }
+        for s in subjects
+    ]
+    content = {"generator": "Adaptive Terrain", "machine": machine, "terrains": terrains}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
+    """The page as blocks; `prefix` begins the names of its plots."""
+    blocks = [
+        Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."),
+        Text(MEANING),
+    ]
+    for subject in subjects:
+        blocks += section(subject, prefix)
+    return blocks
+
+
+def section(subject, prefix: str) -> list:
+    """All about one terrain."""
+    heights, rows = subject.heights, subject.rows
+    lattice = heights.lattice
+    relief = heights.max_height - heights.min_height
+    across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
+    made = heights.provenance
+    source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
+    frames = f", {len(subject.numbers)} frames: {', '.join(map(str, subject.numbers))}" if subject.numbers else ""
+    blocks = [
+        Heading(subject.name),
+        Text(
+            f"{lattice.width} x {lattice.height} samples over {across:,.0f} x {up:,.0f} m, {relief:,.5g} m from the "
+            f"lowest to the highest{source}; seen {subject.seen}{frames}. Of several frames errors are the largest, "
+            "triangles and times the median."
+        ),
+    ]
+    current = next((row for row in rows if row.setting == subject.current), None)
+    if current is not None:
+        blocks.append(Figures(current_figures(current)))
+    blocks += [Text(sentence) for sentence in sentences(subject)]
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        blocks += plots(subject, unit, current, prefix)
+    blocks += [Heading(f"Every row of {subject.name}"), overview(rows, subject.current)]
+    blocks += [Heading(f"What the errors of {subject.name} are made of"), *error_tables(rows)]
+    blocks += [Heading(f"Where the time goes on {subject.name}"), steps_table(rows)]
+    return blocks + [Text(note) for note in subject.notes]
+
+
+def curves(subject) -> list:
+    """The cost curve of each unit that was swept."""
+    units = dict.fromkeys(row.setting.unit for row in subject.rows)
+    of_unit = [[row for row in subject.rows if row.setting.unit == unit] for unit in units]
+    return [curve_of(rows) for rows in of_unit if sum(row.setting.plain for row in rows) > 1]
+
+
+def sentences(subject) -> list[str]:
+    """What half and twice the error cost, at the current setting or else in the middle of the sweep."""
+    said = []
+    for curve in curves(subject):
+        unit, error = curve.unit, curve.error[len(curve.error) // 2]
+        if subject.current is not None and subject.current.unit == unit:
+            error = subject.current.error
+        (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
+        said.append(
+            f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs +{slower - ms:.3g} ms and "
+            f"+{more - triangles:,.0f} triangles; doubling it to {error * 2:g} {unit} saves {ms - faster:.3g} ms and "
+            f"{triangles - less:,.0f} triangles."
+        )
+        if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
+            said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
+    return said
+
+
+def current_figures(row: Row) -> list[tuple[str, str]]:
+    unit = row.setting.unit
+    return [
+        (label(row.setting), "asked, the current setting"),
+        (f"{row.bound:.3g} {unit}", "bound"),
+        (f"{row.error:.3g} {unit}", "measured"),
+        (f"{row.triangles:,}", "triangles"),
+        (f"{row.whole_ms:.3g} ms", "to the finished mesh"),
+    ]
+
+
+def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
+    """Error against time and against triangles; a fit is made once, so its time is in no plot."""
+    rows = [row for row in subject.rows if row.setting.unit == unit]
+    found = []
+    for cost, axis in (("ms", "ms to the finished mesh"), ("triangles", "triangles")):
+        shown = [row for row in rows if cost == "triangles" or not row.setting.fitted]
+        drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
+        caption = f"{subject.name}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
+        found.append(Plot(f"{prefix}{subject.name}_{unit}_{cost}.svg", caption, drawing))
+    return found
+
+
+def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
+    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles"."""
+
+    def points(kept: list[Row], error) -> list[tuple[float, float]]:
+        coarse_first = sorted(kept, key=lambda row: -row.setting.error)
+        return [(cost_of(row, cost), error(row)) for row in coarse_first]
+
+    def measured(row: Row) -> float:
+        return row.error
+
+    plain, fitted = (
+        [r for r in rows if r.setting == Setting(r.setting.unit, r.setting.error, fitted=f)] for f in (0, 1)
+    )
+    front = [rows[i] for i in pareto([(row.error, cost_of(row, cost)) for row in rows])]
+    found = [
+        Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
+        Curve("bound", TEAL, points(plain, lambda row: row.bound)),
+        Curve("measured", RED, points(plain, measured)),
+        Curve("fitted, bound", BLUE, points(fitted, lambda row: row.bound), dash="7 4"),
+        Curve("fitted, measured", GREEN, points(fitted, measured)),
+        Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
+        Curve("less depth, measured", BROWN, points([r for r in rows if r.setting.max_depth], measured), "", False),
+        Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
+    ]
+    if current in rows:
+        found.append(Curve(f"current, {label(current.setting)}", INK, points([current], measured), "", False, CROSS))
+    return found
+
+
+def cost_of(row: Row, cost: str) -> float:
+    return row.whole_ms if cost == "ms" else float(row.triangles)
+
+
+def overview(rows: list[Row], current: Setting | None) -> Table:
+    """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
+    fronts = {}
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        for cost in ("ms", "triangles"):
+            kept = [row for row in rows if row.setting.unit == unit and (cost == "triangles" or not row.setting.fitted)]
+            front = pareto([(row.error, cost_of(row, cost)) for row in kept])
+            fronts[cost] = fronts.get(cost, []) + [kept[i].setting for i in front]
+    head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
+    lines = []
+    for row in rows:
+        unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
+        least = ", ".join(cost for cost, kept in fronts.items() if row.setting in kept)
+        numbers = [f"{number(row.bound)} {unit}", f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
+        numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
+        lines.append([name, *numbers, row.limited.replace("_", " "), least])
+    return Table([*head, "limited by", "Pareto front"], lines)
+
+
+def error_tables(rows: list[Row]) -> list[Table]:
+    """Parts of the bound; then everything that was measured: height, screen, silhouette, popping, normals, rounding."""
+    blocks = [bound_table(rows)]
+    on_screen = [row for row in rows if row.measured.screen_px is not None]
+    if on_screen:
+        names = ("screen_px", "hidden_px", "silhouette_px", "popping_px")
+        head = ["pixels", "visible: max", "p95", "mean", "hidden: max", "silhouette: max", "p95", "popping: max", "p95"]
+        lines = []
+        for row in on_screen:
+            seen, hidden, outline, popped = (getattr(row if n == "popping_px" else row.measured, n) for n in names)
+            cells = [seen.max, seen.p95, seen.mean, *(part and part.max for part in (hidden, outline))]
+            cells += [outline and outline.p95, popped and popped.max, popped and popped.p95]
+            lines.append([label(row.setting), *map(number, cells)])
+        blocks.append(Table(head, lines))
+    head = ["metres, degrees", "height: max", "p95", "rms", "rounding: max", "faces: p95", "max", "shading: p95", "max"]
+    lines = []
+    for row in rows:
+        m = row.measured
+        cells = [m.vertical_max_m, m.vertical_m.p95, m.vertical_m.rms, m.rounding_m]
+        cells += [m.facet_deg.p95, m.facet_deg.max, m.shading_deg.p95, m.shading_deg.max]
+        lines.append([label(row.setting), *map(number, cells)])
+    return [*blocks, Table(head, lines)]
+
+
+def bound_table(rows: list[Row]) -> Table:
+    """What the bound is made of at the leaf that decides it."""
+    head = ["bound", "in all", *TERMS, "measured, of the bound"]
+    lines = []
+    for row in rows:
+        parts = [getattr(row.terms, part, None) for part in TERMS]
+        used = f"{row.error / row.bound:.0%}" if row.bound else ""
+        lines.append([label(row.setting), number(row.bound), *map(number, parts), used])
+    return Table(head, lines)
+
+
+def steps_table(rows: list[Row]) -> Table:
+    steps = [step for step in ("total", *STEPS) if any(row.ms.get(step) for row in rows)]
+    lines = [[label(row.setting), *(number(row.ms.get(step)) for step in steps)] for row in rows]
+    return Table(["ms", *steps], lines)
+
+
+def label(setting: Setting) -> str:
+    """`1 px, depth 15` or `4 m, fitted`."""
+    parts = [f"{setting.error:g} {setting.unit}"]
+    parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
+    parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []
+    return ", ".join([*parts, "fitted"] if setting.fitted else parts)
+
+
+def row_line(row: Row) -> str:
+    """One row as the terminal shows it."""
+    unit = row.setting.unit
+    return (
+        f"{label(row.setting)}: bound {row.bound:.3g} {unit}, measured {row.error:.3g} {unit}, "
+        f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
+    )
+
+
+def number(value: float | None) -> str:
+    """Three digits that count, and none beyond the point from 100 on; nothing for what was not measured."""
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

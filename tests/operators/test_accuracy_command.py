@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`accuracy`: the files that it writes, what they say, and how it fails."""
+
+import csv
+import dataclasses
+import json
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
+from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.sweep import Row, Setting
+from adaptive_terrain.operators import accuracy_command, accuracy_page, command_line
+from adaptive_terrain.operators.log_plot import Curve, draw
+
+FLIGHT = {
+    "clip": [1, 50000],
+    "keyframes": [
+        {"frame": 1, "eye": [0, -300, 90], "target": [0, 0, 0]},
+        {"frame": 9, "eye": [90, -100, 60], "target": [0, 60, 0]},
+    ],
+}
+FEW = [Setting("px", 4.0), Setting("px", 1.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0)]
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="session")
+def hills(tmp_path_factory):
+    """A store of 33 x 33 samples, 10 m apart."""
+    y, x = np.mgrid[0:33, 0:33]
+    folder = tmp_path_factory.mktemp("hills")
+    np.save(folder / "hills.npy", (30 * np.sin(x / 4) * np.cos(y / 5)).astype(np.float32))
+    argv = ["import", str(folder / "hills.npy"), "--store", str(folder / "hills"), "--extent", "320x320"]
+    assert command_line.main(argv) == 0
+    return folder / "hills"
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """A sweep of few settings."""
+    monkeypatch.setattr(accuracy_command, "settings_for", lambda heights, frame: list(FEW))
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """A sweep that has known rows."""
+
+    def known(heights, settings, frames, *, on_row, on_progress, **_):
+        for i, row in enumerate(known_rows()):
+            on_progress(i / 7)
+            on_row(row)
+        return known_rows()
+
+    monkeypatch.setattr(accuracy_command, "sweep", known)
+
+
+@pytest.fixture
+def flight(tmp_path):
+    path = tmp_path / "flight.json"
+    path.write_text(json.dumps(FLIGHT))
+    return path
+
+
+@pytest.fixture
+def accuracy(hills, tmp_path, capsys):
+    """Run `accuracy` on the store of hills; returns the exit code, what it printed, and the folder."""
+
+    def run(*arguments, source=("--store", hills), out="out"):
+        folder = tmp_path / out
+        argv = ["accuracy", *source, "--out", folder, *arguments]
+        code = command_line.main([str(argument) for argument in argv])
+        return code, capsys.readouterr(), folder
+
+    return run
+
+
+def rows_of(folder):
+    with (folder / "accuracy.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy):
+    code, said, folder = accuracy("--resolution", "320x180")
+    assert code == 0, said.err
+    rows = rows_of(folder)
+    assert [row["asked"] for row in rows if row["unit"] == "px"][:7] == "16.0 8.0 4.0 2.0 1.0 0.5 0.25".split()
+    assert {row["meshlet"] for row in rows} == {"0", "1", "2", "3", "4"}
+    assert len(said.out.splitlines()) == len(rows) + 1
+    for row in rows:
+        assert 0 < float(row["measured"]) <= float(row["bound"])
+        geometric, resampling, precision = (float(row[f"bound_{p}"]) for p in ("geometric", "resampling", "precision"))
+        assert geometric + precision == pytest.approx(float(row["bound"]))
+        assert geometric > precision >= resampling == 0
+        assert (row["ms_fit"] == "") == (row["fitted"] == "False")
+        assert float(row["ms_total"]) > 0 and int(row["triangles"]) > 1
+        assert row["terrain"] == "hills" and row["popping_px_max"] == ""
+        assert (row["screen_px_p95"] == "") == (row["unit"] == "m")
+    content = json.loads((folder / "accuracy.json").read_text())
+    terrain = content["terrains"][0]
+    assert [str(r["triangles"]) for r in terrain["rows"]] == [row["triangles"] for row in rows]
+    curves = [CostCurve.from_json(json.dumps(curve)) for curve in terrain["curves"]]
+    assert [curve.unit for curve in curves] == ["px", "m"] and terrain["current"] == "1 px"
+    assert {"Processor", "Python", "Warp", "numpy"} <= set(content["machine"])
+    assert not list(folder.glob(".partial*")) and not (folder / accuracy_command.PROBE).exists()
+
+
+def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
+    code, said, folder = accuracy()
+    assert code == 0, said.err
+    page = (folder / "index.html").read_text()
+    assert re.findall(r'(?:src|href)="', page) == [] and "<script" not in page and "@import" not in page
+    assert set(re.findall(r"https?://[^\"' ]+", page)) == {"http://www.w3.org/2000/svg"}
+    text = (folder / "accuracy.md").read_text()
+    for row in known_rows():
+        name = accuracy_page.label(row.setting)
+        assert f"<td>{name}" in page and f"| {name}" in text
+    assert "1 px (current)" in page and "1 px (current)" in text
+    for said in (page, text):
+        assert "Halving the error from 1 px to 0.5 px costs +7.5 ms and +4,800 triangles" in said
+        assert "doubling it to 2 px saves 3 ms and 1,200 triangles. Part of" in said
+    plots = sorted(path.name for path in folder.glob("*.svg"))
+    assert plots == [f"hills_{unit}_{cost}.svg" for unit in ("m", "px") for cost in ("ms", "triangles")]
+    for name in plots:
+        assert f"({name})" in text
+        ElementTree.parse(folder / name)
+    columns = [{line.count("|") for line in table.splitlines()} for table in text.split("\n\n") if table[0] == "|"]
+    assert len(columns) == 5 and all(len(counts) == 1 for counts in columns)
+
+
+def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight):
+    code, said, folder = accuracy("--path", flight, "--frames", "2-6:2", "--resolution", "320x180")
+    assert code == 0, said.err
+    on_screen = [row for row in rows_of(folder) if row["unit"] == "px"]
+    assert all(float(row["popping_px_max"]) > 0 for row in on_screen)
+    content = json.loads((folder / "accuracy.json").read_text())["terrains"][0]
+    assert content["frames"] == [2, 4, 6] and content["seen"] == "along flight.json, 320 x 180 pixels"
+
+
+def test_frames_of_a_path_are_spread_over_it(hills, flight):
+    subject = accuracy_command.store_subject(hills, flight, None, (320, 180))
+    assert subject.numbers == [1, 2, 3, 4, 6, 7, 8, 9]
+    assert [frame.after is None for frame in subject.frames] == [False] * 7 + [True]
+    assert accuracy_command.spread(3, 3) == [3] and len(accuracy_command.spread(1, 1000)) == accuracy_command.SPREAD
+
+
+@pytest.mark.parametrize("resolution", [(1920, 1080), (200, 900), (500, 500)])
+def test_the_overview_has_the_whole_terrain_in_the_picture(hills, resolution):
+    heights = open_store(hills)
+    view = accuracy_command.overview(heights, resolution)
+    corners = np.array([(x, y, z, 1) for x in (-160, 160) for y in (-160, 160) for z in (-30, 30)])
+    clip = corners @ (view.projection @ view.world_to_camera).T
+    assert np.abs(clip[:, :2] / clip[:, 3:]).max() < 1
+    assert np.abs(clip[:, :2] / clip[:, 3:]).max() > 0.5
+
+
+def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add_terrain, accuracy, tmp_path):
+    import bpy
+
+    add_terrain("Near")
+    far = add_terrain("Far")
+    far.location.y = 1500
+    far.adaptive_terrain.render.error_px, far.adaptive_terrain.render.meshlet = 3.0, 2
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    code, said, folder = accuracy("--frames", "1-2", source=("--scene", tmp_path / "scene.blend"))
+    assert code == 0, said.err
+    rows = rows_of(folder)
+    assert [row["terrain"] for row in rows] == ["Far"] * 5 + ["Near"] * 4
+    assert (rows[0]["asked"], rows[0]["meshlet"]) == ("3.0", "2")
+    assert all(float(row["ms_ingest"]) > 0 for row in rows if row["fitted"] == "False")
+    assert {row["popping_px_max"] for row in rows if row["unit"] == "px"} == {"0.0"}  # the camera stands
+    terrains = json.loads((folder / "accuracy.json").read_text())["terrains"]
+    assert [terrain["current"] for terrain in terrains] == ["3 px, meshlet 2", "1 px"]
+    assert terrains[0]["seen"] == "through the camera of scene.blend, 640 x 360 pixels"
+
+
+def test_what_a_sweep_leaves_out_is_said():
+    plain = Criterion(error_px=2.0, meshlet=1)
+    assert accuracy_command.current_setting(plain) == Setting("px", 2.0, meshlet=1)
+    assert accuracy_command.notes_on(plain) == []
+    metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
+    assert accuracy_command.current_setting(metres) == Setting("m", 0.5, max_depth=9)
+    assert len(accuracy_command.notes_on(metres)) == 1 and "limits of triangles" in accuracy_command.notes_on(metres)[0]
+    edges = Criterion(error_px=0, edge_px=4)
+    assert accuracy_command.current_setting(edges) is None and len(accuracy_command.notes_on(edges)) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--store", "x", "--scene", "y"], "not allowed with argument"),
+        ([], "one of the arguments --scene --store is required"),
+        (["--scene", "x.blend", "--path", "y.json"], "--path belongs to --store"),
+        (["--store", "x", "--camera", "Camera"], "--camera belongs to --scene"),
+        (["--store", "x", "--frames", "1-3"], "--frames are those of a --path"),
+        (["--store", "x", "--path", "y.json", "--frames", "3-1"], "go backwards"),
+        (["--store", "x", "--resolution", "0x10"], "not two numbers above 0"),
+    ],
+)
+def test_arguments_that_contradict_each_other_are_wrong_usage(accuracy, arguments, message):
+    code, said, folder = accuracy(source=arguments)
+    assert code == 2 and message in said.err
+    assert not folder.exists()
+
+
+def test_input_that_cannot_be_used_is_one_sentence(accuracy, hills, tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "taken" / "index.html").mkdir(parents=True)
+    for arguments, message in (
+        ({"source": ("--store", tmp_path / "none")}, "There is no terrain store at"),
+        ({"source": ("--store", hills, "--path", tmp_path / "none.json")}, "cannot be read"),
+        ({"out": "file"}, "expected a folder"),
+        ({"out": "file/inside"}, "expected a folder"),
+        ({"out": "taken"}, "index.html is a folder"),
+        ({"source": ("--scene", tmp_path / "none.blend")}, "There is no scene at"),
+    ):
+        code, said, _ = accuracy(**arguments)
+        assert code == 1 and message in said.err, said.err
+        assert len(said.err.splitlines()) == 1 and said.out == ""
+
+
+def test_an_unknown_camera_and_a_scene_without_one(scene, add_terrain, accuracy, tmp_path):
+    import bpy
+
+    add_terrain()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    code, said, _ = accuracy("--camera", "Nobody", source=("--scene", tmp_path / "scene.blend"))
+    assert code == 1 and "has no camera 'Nobody'; it has Camera" in said.err
+    bpy.context.scene.camera = None
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "blind.blend"))
+    code, said, _ = accuracy(source=("--scene", tmp_path / "blind.blend"))
+    assert code == 1 and "has no camera to refine for" in said.err
+
+
+def test_an_interruption_leaves_the_last_report_as_it_was(measured, accuracy, monkeypatch):
+    assert accuracy()[0] == 0
+
+    def interrupted(*arguments, **callbacks):
+        callbacks["on_progress"](0.3)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(accuracy_command, "sweep", interrupted)
+    code, said, folder = accuracy("--progress")
+    before = {path.name for path in folder.iterdir()}
+    assert code == 1 and said.err.endswith("adaptive-terrain: stopped\n") and " 30%" in said.err
+    assert len(rows_of(folder)) == len(known_rows())
+    assert {"index.html", "accuracy.md", "accuracy.json"} <= before and not any(n.startswith(".") for n in before)
+
+
+def test_a_bound_that_does_not_hold_is_a_failure(accuracy, monkeypatch):
+    first, *rest = known_rows()
+    too_proud = [dataclasses.replace(first, bound_px=2.5), *rest]
+    monkeypatch.setattr(accuracy_command, "sweep", lambda *arguments, **options: too_proud)
+    code, said, folder = accuracy()
+    assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3;" in said.err
+    assert len(rows_of(folder)) == len(too_proud)
+
+
+def known_rows() -> list[Row]:
+    """The meshlets beat 1 px in time, the fit is beaten by nobody in triangles."""
+    known = [  # asked, measured, triangles, ms
+        (Setting("px", 4.0), 3.0, 100, 1.0),
+        (Setting("px", 2.0), 1.5, 400, 2.0),
+        (Setting("px", 1.0), 0.9, 1600, 5.0),
+        (Setting("px", 1.0, meshlet=2), 0.5, 9000, 3.0),
+        (Setting("px", 1.0, max_depth=9), 2.0, 500, 2.5),
+        (Setting("m", 8.0), 7.0, 50, 1.0),
+        (Setting("m", 8.0, fitted=True), 7.5, 20, 900.0),
+    ]
+    rows = []
+    for setting, error, triangles, ms in known:
+        errors = Errors(9, error, error / 2, error / 3, error / 3)
+        on_screen = errors if setting.unit == "px" else None
+        measured = Measured(errors, error, 0.0, errors, errors, on_screen, on_screen, None)
+        bound = max(setting.error, error)
+        rows.append(
+            Row(
+                setting,
+                bound if on_screen else None,
+                bound,
+                "",
+                triangles,
+                triangles,
+                1.0,
+                2.0,
+                measured,
+                ms={"total": ms},
+            )
+        )
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("unit", "cost", "front"),
+    [
+        ("px", "ms", [(1.0, 3.0), (2.0, 1.5), (3.0, 0.5)]),
+        ("px", "triangles", [(100, 3.0), (400, 1.5), (1600, 0.9), (9000, 0.5)]),
+        ("m", "triangles", [(20, 7.5), (50, 7.0)]),
+    ],
+)
+def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, front):
+    rows = [row for row in known_rows() if row.setting.unit == unit]
+    curves = {curve.label: curve for curve in accuracy_page.plot_curves(rows, cost, rows[0])}
+    assert curves["Pareto front"].points == front
+    assert curves[f"current, {accuracy_page.label(rows[0].setting)}"].points[0][1] == rows[0].error
+    plain = curves["measured"].points
+    assert [y for _, y in plain] == [row.error for row in rows if row.setting.plain]
+    assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]
+
+
+def test_the_table_says_which_rows_are_on_the_pareto_fronts():
+    table = accuracy_page.overview(known_rows(), Setting("px", 2.0))
+    least = {line[0]: line[-1] for line in table.rows}
+    assert least == {
+        "4 px": "ms, triangles",
+        "2 px (current)": "ms, triangles",
+        "1 px": "triangles",
+        "1 px, meshlet 2": "ms, triangles",
+        "1 px, depth 9": "",
+        "8 m": "ms, triangles",
+        "8 m, fitted": "triangles",
+    }
+    assert table.rows[0][1:6] == ["4 px", "3 px", "0.75", "100", "1"]
+
+
+def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
+    assert ElementTree.fromstring(draw([Curve("none", "#000", [(0.0, 1.0), (1.0, -1.0)])], "x", "y")).findall("*") == []
+    points = [(1.0, 0.0), (10.0, 2.0), (100.0, math.inf), (1000.0, 20.0)]
+    plot = ElementTree.fromstring(draw([Curve("a < b", "#000", points)], "x", "y"))
+    line = plot.find(f"{SVG}polyline").get("points").split()
+    tiny = ElementTree.fromstring(draw([Curve("tiny", "#000", [*points, (5.0, 1e-89)])], "x", "y"))
+    assert tiny.find(f"{SVG}polyline").get("points").split() == line
+    assert len(line) == 2 and len(plot.findall(f"{SVG}circle")) == 2
+    assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write docs/accuracy.md and its plots: the built-in island and a real elevation model, imported and measured here.
+
+`make accuracy` runs it in the environment of the tests; every figure on the page is of that run.
+"""
+
+import math
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source
+from adaptive_terrain.operators import accuracy_command, accuracy_page
+from adaptive_terrain.operators.console import Progress
+from adaptive_terrain.operators.exporting import write_text
+from adaptive_terrain.operators.machine import machine
+from adaptive_terrain.operators.page_blocks import Plot, Text, as_markdown
+from matplotlib.cbook import get_sample_data
+
+ISLAND_SIZE = 2049
+RESOLUTION = (1920, 1080)
+MODEL = "jacksboro"
+MODEL_NOTE = "The elevation model is the Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it."
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PLOTS = "images/accuracy_"
+METRES_PER_DEGREE = 111_320.0
+INTRODUCTION = (
+    "Written by `make accuracy`; do not edit it by hand. `adaptive-terrain accuracy --store DIR --out DIR` writes such "
+    "a page of any terrain, as HTML too, with all figures as CSV and JSON ([the manual](manual.md#what-accuracy-costs) "
+    "has the options). Absolute times are of one machine on one day."
+)
+
+
+def main() -> int:
+    try:
+        with tempfile.TemporaryDirectory(prefix="adaptive-terrain-accuracy-") as folder:
+            subjects = [subject_of(name, settings, Path(folder)) for name, settings in sources(Path(folder)).items()]
+            next(subject for subject in subjects if subject.name == MODEL).notes.append(MODEL_NOTE)
+            accuracy_command.measure(subjects)
+            write(subjects)
+    except TerrainError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def sources(folder: Path) -> dict[str, ImportSettings]:
+    """What is measured, by the name of its section."""
+    model = get_sample_data("jacksboro_fault_dem.npz")
+    np.save(folder / "jacksboro.npy", model["elevation"])
+    rows, columns = model["elevation"].shape
+    north, east = METRES_PER_DEGREE, METRES_PER_DEGREE * math.cos(math.radians((model["ymin"] + model["ymax"]) / 2))
+    extent = float((columns - 1) * model["dx"] * east), float((rows - 1) * model["dy"] * north)
+    return {
+        "island": ImportSettings(source="island", size=ISLAND_SIZE),
+        MODEL: ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent),
+    }
+
+
+def subject_of(name: str, settings: ImportSettings, folder: Path) -> accuracy_command.Subject:
+    bar = Progress(1.0, f"import {name}")
+    try:
+        import_source(settings, folder / f"{name}.store", on_progress=lambda fraction, message: bar.to(fraction))
+    finally:
+        bar.close()
+    return accuracy_command.store_subject(folder / f"{name}.store", None, None, RESOLUTION)
+
+
+def write(subjects: list[accuracy_command.Subject]) -> None:
+    blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
+    for block in blocks:
+        if isinstance(block, Plot):
+            write_text(DOCS / block.name, block.svg)
+    write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))
+    accuracy_command.check_bounds(subjects)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

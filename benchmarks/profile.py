@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
+from ..operators.machine import machine
 from . import sampling
-from .machine import machine
 from .profiles import (
     BAND,
     BAND_TEST,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .accuracy import Errors, Measured, measure, popping
+from .accuracy import Errors, Measured, Sight, look, measure, popping
 from .cost_curve import CostCurve
 from .criterion import Criterion
 from .fit import fit
@@ -19,6 +19,7 @@ from .surface import Surface
 from .terms import Terms
 from .terrain import Terrain
 from .timed_runs import RUNS, Frame, median_by_step, timed_runs
+from .view import View
 
 PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
 # Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
@@ -28,6 +29,8 @@ MESHLETS = (1, 2, 3, 4)
 SHORT_OF_CELLS = (6, 4, 2, 0)
 # Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
 MAX_TRIANGLES = 1 << 23
+# Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
+KEPT_SIGHTS = 16
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
 STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
@@ -151,7 +154,15 @@ def sweep(
     `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh; its time is
     the step "ingest". `on_progress` gets 0 .. 1. Both callbacks may raise: that ends the sweep, and nothing is left.
     """
-    rows = []
+    rows, sights = [], {}
+
+    def sight(view: View, frame: Frame) -> Sight:
+        """What a view sees is the same for every setting, and takes longest to find out."""
+        found = look(heights, view, *frame.heights, threads=threads)
+        if found.key not in sights and len(sights) == KEPT_SIGHTS:
+            del sights[next(iter(sights))]
+        return sights.setdefault(found.key, found)
+
     for i, setting in enumerate(settings):
 
         def on_part(fraction: float, done: int = i) -> None:
@@ -161,7 +172,7 @@ def sweep(
         if setting.fitted:
             row = _fitted_row(heights, setting, frames[0], threads, on_part)
         else:
-            row = _row(heights, setting, frames, base or Criterion(), threads, write, on_part)
+            row = _row(heights, setting, frames, base or Criterion(), threads, sight, write, on_part)
         rows.append(row)
         on_row(row)
     on_progress(1.0)
@@ -188,7 +199,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     return front
 
 
-def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, write, on_part) -> Row:
+def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, on_part) -> Row:
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
@@ -209,12 +220,13 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
                     view,
                     *frame.heights,
                     threads=threads,
+                    sight=sight(view, frame) if view else None,
                     on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
                 )
             )
         runs += timed_runs(terrain, criterion, frame, RUNS if len(frames) == 1 else 1, write)
         if frame.after:
-            popped += _popped(terrain, criterion, surface, frame.after, threads)
+            popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
     triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
     bounds_px = [update.bound_px for update in updates] if setting.unit == "px" else []
     bounds_m = [update.bound_m for update in updates]
@@ -268,10 +280,13 @@ def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Ro
     )
 
 
-def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads) -> list:
+def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
     """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
-    return [popping(terrain.field, before, after, view, *frame.heights, threads=threads) for view in frame.views]
+    return [
+        popping(terrain.field, before, after, view, *frame.heights, threads=threads, sight=sight(view, frame))
+        for view in frame.views
+    ]
 
 
 def _copy(surface: Surface) -> Surface:

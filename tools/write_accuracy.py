@@ -4,6 +4,7 @@
 `make accuracy` runs it in the environment of the tests; every figure on the page is of that run.
 """
 
+import json
 import math
 import sys
 import tempfile
@@ -12,8 +13,10 @@ from pathlib import Path
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source
+from adaptive_terrain.cbt_terrain.sources import ISLAND
 from adaptive_terrain.operators import accuracy_command, accuracy_page
 from adaptive_terrain.operators.console import Progress
+from adaptive_terrain.operators.demo import FLIGHT
 from adaptive_terrain.operators.exporting import write_text
 from adaptive_terrain.operators.machine import machine
 from adaptive_terrain.operators.page_blocks import Plot, Text, as_markdown
@@ -21,6 +24,8 @@ from matplotlib.cbook import get_sample_data
 
 ISLAND_SIZE = 2049
 RESOLUTION = (1920, 1080)
+# Of the demo's flight: at the start, near the ground, near its end; popping is towards the frame after each.
+FRAMES = (1, 12, 23)
 MODEL = "jacksboro"
 MODEL_NOTE = "The elevation model is the Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it."
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -54,7 +59,7 @@ def sources(folder: Path) -> dict[str, ImportSettings]:
     north, east = METRES_PER_DEGREE, METRES_PER_DEGREE * math.cos(math.radians((model["ymin"] + model["ymax"]) / 2))
     extent = float((columns - 1) * model["dx"] * east), float((rows - 1) * model["dy"] * north)
     return {
-        "island": ImportSettings(source="island", size=ISLAND_SIZE),
+        ISLAND: ImportSettings(source=ISLAND, size=ISLAND_SIZE),
         MODEL: ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent),
     }
 
@@ -65,7 +70,15 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> accuracy_co
         import_source(settings, folder / f"{name}.store", on_progress=lambda fraction, message: bar.to(fraction))
     finally:
         bar.close()
-    return accuracy_command.store_subject(folder / f"{name}.store", None, None, RESOLUTION)
+    if name != ISLAND:
+        return accuracy_command.store_subject(folder / f"{name}.store", None, None, RESOLUTION)
+    flight = folder / "flight.json"
+    flight.write_text(json.dumps(FLIGHT), encoding="utf-8")
+    subject = accuracy_command.store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
+    subject.seen = (
+        f"along the demo's flight, frames {', '.join(map(str, FRAMES))}, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
+    )
+    return subject
 
 
 def write(subjects: list[accuracy_command.Subject]) -> None:

@@ -69,10 +69,7 @@ def measure(
     exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
     """
     if view is not None:
-        looked = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
-        if sight is not None and sight.key != looked.key:
-            raise TerrainError("The sight is of another view or terrain; make it by `look` with the same arguments.")
-        sight = sight or looked
+        sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()
@@ -155,17 +152,26 @@ def popping(
     vertical_offset: float = 0.0,
     *,
     threads: int | None = None,
+    sight: Sight | None = None,
 ) -> Errors:
     """How far points jump on screen where mesh `after` takes the place of `before` under one view, in pixels.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
     from the height that one mesh has there to that of the other. The surfaces must be copies: updates overwrite theirs.
+    `sight` as in `measure`.
     """
-    sight = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
+    sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
     there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
     return sight.errors(*samples, there)[0]
+
+
+def _same(sight: Sight | None, looked: Sight) -> Sight:
+    """The sight that was given, if it is of what is looked at; without one, `looked`."""
+    if sight is not None and sight.key != looked.key:
+        raise TerrainError("The sight is of another view or terrain; make it by `look` with the same arguments.")
+    return sight or looked
 
 
 def _part(on_progress: Progress, start: float, end: float) -> Progress:

@@ -74,11 +74,18 @@ class CostCurve:
     def error_for_ms(self, ms: float) -> float:
         """The finest error whose update takes at most `ms`, within a quarter of the finest error that was measured and
         16 times the coarsest; rounded up to four digits."""
-        return self._error(self.ms, ms, "milliseconds")
-
-    def error_for_triangles(self, triangles: float) -> float:
-        """The same for a number of triangles."""
-        return self._error(self.triangles, triangles, "triangles")
+        if not ms > 0:
+            raise TerrainError(f"The budget is {ms} milliseconds; expected more than 0.")
+        finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
+        fits = [i for i, cost in enumerate(self.ms) if cost <= ms]
+        i = min(fits[-1], len(self.ms) - 2) if fits else 0
+        slope = self._slope(self.ms, i)
+        if slope == 0 or ms == math.inf:  # a level end goes on: finer is free, or nothing coarser is cheaper
+            return finest if fits else coarsest
+        exponent = math.log(ms / self.ms[i]) / slope + math.log(self.error[i])
+        if exponent <= math.log(finest):
+            return finest
+        return min(_rounded_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
@@ -107,20 +114,6 @@ class CostCurve:
     def _slope(self, costs: tuple[float, ...], i: int) -> float:
         """Logarithm of cost over logarithm of error between points i and i + 1; 0 or less."""
         return math.log(costs[i + 1] / costs[i]) / math.log(self.error[i + 1] / self.error[i])
-
-    def _error(self, costs: tuple[float, ...], budget: float, unit: str) -> float:
-        if not budget > 0:
-            raise TerrainError(f"The budget is {budget} {unit}; expected more than 0.")
-        finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
-        fits = [i for i, cost in enumerate(costs) if cost <= budget]
-        i = min(fits[-1], len(costs) - 2) if fits else 0
-        slope = self._slope(costs, i)
-        if slope == 0 or budget == math.inf:  # a level end goes on: finer is free, or nothing coarser is cheaper
-            return finest if fits else coarsest
-        exponent = math.log(budget / costs[i]) / slope + math.log(self.error[i])
-        if exponent <= math.log(finest):
-            return finest
-        return min(_rounded_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
 
 
 def _positive(name: str, values: Sequence) -> tuple[float, ...]:

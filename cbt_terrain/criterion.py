@@ -71,6 +71,11 @@ class Criterion:
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
+def unit_asked(criterion: Criterion) -> str:
+    """The unit of the error that is swept and budgeted: px where a screen error is asked for, else m, else ""."""
+    return "px" if criterion.error_px else "m" if criterion.error_m else ""
+
+
 def localise(
     view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float
 ) -> LocalView:

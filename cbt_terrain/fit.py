@@ -29,7 +29,7 @@ from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
 from .terms import Terms
-from .terrain import Terrain, Update
+from .terrain import Terrain, Update, box_of
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
 # more has so many to split that neighbours of those that need it are split as well.
@@ -158,7 +158,7 @@ class _Fitter:
     def __init__(
         self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int, on_progress: Progress
     ):
-        Terrain(field, threads)._box(vertical_scale, vertical_offset)  # refuses numbers that cannot be used
+        box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         self.field, self.threads, self.on_progress = field, threads, on_progress
         self.placement = (float(vertical_scale), float(vertical_offset))
         self.scale = abs(self.placement[0])

@@ -197,7 +197,7 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
     """
     scale = abs(raster.scale * settings.height_scale)
     stored = np.dtype(raster.stored)
-    if stored.kind != "f":
+    if stored.kind != "f" or scale == 0.0:  # a file may say that its scale is 0
         return 0.5 * scale
     offset = abs(raster.offset * settings.height_scale + settings.height_offset)
     value = min((largest + offset) / scale, float(np.finfo(stored).max))

@@ -12,6 +12,7 @@ from ..kernels import curve
 from ..kernels import refine as kernels
 from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.criterion import Asked, Domain
+from ..kernels.walk_state import STACK, Walk
 from . import launch
 from .buffers import Buffers, bind, shared
 from .heightfield import HeightField
@@ -108,7 +109,7 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
-        self._walk_structs: list[kernels.Walk] = []
+        self._walk_structs: list[Walk] = []
         self._recorded: dict = {}
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
@@ -173,10 +174,10 @@ class Refinement:
         inner = [tree.cell_of_leaf(leaves * i // self.threads) >> 6 << 6 for i in range(1, self.threads)]
         return [0, *sorted(set(inner) - {0}), end]
 
-    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[kernels.Walk]:
+    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[Walk]:
         """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""
         slices, squares = len(cuts) - 1, self.lattice.squares
-        stride, stacks = capacity + 2 * squares + 8, slices * kernels.STACK
+        stride, stacks = capacity + 2 * squares + 8, slices * STACK
         get = self.buffers.get
         arrays = {
             "code": get("code", slices * stride, wp.uint16),
@@ -195,7 +196,7 @@ class Refinement:
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
         while len(self._walk_structs) < slices:
-            self._walk_structs.append(kernels.Walk())
+            self._walk_structs.append(Walk())
         walks = self._walk_structs[:slices]
         for k, walk in enumerate(walks):
             bind(
@@ -213,7 +214,7 @@ class Refinement:
             )
         return walks
 
-    def _leaves(self, walks: list[kernels.Walk], counts: np.ndarray) -> Leaves:
+    def _leaves(self, walks: list[Walk], counts: np.ndarray) -> Leaves:
         """Describe the slices that hold any leaves."""
         slices, squares = len(walks), self.lattice.squares
         used = np.flatnonzero(counts[:, 0])
@@ -230,7 +231,7 @@ class Refinement:
         bounds = bounds[:, :6].max(axis=0)
         return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts)
 
-    def _mark(self, walks: list[kernels.Walk], counts: np.ndarray) -> int:
+    def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its words changed."""
         index, bits = self.buffers.numpy("word_index"), self.buffers.numpy("word_bits")
         parts = [slice(w.leaf_base, w.leaf_base + n) for w, n in zip(walks, counts[:, 3], strict=True)]
@@ -265,7 +266,7 @@ def _lowest(count, most: int, start: int) -> int:
 @cache
 def _blocks() -> Blocks:
     """What n even bisections make of a triangle in each state of the curve: see kernels/block.py."""
-    # States of the children, off the leftmost spine of the tree (left_state and right_state in kernels/refine.py).
+    # States of the children, off the leftmost spine of the tree (left_state and right_state in kernels/curve.py).
     left_state, right_state = (2, 3, 0, 1, 2, 2), (4, 5, 5, 5, 0, 1)
     codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
 

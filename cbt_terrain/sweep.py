@@ -113,9 +113,7 @@ class Row:
             if isinstance(value, float):
                 figures[name] = value
             else:
-                figures |= {
-                    f"{name}_{part}": getattr(value, part, None) for part in ("count", "max", "p95", "mean", "rms")
-                }
+                figures |= {f"{name}_{part}": getattr(value, part, None) for part in PARTS}
         return figures
 
 

@@ -100,7 +100,7 @@ class Terrain:
         return update
 
     def _update(self, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
-        box = self._box(vertical_scale, vertical_offset)
+        box = box_of(self.field, vertical_scale, vertical_offset)
         if placement.shape != (4, 4) or not np.isfinite(placement).all():
             raise TerrainError(
                 "The terrain's matrix has a value that is not finite; check its location and its parents."
@@ -161,22 +161,6 @@ class Terrain:
             self._domain_key = key
         return self._domain
 
-    def _box(self, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-        """float64 [2, 3]: everything that the terrain occupies in its own space, metres."""
-        lattice = self.field.lattice
-        x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
-        z = sorted(h * vertical_scale + vertical_offset for h in (self.field.min_height, self.field.max_height))
-        box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
-        largest = float(np.finfo(np.float32).max)
-        if not max(x, y) < largest:
-            raise TerrainError(f"The terrain is {2 * x:g} x {2 * y:g} m, more than a mesh can hold; import it smaller.")
-        if not np.abs(box).max() < largest:
-            raise TerrainError(
-                f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights beyond what a mesh can "
-                "hold (3e38 metres); make them smaller."
-            )
-        return box
-
     def _max_depth(self, criterion: Criterion) -> int:
         """Deepest bisection of a leaf, its meshlet's own bisections taken off."""
         limit = depth_limit(self.field)
@@ -184,6 +168,26 @@ class Terrain:
         if criterion.max_depth is not None:
             depth = min(limit, criterion.max_depth)
         return max(1, depth - 2 * criterion.meshlet)
+
+
+def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
+    """float64 [2, 3]: the corners of everything that the terrain occupies in its own space, metres.
+
+    Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
+    """
+    lattice = field.lattice
+    x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+    z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
+    box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
+    largest = float(np.finfo(np.float32).max)
+    if not max(x, y) < largest:
+        raise TerrainError(f"The terrain is {2 * x:g} x {2 * y:g} m, more than a mesh can hold; import it smaller.")
+    if not np.abs(box).max() < largest:
+        raise TerrainError(
+            f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights beyond what a mesh can "
+            "hold (3e38 metres); make them smaller."
+        )
+    return box
 
 
 def _max_leaves(criterion: Criterion) -> int:

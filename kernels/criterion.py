@@ -234,6 +234,28 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
+def first_within(
+    asked: Asked,
+    unit_bits: wp.int32,
+    depth: wp.int32,
+    end: wp.int32,
+    climb2: wp.float64,
+    edge2: wp.float64,
+    area2: wp.float64,
+) -> wp.int32:
+    """The first depth after `depth`, `end` at most, where edges and areas are within these."""
+    found = depth + 1
+    looking = wp.int32(1)
+    while looking == 1 and found < end:
+        long2, legs2 = sizes(asked, unit_bits, found)
+        if long2 + climb2 > edge2 or legs2 + climb2 > area2:
+            found += 1
+        else:
+            looking = 0
+    return found
+
+
+@wp.func
 def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
     """Metres, before scaling, that resampling moved the raster's samples below the diamond split at (x, y).
 

@@ -12,7 +12,7 @@ the leaves' bits of the tree.
 
 import warp as wp
 
-from .block import MAX_BISECTIONS, Blocks, new_vertices, write_block, write_words
+from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import (
     Asked,
     Domain,
@@ -21,6 +21,7 @@ from .criterion import (
     error_at,
     fetch_ahead,
     finest,
+    first_within,
     larger,
     leaves_tile,
     metres2_of,
@@ -46,62 +47,12 @@ from .curve import (
     left_state,
     right_state,
 )
+from .walk_state import STACK, Walk
 
 wp.set_module_options({"enable_backward": False})
 
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
-STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
-
-
-@wp.struct
-class Walk:
-    """Where one slice of the curve writes, and how far it may."""
-
-    first_cell: wp.uint64  # slice [first_cell, end_cell) of deepest cells, all squares in a row
-    end_cell: wp.uint64
-    cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
-    max_depth: wp.int32
-    leaf_capacity: wp.int64
-    leaf_limit: wp.int64  # the walk may end as soon as it has more
-    leaf_base: wp.int64  # where this slice's part of the arrays begins
-    slot: wp.int32  # row of stacks, sides, counts and bounds
-    grid: wp.int32  # 1: several squares, borders are tracked
-    code: wp.array(dtype=wp.uint16)
-    point: wp.array(dtype=wp.vec2i)
-    word_index: wp.array(dtype=wp.int64)
-    word_bits: wp.array(dtype=wp.uint64)
-    stack: wp.array(dtype=wp.vec4i)
-    aside: wp.array(dtype=wp.int32)
-    errors: wp.array(dtype=wp.float32)
-    bands: wp.array(dtype=wp.vec3d)
-    depths: wp.array(dtype=wp.vec4i)
-    blocks: Blocks
-    sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
-    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
-    bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py
-
-
-@wp.func
-def first_within(
-    asked: Asked,
-    unit_bits: wp.int32,
-    depth: wp.int32,
-    end: wp.int32,
-    climb2: wp.float64,
-    edge2: wp.float64,
-    area2: wp.float64,
-) -> wp.int32:
-    """The first depth after `depth`, `end` at most, where edges and areas are within these."""
-    found = depth + 1
-    looking = wp.int32(1)
-    while looking == 1 and found < end:
-        long2, legs2 = sizes(asked, unit_bits, found)
-        if long2 + climb2 > edge2 or legs2 + climb2 > area2:
-            found += 1
-        else:
-            looking = 0
-    return found
 
 
 @wp.kernel

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cbt_terrain.camera_path import read_camera_path
-from ..cbt_terrain.criterion import Criterion
+from ..cbt_terrain.criterion import Criterion, unit_asked
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.heightfield import HeightField
 from ..cbt_terrain.store import open_store
@@ -180,10 +180,10 @@ def scene_subjects(
 
 def current_setting(criterion: Criterion) -> Setting | None:
     """What of a criterion a sweep can vary: its error in pixels, else the one in metres, and its limits."""
-    if not criterion.error_px and not criterion.error_m:
+    unit = unit_asked(criterion)
+    if not unit:
         return None
-    unit, error = ("px", criterion.error_px) if criterion.error_px else ("m", criterion.error_m)
-    return Setting(unit, error, criterion.max_depth, criterion.meshlet)
+    return Setting(unit, getattr(criterion, f"error_{unit}"), criterion.max_depth, criterion.meshlet)
 
 
 def notes_on(criterion: Criterion) -> list[str]:

@@ -4,10 +4,13 @@
 import csv
 import io
 import json
+import math
 
+from ..cbt_terrain.criterion import LARGEST
 from ..cbt_terrain.sweep import STEPS, TERMS, Row, Setting, curve_of, pareto
 from .log_plot import CROSS, RING, Curve, draw
 from .page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
+from .shown_bounds import bound_text, limit_text
 
 GREY, TEAL, RED, GREEN, BLUE, BROWN, INK = "#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#1c1f26"
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
@@ -131,7 +134,7 @@ def current_figures(row: Row) -> list[tuple[str, str]]:
     unit = row.setting.unit
     return [
         (label(row.setting), "asked, the current setting"),
-        (f"{row.bound:.3g} {unit}", "bound"),
+        (bound_text(row.bound, unit), "bound"),
         (f"{row.error:.3g} {unit}", "measured"),
         (f"{row.triangles:,}", "triangles"),
         (f"{row.whole_ms:.3g} ms", "to the finished mesh"),
@@ -160,15 +163,18 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     def measured(row: Row) -> float:
         return row.error
 
+    def bound(row: Row) -> float:
+        return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
+
     plain, fitted = (
         [r for r in rows if r.setting == Setting(r.setting.unit, r.setting.error, fitted=f)] for f in (0, 1)
     )
     front = [rows[i] for i in pareto([(row.error, cost_of(row, cost)) for row in rows])]
     found = [
         Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
-        Curve("bound", TEAL, points(plain, lambda row: row.bound)),
+        Curve("bound", TEAL, points(plain, bound)),
         Curve("measured", RED, points(plain, measured)),
-        Curve("fitted, bound", BLUE, points(fitted, lambda row: row.bound), dash="7 4"),
+        Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
         Curve("fitted, measured", GREEN, points(fitted, measured)),
         Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
         Curve("less depth, measured", BROWN, points([r for r in rows if r.setting.max_depth], measured), "", False),
@@ -196,10 +202,10 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
     for row in rows:
         unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
         least = ", ".join(cost for cost, kept in fronts.items() if row.setting in kept)
-        numbers = [f"{number(row.bound)} {unit}", f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
+        numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
         numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
-        lines.append([name, *numbers, row.limited.replace("_", " "), least])
-    return Table([*head, "limited by", "Pareto front"], lines)
+        lines.append([name, *numbers, limit_text(row.limited), least])
+    return Table([*head, "held back by", "Pareto front"], lines)
 
 
 def error_tables(rows: list[Row]) -> list[Table]:
@@ -231,9 +237,10 @@ def bound_table(rows: list[Row]) -> Table:
     head = ["bound", "in all", *TERMS, "measured, of the bound"]
     lines = []
     for row in rows:
-        parts = [getattr(row.terms, part, None) for part in TERMS]
-        used = f"{row.error / row.bound:.0%}" if row.bound else ""
-        lines.append([label(row.setting), number(row.bound), *map(number, parts), used])
+        bounded = row.bound < LARGEST
+        parts = [getattr(row.terms, part, None) if bounded else None for part in TERMS]
+        used = f"{row.error / row.bound:.0%}" if row.bound and bounded else ""
+        lines.append([label(row.setting), bound_text(row.bound, row.setting.unit), *map(number, parts), used])
     return Table(head, lines)
 
 
@@ -255,7 +262,7 @@ def row_line(row: Row) -> str:
     """One row as the terminal shows it."""
     unit = row.setting.unit
     return (
-        f"{label(row.setting)}: bound {row.bound:.3g} {unit}, measured {row.error:.3g} {unit}, "
+        f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
         f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
     )
 

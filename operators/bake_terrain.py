@@ -9,6 +9,7 @@ from ..cbt_terrain.fit import fit
 from . import session
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .request import gather
+from .shown_bounds import bound_text
 
 
 def bake(obj, depsgraph, error_m: float, fitted: bool = False):
@@ -69,7 +70,7 @@ class BakeTerrain(bpy.types.Operator):
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{update.triangles:,} triangles, at most {update.bound_m:.3g} m off")
+        self.report({"INFO"}, f"{update.triangles:,} triangles, at most {bound_text(update.bound_m, 'm')} off")
         return {"FINISHED"}
 
 

@@ -202,17 +202,13 @@ def run_bake(arguments) -> None:
     if form not in FORMATS:
         raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
     check_target(arguments.out)
-    in_blender = needs_blender([form])
-    if arguments.fit:
-        bar = Progress(1.0, "fit", arguments.progress)
-        try:
-            piece = baked_piece(
-                arguments.store, arguments.max_error, arguments.budget, in_blender, fitted=True, on_progress=bar.to
-            )
-        finally:
-            bar.close()
-    else:
-        piece = baked_piece(arguments.store, arguments.max_error, arguments.budget, in_blender)
+    bar = Progress(1.0, "bake", arguments.progress)
+    try:
+        piece = baked_piece(
+            arguments.store, arguments.max_error, arguments.budget, needs_blender([form]), arguments.fit, bar.to
+        )
+    finally:
+        bar.close()
     write_piece(piece, arguments.out)
     print(summary_line(arguments.out.name, [figures(piece)]))
 
@@ -308,22 +304,26 @@ def run_bench(arguments) -> None:
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
-    """`frame 12: 184,302 triangles, bound 0.98 px, 31 ms`; of several terrains the sum and the largest bound."""
-    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {bound_text(terrains)}"]
+    """`frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum, the largest bound."""
+    from .shown_bounds import limit_text
+
+    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {_largest_bound(terrains)}"]
     if empty := [t["name"] for t in terrains if not t["triangles"]]:
         parts.append(f"the clean-up leaves nothing of {' and '.join(empty)}")
     if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
-        parts.append(f"limited by {' and '.join(name.replace('_', ' ') for name in limited)}")
+        parts.append(f"held back by {limit_text(', '.join(limited))}")
     parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
     if elapsed_ms is not None:
         parts.append(f"{elapsed_ms:.0f} ms in all")
     return f"{what}: {', '.join(parts)}"
 
 
-def bound_text(terrains: list[dict]) -> str:
-    """The largest bound with its unit: pixels where a camera was looked through, else metres."""
+def _largest_bound(terrains: list[dict]) -> str:
+    """With its unit: pixels where a camera was looked through, else metres."""
+    from .shown_bounds import bound_text
+
     pixels = [t["bound_px"] for t in terrains if t["bound_px"] is not None]
-    return f"{max(pixels):.3g} px" if pixels else f"{max(t['bound_m'] for t in terrains):.3g} m"
+    return bound_text(max(pixels), "px") if pixels else bound_text(max(t["bound_m"] for t in terrains), "m")
 
 
 def print_fields(fields: dict, indent: str = "") -> None:

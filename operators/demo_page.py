@@ -5,41 +5,8 @@ import html
 import statistics
 from pathlib import Path
 
-STYLE = """
-:root { --ink: #1c1f26; --soft: #5d6470; --line: #d9d6cd; --paper: #faf9f5; --mark: #b4431e; --bar: #2f6f73; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e9e6df; --soft: #a0a6b0; --line: #3a3e46; --paper: #16181c; --mark: #ef8a5c; --bar: #5fb3a8; }
-}
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--ink); font: 17px/1.55 Charter, "Bitstream Charter",
-  "Iowan Old Style", Georgia, serif; }
-main { max-width: 1080px; margin: 0 auto; padding: 56px 24px 80px; }
-h1 { font-size: 42px; line-height: 1.1; font-weight: 600; margin: 0 0 12px; letter-spacing: -0.01em; }
-h2 { font-size: 24px; font-weight: 600; margin: 56px 0 12px; }
-p { max-width: 42em; margin: 0 0 16px; }
-.lead { font-size: 20px; color: var(--soft); }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(190px, 1fr)); gap: 1px; margin: 36px 0;
-  background: var(--line); border: 1px solid var(--line); }
-.figures div { background: var(--paper); padding: 18px 20px; }
-.figures b { display: block; font-size: 30px; font-weight: 600; line-height: 1.15; }
-.figures span, figcaption, th, td, svg text, .small {
-  font-family: system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
-.figures span { font-size: 14px; color: var(--soft); }
-figure { margin: 0 0 28px; }
-figure img { display: block; width: 100%; height: auto; }
-figcaption, .small { font-size: 14px; color: var(--soft); margin-top: 8px; }
-.pair { display: grid; grid-template-columns: 1.78fr 1fr; gap: 20px; align-items: start; }
-@media (max-width: 760px) { .pair { grid-template-columns: 1fr; } h1 { font-size: 32px; } }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { font-size: 14px; text-align: right; padding: 5px 12px; border-bottom: 1px solid var(--line); }
-th { font-weight: 600; color: var(--soft); }
-th:first-child, td:first-child { text-align: left; padding-left: 0; white-space: nowrap; }
-.scroll { overflow-x: auto; }
-svg { display: block; width: 100%; height: auto; }
-svg text { font-size: 12px; fill: var(--soft); }
-pre { font: 14px/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; padding: 16px 20px; overflow-x: auto;
-  border-left: 3px solid var(--bar); background: color-mix(in srgb, var(--bar) 8%, transparent); }
-"""
+from .page_blocks import document
+from .shown_bounds import bound_text
 
 
 def write_page(
@@ -59,10 +26,11 @@ def write_page(
     by_frame = {frame["frame"]: frame for frame in frames}
     updates = [frame["ms"]["total"] for frame in frames]
     triangles = [frame["triangles"] for frame in frames]
+    worst = bound_text(max(frame["bound_px"] for frame in frames), "px")
     figures = [
         (f"{size * size / 1e6:.1f} million", f"samples in the height field, {size} x {size}"),
         (f"{min(triangles):,} – {max(triangles):,}", "triangles a frame"),
-        (f"{max(frame['bound_px'] for frame in frames):.2f} px", f"largest error bound; {error_px:g} px was asked for"),
+        (worst, f"largest error bound; {error_px:g} px was asked for"),
         (f"{statistics.median(updates):.0f} ms", "median update, camera to finished mesh"),
     ]
     body = [
@@ -105,16 +73,6 @@ def write_page(
     path.write_text(document("Adaptive Terrain: a demonstration", body), encoding="utf-8")
 
 
-def document(title: str, body: list[str]) -> str:
-    """A whole page of that title, from the pieces of its body; it needs no other file."""
-    head = (
-        '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n<main>\n"
-    )
-    return head + "\n".join(body) + "\n</main>\n</html>\n"
-
-
 def _figure(name: str, title: str, caption: str) -> str:
     return (
         f'<figure><img src="{name}" alt="{html.escape(title)}"><figcaption>{html.escape(caption)}</figcaption></figure>'
@@ -123,17 +81,19 @@ def _figure(name: str, title: str, caption: str) -> str:
 
 def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
     return (
-        f"Frame {frame['frame']}: {frame['triangles']:,} triangles, error at most {frame['bound_px']:.2f} pixels of "
-        f"{resolution[0]} x {resolution[1]}, updated in {frame['ms']['total']:.0f} ms."
+        f"Frame {frame['frame']}: {frame['triangles']:,} triangles, error at most "
+        f"{bound_text(frame['bound_px'], 'pixels')} of {resolution[0]} x {resolution[1]}, updated in "
+        f"{frame['ms']['total']:.0f} ms."
     )
 
 
 def _table(frames: list[dict]) -> str:
-    names = ("Frame", "Triangles", "Vertices", "Bound, px", "Bound, m", "Update, ms")
+    names = ("Frame", "Triangles", "Vertices", "Screen bound", "Vertical bound", "Update, ms")
     head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     rows = [
-        f"<tr><td>{f['frame']}</td><td>{f['triangles']:,}</td><td>{f['vertices']:,}</td><td>{f['bound_px']:.3f}</td>"
-        f"<td>{f['bound_m']:.2f}</td><td>{f['ms']['total']:.1f}</td></tr>"
+        f"<tr><td>{f['frame']}</td><td>{f['triangles']:,}</td><td>{f['vertices']:,}</td>"
+        f"<td>{bound_text(f['bound_px'], 'px')}</td><td>{bound_text(f['bound_m'], 'm')}</td>"
+        f"<td>{f['ms']['total']:.1f}</td></tr>"
         for f in frames
     ]
     return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'

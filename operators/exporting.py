@@ -15,7 +15,7 @@ from pathlib import Path
 from ..cbt_terrain.archive import write_npz, written_beside
 from ..cbt_terrain.errors import TerrainError
 from .console import quiet
-from .frame_sources import Piece
+from .frame_sources import Piece, bounds_of
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 MAX_FRAMES = 1_000_000
@@ -180,10 +180,7 @@ def figures(piece: Piece) -> dict:
         "name": piece.name,
         "triangles": len(piece.surface.level),
         "vertices": len(piece.surface.positions),
-        "bound_px": update.bound_px,
-        "bound_m": update.bound_m,
-        "limited": update.limited,
-        "relaxed": update.relaxed,
+        **bounds_of(update),
         "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
     }
 

@@ -2,7 +2,7 @@
 """Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -139,11 +139,17 @@ def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[in
 
 
 def baked_piece(
-    store: Path, max_error_m: float, budget: int | None, in_blender: bool, fitted: bool = False, on_progress=None
+    store: Path,
+    max_error_m: float,
+    budget: int | None,
+    in_blender: bool,
+    fitted: bool,
+    on_progress: Callable[[float], None],
 ) -> Piece:
     """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field.
 
-    `fitted`: vertices are moved off the surface to save triangles; the info then says so, and the measured maximum.
+    `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
+    says so, and the measured maximum.
     """
     from ..cbt_terrain.fit import fit
 
@@ -151,7 +157,7 @@ def baked_piece(
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     more = {}
     if fitted:
-        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress or (lambda _fraction: None))
+        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress)
         more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
     else:
         update = Terrain(field).update(criterion)
@@ -171,10 +177,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "generator": "Adaptive Terrain",
         "units": {"positions": "m", "origin": "m", "error_px": "px", "error_m": "m"},
         "asked": asdict(criterion),
-        "bound_px": update.bound_px,
-        "bound_m": update.bound_m,
-        "relaxed": update.relaxed,
-        "limited": update.limited,
+        **bounds_of(update),
         "leaves": update.leaves,
         "vertices": len(surface.positions),
         "edges": len(surface.edges),
@@ -183,6 +186,18 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
         "height_field": field.key,
+    }
+
+
+def bounds_of(update: Update) -> dict:
+    """The bounds of an update and what they are made of, as JSON holds them; those in pixels None without a view."""
+    return {
+        "bound_px": update.bound_px,
+        "bound_m": update.bound_m,
+        "terms_px": None if update.terms_px is None else asdict(update.terms_px),
+        "terms_m": asdict(update.terms_m),
+        "relaxed": update.relaxed,
+        "limited": update.limited,
     }
 
 

@@ -92,7 +92,7 @@ def summary(report: dict) -> str:
         line += f", {report['filled']:,} without data filled"
     if report["moved_max_m"]:
         line += f", resampled: moved by {report['moved_max_m']:.3g} m at most, {report['moved_rms_m']:.3g} m rms"
-    return line
+    return f"{line}, rounded by the source itself to ±{report['source_step_m']:.2g} m"
 
 
 class ImportTerrain(bpy.types.Operator):

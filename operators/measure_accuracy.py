@@ -11,12 +11,13 @@ import bpy
 from ..cbt_terrain import warmup
 from ..cbt_terrain.accuracy import Measured, measure
 from ..cbt_terrain.cost_curve import CostCurve
+from ..cbt_terrain.criterion import unit_asked
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.sweep import PIXELS, metre_steps, worst
 from ..cbt_terrain.terrain import Terrain
 from ..cbt_terrain.timed_runs import Frame, median_by_step, timed_runs
 from . import live, session
-from .request import RENDER, VIEWPORT, Request, gather, unit_asked
+from .request import RENDER, VIEWPORT, Request, gather
 
 POLL_S = 0.1
 MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
@@ -41,6 +42,16 @@ class Result:
         """Keep it in a DetailSettings, and with it in the .blend file."""
         detail.measured = json.dumps({"digest": self.digest, **asdict(self.measured)})
         detail.curve = self.curve.to_json()
+
+
+def read_measured(detail) -> dict:
+    """What `Result.store` kept: accuracy.Measured as a dict, and "digest"; {} where there is none, or it is damaged."""
+    try:
+        measured = json.loads(detail.measured)
+    except ValueError:
+        return {}
+    names = {"digest", *Measured.__dataclass_fields__}
+    return measured if isinstance(measured, dict) and measured.keys() >= names else {}
 
 
 class MeasureJob:

@@ -4,11 +4,12 @@
 import bpy
 
 from ..cbt_terrain import warmup
+from ..cbt_terrain.criterion import unit_asked
 from ..cbt_terrain.errors import TerrainError
 from . import import_terrain, overlay_panel, session, statistics_panel
 from .panel_parts import TerrainSubpanel, message, switched
 from .properties import CHOSEN_CAMERA, FILE
-from .request import criterion_from, unit_asked, within_time
+from .request import criterion_from, within_time
 
 
 class TerrainPanel(bpy.types.Panel):
@@ -113,10 +114,12 @@ class CameraPanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def _draw_detail(column, detail) -> None:
-    for name, unit in (("error_px", " (px)"), ("edge_px", " (px)"), ("area_px", " (px²)"), ("error_m", "")):
-        column.prop(detail, name, text=detail.bl_rna.properties[name].name + unit)
+    column.prop(detail, "error_px")
+    column.prop(detail, "edge_px")
+    column.prop(detail, "area_px", text="Area (px²)")
+    column.prop(detail, "error_m")
     column.separator()
-    column.prop(detail, "guard_deg", text="Guard Band (°)")
+    column.prop(detail, "guard_deg", text="Guard (°)")
     column.prop(detail, "off_screen_factor")
     column.prop(detail, "meshlet")
     column.separator()

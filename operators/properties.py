@@ -22,10 +22,6 @@ PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.ver
 NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
-# Since Blender 4.5 a path says that it may begin with "//"; before, every path could.
-KNOWS_RELATIVE = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if KNOWS_RELATIVE else set()
-
 
 def _changed(self, _context) -> None:
     """A script that sets a property tags nothing: without this its object's evaluated copy keeps the old value."""
@@ -38,12 +34,12 @@ class DetailSettings(bpy.types.PropertyGroup):
     error_px: FloatProperty(
         name="Screen Error",
         description="Largest geometric error as seen by the camera, in pixels; 0 switches this criterion off",
-        default=1.0, min=0.0, soft_max=20.0, precision=2, update=_changed,
+        default=1.0, min=0.0, soft_max=20.0, precision=2, subtype="PIXEL", update=_changed,
     )  # fmt: skip
     edge_px: FloatProperty(
         name="Edge Length",
         description="Longest edge as seen by the camera, in pixels; 0 switches this criterion off",
-        default=0.0, min=0.0, soft_max=200.0, precision=1, update=_changed,
+        default=0.0, min=0.0, soft_max=200.0, precision=1, subtype="PIXEL", update=_changed,
     )  # fmt: skip
     area_px: FloatProperty(
         name="Triangle Area",
@@ -87,7 +83,7 @@ class DetailSettings(bpy.types.PropertyGroup):
         update=_changed,
     )  # fmt: skip
     max_ms: FloatProperty(
-        name="Max Time",
+        name="Max Time (ms)",
         description="Milliseconds of the engine for a new view; handing the mesh to Blender comes on top",
         default=50.0, min=0.01, soft_max=1000.0, precision=1, update=_changed,
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..cbt_terrain.cost_curve import CostCurve
-from ..cbt_terrain.criterion import Criterion
+from ..cbt_terrain.criterion import Criterion, unit_asked
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.view import View
 from . import camera as cameras
@@ -114,11 +114,6 @@ def criterion_from(detail) -> Criterion:
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
         meshlet=detail.meshlet,
     )
-
-
-def unit_asked(criterion: Criterion) -> str:
-    """The unit of the error that is swept and budgeted: px where a screen error is asked for, else m, else ""."""
-    return "px" if criterion.error_px else "m" if criterion.error_m else ""
 
 
 def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:

@@ -1,27 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the last update gave and took, how large its errors were measured to be, and what other errors would cost."""
 
-import json
-
 import bpy
 
-from ..cbt_terrain.accuracy import Measured
 from ..cbt_terrain.cost_curve import CostCurve
-from ..cbt_terrain.criterion import LARGEST
+from ..cbt_terrain.criterion import LARGEST, unit_asked
 from ..cbt_terrain.errors import TerrainError
 from . import measure_accuracy, session
 from .panel_parts import TerrainSubpanel, figures, message
-from .request import unit_asked
+from .shown_bounds import NO_BOUND, bound_text, limit_text
 
-LIMITS = {
-    "max_triangles": "the triangle limit",
-    "max_depth": "the depth limit",
-    "resampling": "resampling at import",
-    "precision": "float32 positions",
-}
-
-TERMS = {"geometric": "by triangles", "resampling": "by resampling", "precision": "by rounding"}
-
+TERMS = {"geometric": "by triangles", "resampling": "by resampling", "precision": "by precision"}
 STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 
 
@@ -49,7 +38,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
             row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
 
     def _draw_measured(self, column, status, detail):
-        measured = read_measured(detail)
+        measured = measure_accuracy.read_measured(detail)
         lines = measured_lines(measured) if measured.get("digest") == status.digest else []
         if lines:
             column.separator()
@@ -78,26 +67,16 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     bounds += [("Largest triangle", status.bound_area_px, "px²", None)]
     for name, value, unit, terms in bounds:
         if value is not None:
-            lines.append((name, f"≤ {value:.4g} {unit}" if value < LARGEST else "no bound: at the camera"))
-            parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms else {}
+            bounded = value < LARGEST
+            lines.append((name, f"≤ {bound_text(value, unit, 4)}" if bounded else NO_BOUND))
+            parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and bounded else {}
             lines += [(f"    {label}", f"{part:.2g} {unit}") for label, part in parts.items() if part]
     if status.limited:
-        lines.append(("Held back by", LIMITS.get(status.limited, status.limited)))
+        lines.append(("Held back by", limit_text(status.limited)))
     if status.relaxed != 1.0:
         lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
     return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
-
-
-def read_measured(detail) -> dict:
-    """What a DetailSettings keeps of the last measurement: the fields of accuracy.Measured and the mesh's digest; {}
-    where there is none, or it is damaged."""
-    try:
-        measured = json.loads(detail.measured)
-    except ValueError:
-        return {}
-    whole = isinstance(measured, dict) and measured.keys() >= {"digest", *Measured.__dataclass_fields__}
-    return measured if whole else {}
 
 
 def measured_lines(measured: dict) -> list[tuple[str, str, str]]:

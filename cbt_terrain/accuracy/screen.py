@@ -95,7 +95,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     # The same depth as in criterion.localise.
     e.near = max(start / 2, 1e-9 * float(np.linalg.norm(np.linalg.norm(matrix[:3, :3], axis=0) * size)), 1e-150)
     e.eye, e.toward = back[:3, 3], back[:3, 2]
-    e.origin, e.direction, e.axes = (np.zeros((3, 3)) for _ in range(3))
+    e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))
     origin = np.c_[back[:3, 3], np.zeros((3, 2))]
     e.origin = origin
     if view.kind == PANORAMIC:

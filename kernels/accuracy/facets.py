@@ -4,6 +4,9 @@
 Places are measured in raster cells from the south-west corner. What lies in which triangle is decided in integers:
 2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
 triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64.
+
+Nothing of what makes bounds or fits (criterion.py, hierarchy.py, fitting/) is used here, though fitting/facet.py finds
+the same maximum: a fault in one of the two shows in the other.
 """
 
 import warp as wp

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The cost curve: what an error costs, and which error a budget buys."""
 
+import dataclasses
 import itertools
 import json
 import math
@@ -13,6 +14,7 @@ from hypothesis import strategies as some
 
 # Triangles grow with the error to the power -1, then -2; milliseconds are level at the coarse end.
 KNOWN = CostCurve("px", (4.0, 2.0, 1.0), (1000.0, 2000.0, 8000.0), (3.0, 3.0, 12.0))
+STEEP = dataclasses.replace(KNOWN, ms=KNOWN.triangles)
 
 numbers = some.floats(1e-6, 1e9)
 
@@ -38,15 +40,15 @@ def test_beyond_the_points_the_end_slopes_go_on():
 
 
 def test_a_budget_buys_the_finest_error_that_fits():
-    assert KNOWN.error_for_triangles(8000) == 1.0
-    assert KNOWN.error_for_triangles(4000) == 1.415  # sqrt(2), rounded up
+    assert STEEP.error_for_ms(8000) == 1.0
+    assert STEEP.error_for_ms(4000) == 1.415  # sqrt(2), rounded up
     assert KNOWN.error_for_ms(3.0) == 2.0  # as dear as 4 px
     assert KNOWN.error_for_ms(48.0) == 0.5
 
 
 def test_no_answer_is_far_beyond_what_was_measured():
-    assert KNOWN.error_for_triangles(1e12) == KNOWN.error_for_ms(math.inf) == 0.25
-    assert KNOWN.error_for_triangles(1e-9) == 64.0
+    assert STEEP.error_for_ms(1e12) == KNOWN.error_for_ms(math.inf) == 0.25
+    assert STEEP.error_for_ms(1e-9) == 64.0
     third = CostCurve("m", (1.0, 0.3125), (1.0, 2.0), (1.0, 2.0))
     assert third.error_for_ms(5.0) == 0.078125  # a quarter of the finest has more than four digits
     assert KNOWN.error_for_ms(2.9) == 64.0  # the coarse end is level, so no error is known to fit
@@ -57,10 +59,10 @@ def test_no_answer_is_far_beyond_what_was_measured():
 @given(curves(), numbers, numbers)
 def test_what_a_budget_buys_fits_and_more_buys_no_worse(curve, less, more):
     less, more = sorted((less, more))
-    error = curve.error_for_triangles(less)
-    assert curve.error[-1] / 4 <= curve.error_for_triangles(more) <= error <= curve.error[0] * 16
+    error = curve.error_for_ms(less)
+    assert curve.error[-1] / 4 <= curve.error_for_ms(more) <= error <= curve.error[0] * 16
     if error < curve.error[0] * 16:
-        assert curve.at(error)[0] <= less * (1 + 1e-6)
+        assert curve.at(error)[1] <= less * (1 + 1e-6)
 
 
 @given(curves(), numbers)

@@ -197,3 +197,13 @@ def test_a_store_keeps_what_resampling_moved_and_the_steepest_slopes(tmp_path):
     kept, made = open_store(tmp_path / "store"), from_array(hills(40, 60)[::-1], 10.0)
     assert kept.moved.max() > 0 and np.array_equal(kept.moved, made.moved)
     assert (kept.steepest_x, kept.steepest_y) == (made.steepest_x, made.steepest_y) and made.steepest_x > 0
+
+
+def test_a_file_whose_scale_is_0_is_flat_ground(tmp_path):
+    import rasterio
+
+    source = write_raster(tmp_path / "a.tif", hills(33, 33).astype(np.float32))
+    with rasterio.open(source, "r+") as file:
+        file.scales, file.offsets = (0.0,), (5.0,)
+    report = run_import(ImportSettings(source=str(source)), tmp_path / "store")
+    assert (report["lowest_m"], report["highest_m"], report["source_step_m"]) == (5.0, 5.0, 0.0)

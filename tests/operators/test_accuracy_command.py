@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.criterion import LARGEST, Criterion
 from adaptive_terrain.cbt_terrain.store import open_store
 from adaptive_terrain.cbt_terrain.sweep import Row, Setting
+from adaptive_terrain.cbt_terrain.terms import Terms
 from adaptive_terrain.operators import accuracy_command, accuracy_page, command_line
 from adaptive_terrain.operators.log_plot import Curve, draw
+from adaptive_terrain.operators.shown_bounds import NO_BOUND
 
 FLIGHT = {
     "clip": [1, 50000],
@@ -325,6 +327,17 @@ def test_the_table_says_which_rows_are_on_the_pareto_fronts():
         "8 m, fitted": "triangles",
     }
     assert table.rows[0][1:6] == ["4 px", "3 px", "0.75", "100", "1"]
+
+
+def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the_plot():
+    known = [row for row in known_rows() if row.setting.unit == "px"]
+    terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0)
+    rows = [dataclasses.replace(known[0], bound_px=LARGEST, terms=terms), *known[1:]]
+    assert accuracy_page.overview(rows, None).rows[0][1] == NO_BOUND
+    assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", ""]
+    assert f"bound {NO_BOUND}, measured 3 px" in accuracy_page.row_line(rows[0])
+    bound = next(curve for curve in accuracy_page.plot_curves(rows, "ms", None) if curve.label == "bound")
+    assert [y for _, y in bound.points] == [math.inf, 2.0, 1.0], "infinity is what `draw` leaves out"
 
 
 def test_curves_without_a_place_on_logarithmic_axes_are_left_out():

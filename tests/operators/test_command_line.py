@@ -66,7 +66,7 @@ def test_a_frame_is_arrays_with_what_they_mean(export):
     assert 0 < info["bound_px"] <= 2 == info["asked"]["error_px"]
     assert info["units"]["positions"] == "m"
     assert info["views"][0]["resolution"] == [640, 360]
-    assert "ms" not in json.dumps(info)
+    assert '"ms"' not in json.dumps(info)
 
 
 def test_a_summary_line_for_each_frame(export):
@@ -113,7 +113,11 @@ def test_budget_and_meshlet(export):
     info = read_npz(folder / "terrain_0004.npz")["info"]
     assert info["triangles"] <= 3000 and info["triangles"] == 4 * info["leaves"]
     assert info["limited"] == "max_triangles" and info["relaxed"] > 1 and info["bound_px"] > 1
-    assert "limited by max triangles" in said.out
+    assert sum(info["terms_px"].values()) == pytest.approx(info["bound_px"])
+    assert sum(info["terms_m"].values()) == pytest.approx(info["bound_m"])
+    [figures] = json.loads((folder / "frame_0004.json").read_text())["terrains"]
+    assert {name: figures[name] for name in ("terms_px", "terms_m")} == {n: info[n] for n in ("terms_px", "terms_m")}
+    assert "held back by the triangle limit" in said.out
 
 
 @pytest.mark.parametrize("form", ["ply", "obj", "glb", "stl", "blend"])
@@ -144,6 +148,7 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
     assert code == 0
     info = read_npz(tmp_path / "hills.npz")["info"]
     assert 0 < info["bound_m"] <= 0.5 and info["bound_px"] is None and info["views"] == []
+    assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "resampling", "precision"}
     assert capsys.readouterr().out.startswith(f"hills.npz: {info['triangles']:,} triangles, bound 0.")
 
 

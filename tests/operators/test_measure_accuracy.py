@@ -12,13 +12,12 @@ import pytest
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.sweep import PIXELS
 from adaptive_terrain.operators import handlers, measure_accuracy, session
-from adaptive_terrain.operators.measure_accuracy import MeasureAccuracy
+from adaptive_terrain.operators.measure_accuracy import MeasureAccuracy, read_measured
 from adaptive_terrain.operators.request import gather
 from adaptive_terrain.operators.statistics_panel import (
     StatisticsPanel,
     measured_lines,
     prediction_lines,
-    read_measured,
     statistics_lines,
 )
 

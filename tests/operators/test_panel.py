@@ -7,9 +7,11 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.criterion import LARGEST
 from adaptive_terrain.operators import session
 from adaptive_terrain.operators.panel_parts import wrapped
 from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
+from adaptive_terrain.operators.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.statistics_panel import statistics_lines
 from adaptive_terrain.operators.update_terrain import UpdateTerrain
 
@@ -25,6 +27,11 @@ def test_every_figure_has_its_unit(scene, add_terrain):
     assert lines["Triangles"] == f"{len(terrain.data.polygons):,}"
 
 
+def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
+    properties = add_terrain().adaptive_terrain.viewport.bl_rna.properties
+    assert [properties[name].subtype for name in ("error_px", "edge_px")] == ["PIXEL", "PIXEL"]
+
+
 def test_the_bound_has_its_parts(scene, add_terrain):
     from adaptive_terrain.cbt_terrain.terms import Terms
 
@@ -37,6 +44,11 @@ def test_the_bound_has_its_parts(scene, add_terrain):
     at = lines.index(("Screen error", "≤ 2 px"))
     assert lines[at + 1 : at + 3] == [("    by triangles", "1.5 px"), ("    by resampling", "0.5 px")]
     assert lines[at + 3][0] == "Vertical error", "what is 0 is left out"
+    status.bound_px, status.limited = LARGEST, "precision"
+    lines = statistics_lines(status)
+    at = lines.index(("Screen error", NO_BOUND))
+    assert lines[at + 1][0] == "Vertical error", "what says nothing has no parts"
+    assert ("Held back by", "float32 precision") in lines
 
 
 def test_long_messages_are_cut_between_words():
@@ -100,9 +112,11 @@ def test_import_says_what_it_did():
         "filled": 3,
         "moved_max_m": 0.25,
         "moved_rms_m": 0.1,
+        "source_step_m": 0.5,
     }
     assert summary(report) == (
-        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, resampled: moved by 0.25 m at most, 0.1 m rms"
+        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, resampled: moved by 0.25 m at most, 0.1 m rms, "
+        "rounded by the source itself to ±0.5 m"
     )
 
 
@@ -187,7 +201,8 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
 
     terrain = add_terrain()
     terrain.adaptive_terrain.live = False  # so that the import itself updates the mesh
-    report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "moved_max_m": 0, "warnings": []}
+    report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "moved_max_m": 0, "source_step_m": 0.5}
+    report["warnings"] = []
     done = SimpleNamespace(fraction=1.0, message="Done", done=True, error=None, report=report)
     job = SimpleNamespace(poll=lambda: done, cancelled=False)
     monkeypatch.setitem(import_terrain._jobs, terrain.session_uid, job)

@@ -120,7 +120,7 @@ def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
 def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
     """The errors that Measure Accuracy keeps are those of the mesh that its own curve leads to."""
     from adaptive_terrain.operators import measure_accuracy
-    from adaptive_terrain.operators.statistics_panel import read_measured
+    from adaptive_terrain.operators.measure_accuracy import read_measured
 
     monkeypatch.setattr(measure_accuracy, "PIXELS", (16.0, 4.0, 1.0))
     assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}

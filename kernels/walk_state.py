@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a slice of the walk is given: its part of the curve, its stacks, and where it writes."""
+
+import warp as wp
+
+from .block import Blocks
+
+wp.set_module_options({"enable_backward": False})
+
+STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
+
+
+@wp.struct
+class Walk:
+    """Where one slice of the curve writes, and how far it may."""
+
+    first_cell: wp.uint64  # slice [first_cell, end_cell) of deepest cells, all squares in a row
+    end_cell: wp.uint64
+    cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
+    max_depth: wp.int32
+    leaf_capacity: wp.int64
+    leaf_limit: wp.int64  # the walk may end as soon as it has more
+    leaf_base: wp.int64  # where this slice's part of the arrays begins
+    slot: wp.int32  # row of stacks, sides, counts and bounds
+    grid: wp.int32  # 1: several squares, borders are tracked
+    code: wp.array(dtype=wp.uint16)
+    point: wp.array(dtype=wp.vec2i)
+    word_index: wp.array(dtype=wp.int64)
+    word_bits: wp.array(dtype=wp.uint64)
+    stack: wp.array(dtype=wp.vec4i)
+    aside: wp.array(dtype=wp.int32)
+    errors: wp.array(dtype=wp.float32)
+    bands: wp.array(dtype=wp.vec3d)
+    depths: wp.array(dtype=wp.vec4i)
+    blocks: Blocks
+    sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
+    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
+    bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py

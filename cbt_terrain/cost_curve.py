@@ -16,6 +16,8 @@ FINER, COARSER = 4.0, 16.0
 # Answers are rounded to this many digits, so that machines whose logarithms differ in the last bit ask for the same.
 DIGITS = 4
 SAME = 1e-9
+# What is measured lies between these, and their ratios are numbers still.
+SMALLEST, LARGEST = 1e-30, 1e30
 
 
 @dataclass(frozen=True)
@@ -117,14 +119,15 @@ class CostCurve:
 
 
 def _positive(name: str, values: Sequence) -> tuple[float, ...]:
-    """The values as float64, each finite and above 0."""
+    """The values as float64, each within SMALLEST and LARGEST."""
     try:
         numbers = tuple(float(v) for v in values if not isinstance(v, str | bool))
-        good = len(numbers) == len(values) and all(0 < n < math.inf for n in numbers)
+        good = len(numbers) == len(values) and all(SMALLEST <= n <= LARGEST for n in numbers)
     except (TypeError, ValueError, OverflowError):
         good = False
     if not good:
-        raise TerrainError(f"The cost curve's {name} are {values!r}; expected finite numbers above 0.")
+        expected = f"finite numbers above 0, from {SMALLEST:g} to {LARGEST:g}"
+        raise TerrainError(f"The cost curve's {name} are {values!r}; expected {expected}.")
     return numbers
 
 

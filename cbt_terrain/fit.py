@@ -28,7 +28,7 @@ from .criterion import Criterion
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
-from .terms import Terms
+from .terms import DISPLACEMENT_ERROR, Terms
 from .terrain import Terrain, Update, box_of
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
@@ -97,7 +97,7 @@ def fit(
             if best is not None and best.triangles > most:
                 best = _within(fitter, error_m, most, plain)
             more = best is not None and plain.relaxed == 1.0 and best.triangles > plain.triangles
-            if best is None or more or best.worst_m + fitter.moved_m > max(plain.bound_m, error_m):
+            if best is None or more or best.bound_m > max(plain.bound_m, error_m):
                 best = fitter.interpolated(plain, error_m)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
@@ -174,8 +174,7 @@ class _Fitter:
         refinement = Refinement(field, buffers, self.threads)
         builder = SurfaceBuilder(buffers, self.threads)
         own_m = error_m - self.moved_m
-        shift_m = self._shift(own_m)
-        f = self._fit(own_m - min(shift_m, own_m / 2))
+        f = self._fit(own_m - min(self._shift(own_m) + self._rounded(), own_m / 2))
         errors = field.error * np.float32(1.0 / START)
         domain = make_domain(replace(field, error=errors, moved=None, _expanded={}), 0, *self.placement)
         asked = _asked(own_m)
@@ -200,25 +199,24 @@ class _Fitter:
             splits, pins, forced, deepest = found.numpy().tolist()
             beyond_plain |= forced > 0
             if not splits and not pins:
-                worst = float(buffers.numpy("fit_worst")[:triangles].max())
-                bound, limited = self._bound(worst, shift_m, error_m)
+                worst, precision = self._worst(surface, buffers)
+                bound, limited = self._bound(worst, precision, error_m)
                 limited = "max_depth" if limited and deepest else limited
-                return _Mesh(surface, bound, worst, self._terms(bound, worst, shift_m), limited, rounds, beyond_plain)
+                return _Mesh(surface, bound, worst, self._terms(bound, worst, precision), limited, rounds, beyond_plain)
             self._spread(kernels.keep, vertices, [f, *known])
         return None
 
     def interpolated(self, update: Update, error_m: float) -> _Mesh:
         """The mesh of an update, measured as a fit is."""
-        worst, buffers = 0.0, Buffers()
+        worst, precision, buffers = 0.0, 0.0, Buffers()
         if self.scale:
             f = self._fit(error_m)
             _bind(f, update.surface, buffers)
             self._spread(kernels.gather, len(update.surface.positions), [f, *self._nothing_known()])
             self._spread(kernels.pull, update.triangles, [-1, f], cost=5.0)
-            worst = float(buffers.numpy("fit_worst")[: update.triangles].max())
-        shift_m = self._shift(0.0)
-        bound, limited = self._bound(worst, shift_m, error_m)
-        terms = self._terms(bound, worst, shift_m)
+            worst, precision = self._worst(update.surface, buffers)
+        bound, limited = self._bound(worst, precision, error_m)
+        terms = self._terms(bound, worst, precision)
         if update.bound_m < bound:  # it allows for what resampling moved in each place
             bound, limited, terms = update.bound_m, update.limited, update.terms_m
         return _Mesh(update.surface, bound, worst, terms, update.limited or limited, 0, relaxed=update.relaxed)
@@ -236,6 +234,23 @@ class _Fitter:
             shared(np.zeros(samples, np.float32), wp.float32),
             shared(np.zeros(samples, np.uint8), wp.uint8),
         ]
+
+    def _worst(self, surface: Surface, buffers: Buffers) -> tuple[float, float]:
+        """Largest distance that was found, and what rounding adds to it at most, metres.
+
+        A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
+        twice the distance of its corners over the shortest way between them.
+        """
+        lattice, worst = self.field.lattice, buffers.numpy("fit_worst")[: len(surface.level)]
+        of_level = np.zeros(int(surface.level.max()) + 1)
+        np.maximum.at(of_level, surface.level, worst)
+        steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
+        return float(worst.max()), self._sideways(float(steeper.max())) + self._rounded()
+
+    def _rounded(self) -> float:
+        """Metres by which a distance may be off that is computed in float64."""
+        highest = max(abs(self.field.min_height), abs(self.field.max_height))
+        return DISPLACEMENT_ERROR * (highest * self.scale + abs(self.placement[1]))
 
     def _bound(self, worst_m: float, shift_m: float, error_m: float) -> tuple[float, str]:
         """All that adds to the largest distance, and what of it passes the error asked for.
@@ -265,11 +280,16 @@ class _Fitter:
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
     def _shift(self, error_m: float) -> float:
-        """Metres of height that rounding the plane coordinates to float32 adds at most, vertices moved by `error_m`."""
-        lattice, shift = self.field.lattice, 0.0
+        """Metres of height that rounding the plane coordinates to float32 may add, vertices moved by `error_m`."""
+        lattice = self.field.lattice
         # Of what is split in raster cells only the corners of the cells are moved.
         twist = float(self.field.error[lattice.range_count :].max()) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
+        return self._sideways(2.0 * error_m * finer)
+
+    def _sideways(self, steeper: float) -> float:
+        """The same for facets that are `steeper` metres a cell steeper than the surface."""
+        lattice, shift = self.field.lattice, 0.0
         axes = (
             (lattice.width, lattice.step_x, self.field.steepest_x),
             (lattice.height, lattice.step_y, self.field.steepest_y),
@@ -277,8 +297,7 @@ class _Fitter:
         for samples, step, slope in axes:
             places = (np.arange(((samples - 1) << FINEST) + 1) * 0.5**FINEST - 0.5 * (samples - 1)) * step
             off = float(np.abs(places.astype(np.float32) - places).max())
-            # No facet is steeper than the surface, but for its vertices' moves.
-            shift += off * (slope * self.scale + 2.0 * error_m * finer / step)
+            shift += off * (slope * self.scale + steeper / step)
         return shift
 
 

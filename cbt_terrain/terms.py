@@ -37,19 +37,18 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     """Metres of height by which float32 positions of leaves at `depth` or above can move a mesh, at most.
 
     A height is rounded by half a step of float32 at the highest. A plane coordinate that is rounded moves the mesh
-    sideways, hence up or down by that times the steepest slope; coordinates that float32 holds exactly do not count.
+    sideways, hence up or down by that times its facets' slope; coordinates that float32 holds exactly do not count.
+    A facet between a ridge and a valley leans along both: no more than the surface does along x and y together.
     """
     lattice = field.lattice
+    lean = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
     moved = _half_step(highest) + DISPLACEMENT_ERROR * (heights + abs(vertical_offset))
-    for cells, step, slope in (
-        (lattice.width - 1, lattice.step_x, field.steepest_x),
-        (lattice.height - 1, lattice.step_y, field.steepest_y),
-    ):
+    for cells, step in ((lattice.width - 1, lattice.step_x), (lattice.height - 1, lattice.step_y)):
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
         if not _is_exact(0.5 * cells * step, spacing):
-            moved += _half_step(0.5 * cells * step) * slope * abs(vertical_scale)
+            moved += _half_step(0.5 * cells * step) * lean / step * abs(vertical_scale)
     return moved * (1 + 1e-6)
 
 

@@ -19,7 +19,7 @@ from ..cbt_terrain.sweep import Frame, Row, Setting, settings_for, sweep
 from ..cbt_terrain.view import View
 from . import accuracy_page
 from .console import Progress
-from .exporting import check_target, make_folder, write_text
+from .exporting import check_target, make_folder, write_text, write_texts
 from .frame_sources import SceneFrames, file_name, handlers_off, need_bpy
 from .machine import machine
 
@@ -64,8 +64,7 @@ def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -
     write_text(out / PROBE, "")  # better now than after minutes of measuring
     (out / PROBE).unlink()
     measure(subjects, show_progress)
-    for name, text in accuracy_page.files(subjects, machine()).items():
-        write_text(out / name, text)
+    write_texts(out, accuracy_page.files(subjects, machine()))
     print(f"{out / 'index.html'} shows it")
     check_bounds(subjects)
 

@@ -3,7 +3,9 @@
 
 import ctypes
 import os
+import signal
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
@@ -91,6 +93,24 @@ def quiet():
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)
+
+
+@contextmanager
+def interruption_held():
+    """Let an interruption wait for the end: of one that comes while Blender's module starts, Blender prints a traceback
+    and goes on."""
+    alone = threading.current_thread() is threading.main_thread()  # the only one that is interrupted
+    if not alone or signal.getsignal(signal.SIGINT) is None:  # it is Blender's own, and cannot be put back
+        yield
+        return
+    held = []
+    before = signal.signal(signal.SIGINT, lambda *_: held.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if held:
+        raise KeyboardInterrupt
 
 
 def _flush() -> None:

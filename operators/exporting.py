@@ -9,7 +9,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ..cbt_terrain.archive import write_npz, written_beside
@@ -123,8 +123,15 @@ def _written(path: Path):
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, atomically; raises TerrainError where that cannot be."""
-    with _written(path), written_beside(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_texts(path.parent, {path.name: text})
+
+
+def write_texts(folder: Path, texts: dict[str, str]) -> None:
+    """Write text files, by name, into a folder: old ones are replaced once all are written, else none."""
+    with ExitStack() as stack:
+        for path, text in ((folder / name, text) for name, text in texts.items()):
+            stack.enter_context(_written(path))
+            stack.enter_context(written_beside(path)).write_text(text, encoding="utf-8")
 
 
 def _remove_interrupted(out: Path, frame: int) -> None:

@@ -17,7 +17,7 @@ from ..cbt_terrain.store import open_store
 from ..cbt_terrain.surface import Surface
 from ..cbt_terrain.terrain import Terrain, Update
 from ..cbt_terrain.view import View
-from .console import quiet
+from .console import interruption_held, quiet
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def _view(view: View) -> dict:
 def need_bpy(what: str):
     """The bpy module, with this extension's properties registered; raises TerrainError that says who needs it."""
     try:
-        with quiet():
+        with interruption_held(), quiet():
             import bpy
     except ImportError:
         raise TerrainError(

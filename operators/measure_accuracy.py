@@ -48,7 +48,7 @@ def read_measured(detail) -> dict:
     """What `Result.store` kept: accuracy.Measured as a dict, and "digest"; {} where there is none, or it is damaged."""
     try:
         measured = json.loads(detail.measured)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     names = {"digest", *Measured.__dataclass_fields__}
     return measured if isinstance(measured, dict) and measured.keys() >= names else {}

@@ -10,7 +10,8 @@ taken to see all around, and its pixels to be equirectangular.
 A sample is hidden where the reference surface between the clip start and it rises above its ray, or falls below where
 the eye is underneath, by more than 1e-9 of the surface's range of heights (1e-12 of the heights themselves). A mesh
 point of a perspective nearer than half the clip start, where the criterion promises nothing, counts at the place where
-the vertical way to it comes to that depth: the error stays finite, and understated.
+the vertical way to it comes to that depth: the error stays finite, and understated. Where the reference itself is
+nearer than 1e-9 of the terrain's size, the error counts as 0; no error counts as more than 1e30, the largest bound.
 """
 
 from functools import cached_property

@@ -19,6 +19,9 @@ OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
 HIDDEN = wp.constant(wp.uint8(2))
 
+# The bound where the mesh may reach the eye (criterion.LARGEST): no error is told that is more.
+MOST_PX = wp.constant(wp.float64(1e30))
+
 
 @wp.struct
 class Eye:
@@ -88,13 +91,13 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
         pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
-    else:
+    elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:  # of what is nearer nothing is promised
         p = to_frame(eye, kept_ahead(eye, truth, a))
         q = to_frame(eye, kept_ahead(eye, truth, b))
         x = (p[0] - q[0]) * eye.half_width
         y = (p[1] - q[1]) * eye.half_height
         pixels = wp.sqrt(x * x + y * y)
-    return pixels
+    return wp.where(pixels < MOST_PX, pixels, MOST_PX)  # also where it is no number any more
 
 
 @wp.func

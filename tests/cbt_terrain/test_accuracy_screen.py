@@ -197,3 +197,16 @@ def test_error_of_a_spike_is_on_its_triangles():
     assert triangle_errors(field, surface, [above]).max() < 1e-6
     away = View.look((0, -90, 0.0), (0, -180, 0), kind=PERSPECTIVE, resolution=(160, 160))
     assert triangle_errors(field, surface, [away]).max() == 0.0
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-10])
+def test_an_eye_on_the_mesh_sees_finite_errors(x):
+    """The reference a nanometre below the eye, in front of the clip start, and the mesh at the eye's own height."""
+    heights = np.zeros((3, 3), np.float32)
+    heights[1, 1] = -1e-9
+    field = from_array(heights)
+    view = View.look((x, 0.0, 0.0), (x, 0.0, -1.0), clip=(1e-10, 1.0), resolution=(16, 16))
+    found = Terrain(field, 1).update(Criterion(error_px=1.0, max_depth=1), [view])
+    measured = measure(field, found.surface, view, random_points=10)
+    assert measured.screen_px.count == 257 and measured.screen_px.max <= found.bound_px
+    assert triangle_errors(field, found.surface, [view]).max() <= found.bound_px

@@ -120,6 +120,8 @@ GOOD = {"unit": "px", "error": [2, 1], "triangles": [10, 20], "ms": [1, 2]}
         ({"ms": [1, 10**400]}, "finite numbers above 0"),
         ({"ms": ["1", "2"]}, "finite numbers above 0"),
         ({"triangles": None}, "finite numbers above 0"),
+        ({"ms": [1e-308, 1e308]}, "from 1e-30 to 1e\\+30"),
+        ({"error": [1e-323, 5e-324]}, "from 1e-30 to 1e\\+30"),
         ({"more": 1}, "expected unit, error, triangles, ms"),
     ],
 )

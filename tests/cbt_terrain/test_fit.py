@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.fit import fit
@@ -87,7 +88,7 @@ def test_a_plane_has_two_triangles_a_root_square(heights):
     field = from_array(np.full_like(x, -7.0) if heights == "constant" else 3 * x - 2 * y, 4.0)
     fitted = fit(field, 0.01)
     assert fitted.triangles == 2 * field.lattice.squares
-    assert fitted.bound_m == 0.0
+    assert fitted.worst_m == 0.0 and fitted.bound_m < 1e-9
 
 
 @pytest.mark.parametrize("error_m", [0.1, 1.0])
@@ -182,6 +183,23 @@ def test_rounded_plane_coordinates_are_part_of_the_bound():
     fitted = fit(field, 0.5)
     assert fitted.worst_m < fitted.bound_m <= 0.5
     assert measured(field, fitted.surface) <= fitted.bound_m
+
+
+@pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
+def test_the_bound_is_not_below_what_is_measured(kind):
+    """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""
+    for shape, step in (((9, 5), 0.1), ((2, 33), 14.2), ((33, 33), 10.1)):
+        field = from_array(raster(kind, shape), step)
+        for scale, offset in ((1.0, 1e7), (-2.0, -1234.5), (1e-9, 1e7), (1e9, 0.0)):
+            relief = (field.max_height - field.min_height) * abs(scale)
+            for error_m, budget in ((1e-4 * relief, None), (0.1 * relief, None), (1e-3 * relief, 30)):
+                heights = {"vertical_scale": scale, "vertical_offset": offset}
+                fitted = fit(field, error_m, max_triangles=budget, **heights)
+                assert measure(field, fitted.surface, random_points=500, **heights).vertical_max_m <= fitted.bound_m
+                found = Terrain(field).update(
+                    Criterion(error_px=0.0, error_m=error_m, max_triangles=budget), (), None, *heights.values()
+                )
+                assert fitted.bound_m <= max(error_m, found.bound_m)
 
 
 def test_progress_goes_up_and_may_cancel():

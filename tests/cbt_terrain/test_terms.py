@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.terms import rounding
@@ -24,10 +25,24 @@ def test_rounding_of_plane_coordinates_counts_by_the_slope():
         field = from_array((0.5 * step * x).astype(np.float32), step)
         assert (field.steepest_x, field.steepest_y) == (pytest.approx(0.5, rel=1e-5), 0.0)
         high = 0.5 * float(np.spacing(np.float32(field.max_height)))
-        assert rounding(field, 11, 1.0, 0.0) == pytest.approx(high + 0.5 * off, rel=1e-4)
+        # a facet may lean across x and y by as much as the surface does along x
+        assert rounding(field, 11, 1.0, 0.0) == pytest.approx(high + 2 * 0.5 * off, rel=1e-4)
         assert rounding(field, 11, 3.0, 0.0) == pytest.approx(
-            0.5 * float(np.spacing(np.float32(3 * field.max_height))) + 1.5 * off, rel=1e-4
+            0.5 * float(np.spacing(np.float32(3 * field.max_height))) + 2 * 1.5 * off, rel=1e-4
         )
+
+
+@pytest.mark.parametrize("along_x", [True, False])
+def test_rounding_counts_facets_that_lean_where_the_surface_does_not(along_x):
+    """Ridges and valleys in turn: a triangle from one to the other rises along them, and the surface does not."""
+    violated = 0
+    for rows, columns, depth in ((33, 3, 2), (17, 5, 4), (5, 17, 4), (33, 9, 6)):
+        z = np.arange(rows)[:, None] % 2 * np.full((1, columns), 1e4, np.float32)
+        for step in ((0.1, 0.1), (1.0, 27.3), (0.1, 1000.1), (1000.1, 1.0)):
+            field = from_array(np.ascontiguousarray(z.T if along_x else z), *step)
+            found = Terrain(field, 1).update(Criterion(error_px=0, error_m=1e-3, max_depth=depth))
+            violated += measure(field, found.surface, random_points=100, threads=1).vertical_max_m > found.bound_m
+    assert violated == 0
 
 
 def test_rounding_counts_lattice_lines_that_only_deep_leaves_use():

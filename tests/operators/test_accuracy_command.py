@@ -3,20 +3,24 @@
 
 import csv
 import dataclasses
+import errno
 import json
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.criterion import LARGEST, Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.store import open_store
 from adaptive_terrain.cbt_terrain.sweep import Row, Setting
 from adaptive_terrain.cbt_terrain.terms import Terms
 from adaptive_terrain.operators import accuracy_command, accuracy_page, command_line
+from adaptive_terrain.operators.exporting import write_texts
 from adaptive_terrain.operators.log_plot import Curve, draw
 from adaptive_terrain.operators.shown_bounds import NO_BOUND
 
@@ -349,3 +353,23 @@ def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
     assert tiny.find(f"{SVG}polyline").get("points").split() == line
     assert len(line) == 2 and len(plot.findall(f"{SVG}circle")) == 2
     assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}
+
+
+def test_files_of_a_report_are_replaced_together_or_not_at_all(tmp_path, monkeypatch):
+    texts = {"a.svg": "new", "b.csv": "new", "c.html": "new"}
+    for name in texts:
+        (tmp_path / name).write_text("old")
+    write = Path.write_text
+
+    def full(path, text, **how):
+        if path.name.endswith("b.csv"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, text, **how)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(TerrainError, match="b.csv cannot be written .No space left on device"):
+        write_texts(tmp_path, texts)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(texts, "old")
+    monkeypatch.setattr(Path, "write_text", write)
+    write_texts(tmp_path, texts)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == texts

@@ -282,7 +282,12 @@ def test_measured_errors_are_shown_for_exactly_the_mesh_that_was_measured(terrai
 def test_a_damaged_curve_is_told_and_gives_no_number(terrain):
     terrain.adaptive_terrain.viewport.curve = '{"unit": "px"}'
     session.update_object(terrain)
-    for measured in ("[1, 2", "[1, 2]", json.dumps({"digest": session.record_of(terrain).status.digest})):
+    for measured in (
+        "[1, 2",
+        "[1, 2]",
+        "[" * 100_000,
+        json.dumps({"digest": session.record_of(terrain).status.digest}),
+    ):
         terrain.adaptive_terrain.viewport.measured = measured
         shown = labels(draw(terrain))
         assert "damaged" in " ".join(shown) and not {"~", "Measured"} & set(" ".join(shown).split())

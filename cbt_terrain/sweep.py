@@ -31,6 +31,8 @@ SHORT_OF_CELLS = (6, 4, 2, 0)
 MAX_TRIANGLES = 1 << 23
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
 KEPT_SIGHTS = 16
+# Errors that differ by less than this part are the same for the Pareto front.
+DIFFERENT = 0.02
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
 STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
@@ -188,10 +190,11 @@ def curve_of(rows: Sequence[Row]) -> CostCurve:
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Which of the points (error, cost) no other beats: none is as good in both and better in one. By rising cost."""
+    """Which of the points (error, cost) no other beats, by rising cost: each is better than all cheaper ones, by
+    DIFFERENT at least, so that rounding and noise make no front."""
     front, best = [], math.inf
     for i in sorted(range(len(points)), key=lambda i: (points[i][1], points[i][0])):
-        if points[i][0] < best:
+        if points[i][0] < best * (1 - DIFFERENT):
             front.append(i)
             best = points[i][0]
     return front

@@ -24,7 +24,7 @@ from .frame_sources import SceneFrames, file_name, handlers_off, need_bpy
 from .machine import machine
 
 # Frames of a camera path that are measured where none are named: so many, evenly spread.
-SPREAD = 8
+SPREAD = 4
 # The view where none is given: from the south-west, a third of a right angle above the horizon.
 LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", "index.html")

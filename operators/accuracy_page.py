@@ -6,6 +6,7 @@ import io
 import json
 import math
 
+from ..cbt_terrain.accuracy import interpolation
 from ..cbt_terrain.criterion import LARGEST
 from ..cbt_terrain.sweep import STEPS, TERMS, Row, Setting, curve_of, pareto
 from .log_plot import CROSS, RING, Curve, draw
@@ -15,13 +16,28 @@ from .shown_bounds import bound_text, limit_text
 GREY, TEAL, RED, GREEN, BLUE, BROWN, INK = "#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#1c1f26"
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 TITLE = "What accuracy costs"
+# Part of a time within which two measurements of the same differ.
+NOISE = 0.05
 MEANING = (
-    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of "
-    "the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved and "
-    "what float32 rounds included. *Measured* is the largest error that was found against the height field as it was "
-    "imported: in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
-    "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
-    "the camera moves by a thousandth of the terrain, so that nothing is reused; of a fit, its one run."
+    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of"
+    " the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved "
+    "and what float32 rounds included. *Measured* is the largest error that was found against the height field of the"
+    " store (what importing moved is in the bound, not in the measurement): in pixels over visible points, at least "
+    "one a pixel and every sample in view; in metres the exact largest distance in height between mesh and reference "
+    "surface. Times are medians of warm updates between which the camera moves by a thousandth of the terrain, so "
+    "that nothing is reused; of a fit, its one run."
+)
+WORDS = (
+    "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are"
+    " moved off the surface, within the bound. *Geometric*, *resampling* and *precision* are the parts of a bound at "
+    "the one triangle that decides it: what triangles leave out, what importing moved there, what float32 positions "
+    "are off. *Hidden* points lie in the picture behind other ground. *Silhouette*: how far the outline is displaced;"
+    " it is followed by rays a pixel apart, so it alone may pass the bound where outlines are finer than that. "
+    "*Popping*: how far points jump from one frame's mesh to the next frame's; no figure where no frame follows. "
+    "*Rounding*: what float32 has changed of the measured error. *Facets*: angles of triangles to the surface's "
+    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): no other setting has an error and "
+    "a cost that are both smaller, by a fiftieth at least. Steps: *refine* decides and lists the leaves, *mark* "
+    "writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* Blender's mesh."
 )
 
 
@@ -70,6 +86,7 @@ def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
     blocks = [
         Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."),
         Text(MEANING),
+        Text(WORDS),
     ]
     for subject in subjects:
         blocks += section(subject, prefix)
@@ -84,13 +101,21 @@ def section(subject, prefix: str) -> list:
     across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     made = heights.provenance
     source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
-    frames = f", {len(subject.numbers)} frames: {', '.join(map(str, subject.numbers))}" if subject.numbers else ""
+    frames = f", frames {', '.join(map(str, subject.numbers))}" if subject.numbers else ""
+    several = (
+        " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
+    )
+    between = interpolation(heights)
     blocks = [
         Heading(subject.name),
         Text(
             f"{lattice.width} x {lattice.height} samples over {across:,.0f} x {up:,.0f} m, {relief:,.5g} m from the "
-            f"lowest to the highest{source}; seen {subject.seen}{frames}. Of several frames errors are the largest, "
-            "triangles and times the median."
+            f"lowest to the highest{source}; seen {subject.seen}{frames}.{several}"
+        ),
+        Text(
+            f"Beside every error stands what the height field itself leaves open: between its samples it is bilinear, "
+            f"and a smooth (bicubic) surface through the same samples is up to {between.max:.3g} m away (95 % of "
+            f"places within {between.p95:.3g} m)." + resampled_text(heights)
         ),
     ]
     current = next((row for row in rows if row.setting == subject.current), None)
@@ -103,6 +128,16 @@ def section(subject, prefix: str) -> list:
     blocks += [Heading(f"What the errors of {subject.name} are made of"), *error_tables(rows)]
     blocks += [Heading(f"Where the time goes on {subject.name}"), steps_table(rows)]
     return blocks + [Text(note) for note in subject.notes]
+
+
+def resampled_text(heights) -> str:
+    """What importing moved, where it did."""
+    if not heights.resample_max:
+        return ""
+    return (
+        f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
+        f"({heights.resample_rms:.3g} m rms)."
+    )
 
 
 def curves(subject) -> list:
@@ -121,13 +156,18 @@ def sentences(subject) -> list[str]:
             error = subject.current.error
         (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         said.append(
-            f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs +{slower - ms:.3g} ms and "
-            f"+{more - triangles:,.0f} triangles; doubling it to {error * 2:g} {unit} saves {ms - faster:.3g} ms and "
-            f"{triangles - less:,.0f} triangles."
+            f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
+            f"{time_text('+', slower - ms, ms)} and +{more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {time_text('', ms - faster, ms)} and {triangles - less:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
             said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
     return said
+
+
+def time_text(sign: str, difference_ms: float, whole_ms: float) -> str:
+    """A difference of times; one within the noise of a measurement is not given as a figure."""
+    return f"{sign}{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 
 def current_figures(row: Row) -> list[tuple[str, str]]:

@@ -211,6 +211,8 @@ def run_bake(arguments) -> None:
         bar.close()
     write_piece(piece, arguments.out)
     print(summary_line(arguments.out.name, [figures(piece)]))
+    if arguments.fit and not piece.update.rounds:
+        print("the fit saved no triangles: this is the mesh without it")
 
 
 def run_export(arguments) -> None:

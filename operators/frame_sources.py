@@ -175,7 +175,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
     surface = update.surface
     return {
         "generator": "Adaptive Terrain",
-        "units": {"positions": "m", "origin": "m", "error_px": "px", "error_m": "m"},
+        "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
         "asked": asdict(criterion),
         **bounds_of(update),
         "leaves": update.leaves,

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of a terrain, kept on its object: `object.adaptive_terrain`."""
 
+import math
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -13,7 +15,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..cbt_terrain.island import DEFAULT_SEED
+from ..cbt_terrain.island import DEFAULT_SEED, SIDE
 from ..cbt_terrain.sources import RAW_TYPES
 
 ISLAND, FILE = "ISLAND", "FILE"
@@ -26,6 +28,12 @@ SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 def _changed(self, _context) -> None:
     """A script that sets a property tags nothing: without this its object's evaluated copy keeps the old value."""
     self.id_data.update_tag()
+
+
+def _source_chosen(self, _context) -> None:
+    """The size that the Add menu gives the island is not that of a file."""
+    if self.source == FILE and self.use_extent and math.isclose(self.height_scale, self.extent[0] / SIDE, rel_tol=1e-5):
+        self.use_extent, self.height_scale = False, 1.0
 
 
 class DetailSettings(bpy.types.PropertyGroup):
@@ -132,6 +140,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Source",
         items=[(ISLAND, "Built-in Island", "A procedural island; needs no file"),
                (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY")],
+        update=_source_chosen,
     )  # fmt: skip
     source_path: StringProperty(
         name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS

@@ -83,7 +83,7 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
     """The errors that were measured: name and unit, largest (of height: anywhere), what 95 % are below."""
     distributions = [
         ("Screen (px)", "screen_px"),
-        ("Occluded (px)", "hidden_px"),
+        ("Hidden (px)", "hidden_px"),
         ("Silhouette (px)", "silhouette_px"),
         ("Vertical (m)", "vertical_m"),
         ("Facet normal (°)", "facet_deg"),

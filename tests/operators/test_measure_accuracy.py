@@ -331,7 +331,7 @@ def test_every_measured_figure_has_its_unit():
     assert lines["Screen (px)"] == lines["Facet normal (°)"] == ["0.5", "0.25"] and lines["Rounding (m)"][0] == "1e-05"
     assert lines["Vertical (m)"] == ["0.75", "0.25"], "the largest of the whole surface"
     assert all(name.endswith(("(px)", "(m)", "(°)")) for name in lines)
-    assert not [name for name in lines if name.startswith(("Silhouette", "Occluded"))], "none was in the frame"
+    assert not [name for name in lines if name.startswith(("Silhouette", "Hidden"))], "none was in the frame"
 
 
 def test_the_last_update_says_what_was_asked(terrain):

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.island import SIDE
 from adaptive_terrain.operators import session
 from adaptive_terrain.operators.panel_parts import wrapped
 from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
@@ -217,3 +218,13 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"FINISHED"}
     assert len(terrain.data.polygons) > 100
     import_terrain._progress.clear()
+
+
+def test_the_size_of_the_added_island_is_not_that_of_a_file(scene, add_terrain):
+    settings = add_terrain().adaptive_terrain
+    settings.use_extent, settings.extent, settings.height_scale = True, (20.0, 20.0), 20.0 / SIDE
+    settings.source = "FILE"
+    assert (settings.use_extent, settings.height_scale) == (False, 1.0)
+    settings.use_extent, settings.height_scale = True, 3.0
+    settings.source = "FILE"
+    assert (settings.use_extent, settings.height_scale) == (True, 3.0), "what the user has set stays"

@@ -116,9 +116,15 @@ class Terrain:
         slants = [slant_of(v, placement) for v in views]
         widened = [widening(v, s, criterion) for v, s in zip(views, slants, strict=True)]
         scales = [w * s for w, s in zip(widened, slants, strict=True)]
+        edge_scale = 1.0
+        if views and (criterion.edge_px or criterion.area_px):
+            # Spans of a pixel are those of heights, edges may lie across the view. One scale for the edges of all
+            # views: they must not depend on what errors do to each.
+            secants = [secant_of(v) for v in views]
+            edge_scale = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
+            scales = [edge_scale * secant for secant in secants]
+            widened = [scale / slant for scale, slant in zip(scales, slants, strict=True)]
         local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
-        # Spans of a pixel are those of heights; edges may lie across the view.
-        edge_scale = min((s / secant_of(v) for v, s in zip(views, scales, strict=True)), default=1.0)
         asked = _pack(criterion, local, edge_scale)
         if criterion.edge_px or criterion.area_px:
             lengths = [unit_lengths(v, placement, steps) for v in views]
@@ -211,7 +217,7 @@ def _limited(asked: Asked, bounds: list[float], relaxed: float, parts_px: list[f
 
 
 def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float) -> Asked:
-    """What is asked, in spans of a pixel as the kernels measure them; an edge has `edge_scale` a pixel at least."""
+    """What is asked, in spans of a pixel as the kernels measure them; an edge has `edge_scale` of them a pixel."""
     asked = Asked()
 
     def squared(value: float) -> float:

@@ -149,7 +149,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     said = json.loads((tmp_path / "done.json").read_text())
     assert "error" not in said, said
     assert said["background"] is False
-    assert said["preparing_at_add"] and not said["preparing_when_visible"]
+    assert said["preparing_at_start"] and not said["preparing_when_visible"]
     compiled = {path.name.split(".kernels.")[0] for path in (tmp_path / "kernels").glob("*/wp_*")}
     assert compiled == {"wp_bl_ext.user_default.adaptive_terrain"}, "child processes use the names of the program"
     assert said["triangles"] > 100

@@ -54,6 +54,8 @@ def until(condition):
 
 
 def steps():
+    [warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.warmup")]
+    result["preparing_at_start"] = warmup.preparing()
     yield 2.0
     area = parts()[1]
     area.spaces.active.show_region_ui = True
@@ -66,8 +68,6 @@ def steps():
     area.tag_redraw()
     yield 1.0
     result["tab"] = parts()[2].active_panel_category
-    [warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.warmup")]
-    result["preparing_at_add"] = warmup.preparing()
     started = time.monotonic()
     yield from click_first_button()
     yield from until(lambda: terrain() is not None)

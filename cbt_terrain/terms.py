@@ -54,7 +54,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
 
 def _half_step(largest: float) -> float:
     """Half the distance between neighbouring float32 near a number."""
-    return 0.5 * float(np.spacing(np.float32(largest)))
+    return 0.5 * float(np.spacing(np.float32(largest))) if largest else 0.0
 
 
 def _is_exact(largest: float, spacing: float) -> bool:

@@ -100,7 +100,8 @@ def interruption_held():
     """Let an interruption wait for the end: of one that comes while Blender's module starts, Blender prints a traceback
     and goes on."""
     alone = threading.current_thread() is threading.main_thread()  # the only one that is interrupted
-    if not alone or signal.getsignal(signal.SIGINT) is None:  # it is Blender's own, and cannot be put back
+    # None: it is Blender's own, and cannot be put back.
+    if not alone or signal.getsignal(signal.SIGINT) in (None, signal.SIG_IGN):
         yield
         return
     held = []

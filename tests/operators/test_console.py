@@ -8,6 +8,20 @@ import pytest
 from adaptive_terrain.operators.console import interruption_held
 
 
+@pytest.fixture(autouse=True)
+def interruptible():
+    """A run in the background may have been started with interruptions ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_what_is_ignored_stays_ignored():
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with interruption_held():
+        signal.raise_signal(signal.SIGINT)
+
+
 def test_an_interruption_comes_at_the_end():
     done = []
     with pytest.raises(KeyboardInterrupt), interruption_held():

@@ -75,9 +75,7 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> accuracy_co
     flight = folder / "flight.json"
     flight.write_text(json.dumps(FLIGHT), encoding="utf-8")
     subject = accuracy_command.store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
-    subject.seen = (
-        f"along the demo's flight, frames {', '.join(map(str, FRAMES))}, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
-    )
+    subject.seen = f"along the demo's flight, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
     return subject
 
 

@@ -125,12 +125,14 @@ def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturb
     out.mkdir()
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    dead, alive, old = (out / f".partial-{pid}-terrain_0001.npz" for pid in (gone.pid, os.getppid(), "1"))
+    living = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    dead, alive, old = (out / f".partial-{pid}-terrain_0001.npz" for pid in (gone.pid, living.pid, "1"))
     for partial in (dead, alive, old):
         partial.write_bytes(b"half")
     os.utime(old, (0, 0))
     assert command_line.main([*arguments, "--out", str(out)]) == 0
     assert (dead.exists(), alive.exists(), old.exists()) == (False, True, False)
+    living.communicate(b"\n")
     alive.unlink()
     command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments, "--out", str(out)]
     both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]

@@ -2,14 +2,13 @@
 """Small disks, and what a store or a folder of exports holds, byte by byte."""
 
 import hashlib
-import json
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from adaptive_terrain.operators import command_line
+from flights import hills_flight
 
 # Only so that a hang ends.
 GUARD_S = 300
@@ -58,24 +57,10 @@ def contents():
     return read
 
 
-FRAMES = 8
-
-
 @pytest.fixture(scope="session")
 def flight(tmp_path_factory):
     """A small store, a flight over it, and the arguments of its export but for --out."""
-    folder = tmp_path_factory.mktemp("flight")
-    y, x = np.mgrid[0:129, 0:129].astype(np.float32)
-    np.save(folder / "hills.npy", 20 * np.sin(x / 5) * np.cos(y / 6))
-    keys = [
-        {"frame": 1, "eye": [0, -90, 60], "target": [0, 0, 0]},
-        {"frame": FRAMES, "eye": [40, -20, 50], "target": [0, 20, 0]},
-    ]
-    (folder / "flight.json").write_text(json.dumps({"keyframes": keys}))
-    store = str(folder / "hills.store")
-    assert command_line.main(["import", str(folder / "hills.npy"), "--store", store]) == 0
-    source = ["export", "--store", store, "--path", str(folder / "flight.json"), "--resolution", "640x360"]
-    return [*source, "--frames", f"1-{FRAMES}", "--format", "npz"]
+    return hills_flight(tmp_path_factory.mktemp("flight"))
 
 
 @pytest.fixture(scope="session")

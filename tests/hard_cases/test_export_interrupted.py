@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hard case 49: kill -9 in the middle of an export; a rerun completes it, and nothing half-written has a final name."""
 
-import json
 import os
 import signal
 import subprocess
@@ -14,9 +13,9 @@ from adaptive_terrain.cbt_terrain.archive import read_npz
 from adaptive_terrain.cbt_terrain.store import open_store
 from adaptive_terrain.cbt_terrain.surface import Surface
 from adaptive_terrain.operators import command_line
+from flights import FRAMES, hills_flight
 from invariants import assert_invariants
 
-FRAMES = 8
 # The child kills itself with the third entry of the third frame's archive written.
 SUICIDE = """
 import os, signal, sys, zipfile
@@ -38,18 +37,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 @pytest.fixture(scope="module")
 def arguments(tmp_path_factory):
     """Arguments of an export but for --out, of a small store that is flown over."""
-    folder = tmp_path_factory.mktemp("interrupted")
-    y, x = np.mgrid[0:129, 0:129].astype(np.float32)
-    np.save(folder / "hills.npy", 20 * np.sin(x / 5) * np.cos(y / 6))
-    keys = [
-        {"frame": 1, "eye": [0, -90, 60], "target": [0, 0, 0]},
-        {"frame": FRAMES, "eye": [40, -20, 50], "target": [0, 20, 0]},
-    ]
-    (folder / "flight.json").write_text(json.dumps({"keyframes": keys}))
-    store = str(folder / "hills.store")
-    assert command_line.main(["import", str(folder / "hills.npy"), "--store", store]) == 0
-    source = ["export", "--store", store, "--path", str(folder / "flight.json"), "--resolution", "640x360"]
-    return [*source, "--frames", f"1-{FRAMES}", "--format", "npz"]
+    return hills_flight(tmp_path_factory.mktemp("interrupted"))
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ functions inlined there. For that Warp must compile with line tables (`with_line
 """
 
 import ast
+import atexit
 import bisect
 import ctypes
 import os
@@ -41,7 +42,14 @@ class Sample:
 
 
 def with_lines() -> None:
-    """Have Warp write line tables into what it compiles; to be called before any kernel is imported."""
+    """Have Warp write line tables into what it compiles; to be called before any kernel is imported.
+
+    Into a cache of this process alone: where a kept one has the same instructions, it may still name the lines and the
+    folder of a file that has changed or moved since.
+    """
+    cache = tempfile.TemporaryDirectory(prefix="adaptive-terrain-kernels-")
+    atexit.register(cache.cleanup)
+    wp.config.kernel_cache_dir = cache.name
     wp.config.lineinfo = True
     wp.config.cpu_compiler_flags = (
         f"{wp.config.cpu_compiler_flags or '-march=native'} -debug-info-kind=line-tables-only"
@@ -132,7 +140,7 @@ def _loaded_kernels() -> list[_Kernel]:
     for module in warmup.kernel_modules():
         loaded = wp.get_module(module.__name__)
         for compiled in loaded.execs.values():
-            [file] = warmup.compiled_folder(module).glob("*.o")
+            file = warmup.compiled_file(module)
             symbols = subprocess.run(["nm", "-f", "sysv", str(file)], capture_output=True, text=True, check=True).stdout
             places = {cells[0]: cells for cells in (list(map(str.strip, s.split("|"))) for s in symbols.splitlines())}
             for kernel in loaded.kernels.values():

@@ -40,8 +40,8 @@ class _Preparation:
     def _run(self) -> None:
         try:
             modules = kernel_modules()
-            compiled = [compiled_folder(module) for module in modules]
-            if not all(folder.exists() for folder in compiled):
+            compiled = [compiled_file(module) for module in modules]
+            if not all(file.exists() for file in compiled):
                 self._compile(compiled)
             for module in modules:
                 if self.stopping.is_set():
@@ -69,7 +69,7 @@ class _Preparation:
                 for process in processes:
                     process.kill()
                     process.wait()
-            self.fraction = sum(folder.exists() for folder in compiled) / len(compiled)
+            self.fraction = sum(file.exists() for file in compiled) / len(compiled)
 
 
 _current: _Preparation | None = None
@@ -122,9 +122,14 @@ def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
     return [kernel for kernel in found if kernel.module.name == module.__name__]
 
 
-def compiled_folder(module: ModuleType) -> Path:
-    """Where Warp keeps what it has compiled of a module; the folder appears when it is complete."""
-    return Path(wp.config.kernel_cache_dir) / wp.get_module(module.__name__).get_module_identifier(CPU_BLOCK)
+def compiled_file(module: ModuleType) -> Path:
+    """Where Warp keeps what it has compiled of a module for this processor; the file appears when it is complete.
+
+    A cache may serve several machines, as in a shared home: each kind of processor has its own file in the folder.
+    """
+    name = wp.get_module(module.__name__).get_module_identifier(CPU_BLOCK)
+    processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
+    return Path(wp.config.kernel_cache_dir) / name / f"{name}.cpu{processor}.o"
 
 
 def load(module: ModuleType) -> None:

@@ -46,7 +46,7 @@ print(json.dumps({
     "gap_ms": gap * 1e3,
     "compiled_here": compiled_here,
     "fractions": sorted({f for f in seen if f is not None}),
-    "missing": [m.__name__ for m in modules if not warmup.compiled_folder(m).exists()],
+    "missing": [m.__name__ for m in modules if not warmup.compiled_file(m).exists()],
     "loaded": sum(bool(wp.get_module(m.__name__).execs) for m in modules),
     "modules": len(modules),
     "folders": sorted(os.listdir(wp.config.kernel_cache_dir)),
@@ -56,7 +56,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
-    """What two starts say: the first with an empty cache, the second with what it left."""
+    """What starts say: with an empty cache, with what that left, and with what another kind of processor left."""
     cache = tmp_path_factory.mktemp("kernels")
     environment = {**child.os.environ, "WARP_CACHE_PATH": str(cache)}
 
@@ -66,11 +66,14 @@ def prepared(tmp_path_factory):
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.splitlines()[-1])
 
-    return prepare(), prepare()
+    first, second = prepare(), prepare()
+    for file in cache.glob("*/*/*.o"):
+        file.rename(file.with_name(f"{file.name.split('.cpu')[0]}.cpu01234567.o"))
+    return first, second, prepare()
 
 
 def test_children_compile_everything_under_the_name_of_their_parent(prepared):
-    first, _ = prepared
+    first, _, _ = prepared
     assert first["compiled_here"] == [] and first["missing"] == []
     assert first["loaded"] == first["modules"] == len(WITH_KERNELS)
     assert all(name.startswith("wp_bl_ext.user_default.terrain.kernels.") for name in first["folders"])
@@ -79,11 +82,17 @@ def test_children_compile_everything_under_the_name_of_their_parent(prepared):
 
 
 def test_a_full_cache_needs_no_child(prepared):
-    first, second = prepared
+    first, second, _ = prepared
     assert second["compiled_here"] == [] and second["loaded"] == second["modules"]
     assert second["fractions"] == [], "nothing to be seen of it"
     assert second["folders"] == first["folders"]
     assert second["seconds"] < first["seconds"] / 2
+
+
+def test_what_another_processor_left_is_compiled_by_children_too(prepared):
+    first, _, elsewhere = prepared
+    assert elsewhere["compiled_here"] == [] and elsewhere["missing"] == []
+    assert elsewhere["folders"] == first["folders"] and len(elsewhere["fractions"]) > 3
 
 
 @pytest.fixture
@@ -97,7 +106,7 @@ def no_modules(monkeypatch):
 
     monkeypatch.setattr(child, "start", start)
     monkeypatch.setattr(launch, "default_threads", lambda: 4)
-    monkeypatch.setattr(warmup, "compiled_folder", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
     monkeypatch.setattr(warmup, "_current", None)
     yield sleeping
     warmup.stop()
@@ -131,7 +140,7 @@ def test_without_a_child_the_thread_compiles(monkeypatch):
         raise OSError("no process")
 
     monkeypatch.setattr(child, "start", fail)
-    monkeypatch.setattr(warmup, "compiled_folder", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
     monkeypatch.setattr(warmup, "_current", None)
     loaded = []
     monkeypatch.setattr(warmup, "load", lambda module: loaded.append(module.__name__.rpartition(".")[2]))

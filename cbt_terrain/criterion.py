@@ -184,10 +184,21 @@ def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) 
 
     `steps` are the metres of one lattice unit in x and y. In metres of the terrain's height, as all of `LocalView`.
     """
-    linear = (view.world_to_camera @ placement)[:3, :3] / np.linalg.norm((view.world_to_camera @ placement)[:3, 2])
+    linear = _to_camera(view, placement)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
     diagonal2 = max(np.sum((east + north) ** 2), np.sum((east - north) ** 2))
     return float(diagonal2), float(max(np.sum(east**2), np.sum(north**2)))
+
+
+def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
+    """How far a point that is off by so many metres along each axis can be from its place, in camera space as above."""
+    return float(np.linalg.norm(_to_camera(view, placement), axis=0) @ offsets)
+
+
+def _to_camera(view: View, placement: np.ndarray) -> np.ndarray:
+    """float64 [3, 3]: the terrain's directions in camera space, as long as metres of its height."""
+    linear = (view.world_to_camera @ placement)[:3, :3]
+    return linear / np.linalg.norm(linear[:, 2])
 
 
 def frustum_planes(view: View, guard_deg: float) -> np.ndarray:

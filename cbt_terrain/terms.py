@@ -42,14 +42,22 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     """
     lattice = field.lattice
     lean = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
-    heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
-    highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
-    moved = _half_step(highest) + DISPLACEMENT_ERROR * (heights + abs(vertical_offset))
+    x, y, z = position_rounding(field, depth, vertical_scale, vertical_offset)
+    return (z + (x / lattice.step_x + y / lattice.step_y) * lean * abs(vertical_scale)) * (1 + 1e-6)
+
+
+def position_rounding(
+    field: HeightField, depth: int, vertical_scale: float, vertical_offset: float
+) -> tuple[float, float, float]:
+    """Metres by which float32 positions of leaves at `depth` or above are off along x, y and z, at most."""
+    lattice, plane = field.lattice, []
     for cells, step in ((lattice.width - 1, lattice.step_x), (lattice.height - 1, lattice.step_y)):
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
-        if not _is_exact(0.5 * cells * step, spacing):
-            moved += _half_step(0.5 * cells * step) * lean / step * abs(vertical_scale)
-    return moved * (1 + 1e-6)
+        largest = 0.5 * cells * step
+        plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
+    heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
+    highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
+    return *plane, _half_step(highest) + DISPLACEMENT_ERROR * (heights + abs(vertical_offset))
 
 
 def _half_step(largest: float) -> float:

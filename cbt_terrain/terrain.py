@@ -11,16 +11,29 @@ import warp as wp
 from ..kernels.criterion import Asked, Domain, LocalView
 from . import launch
 from .buffers import Buffers
-from .criterion import ROUNDING, Criterion, as_seen, localise, secant_of, slant_of, unit_lengths, widening
+from .criterion import (
+    ROUNDING,
+    Criterion,
+    as_seen,
+    largest_offset,
+    localise,
+    secant_of,
+    slant_of,
+    unit_lengths,
+    widening,
+)
 from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
-from .terms import Terms, rounding
+from .terms import Terms, position_rounding, rounding
 from .view import View
 
 # Relative; above what rounding does to a sum of metres.
 MARGIN = 1e-12
+# Edges are asked for shorter by what float32 corners may add to them at the depth limit, but by no more than this part:
+# where leaves get so small that it is more, the bound says so.
+MOST_STRETCH = 0.01
 
 
 @dataclass(frozen=True)
@@ -30,9 +43,10 @@ class Update:
     `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
     (1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere. Both include what
     resampling at import has moved and what float32 positions are off; `terms_px` and `terms_m` divide them.
-    `bound_edge_px`, `bound_area_px`: longest edge, largest triangle. `relaxed`: the factor by which a triangle limit
-    coarsened what was asked. `limited`: what kept a bound above what was asked: "", "max_triangles", "max_depth",
-    "resampling" (at import) or "precision" (float32 alone). `changed`: False if the mesh is the one of the last update.
+    `bound_edge_px`, `bound_area_px`: longest edge, largest triangle, also of float32 corners. `relaxed`: the factor by
+    which a triangle limit coarsened what was asked. `limited`: what kept a bound above what was asked: "",
+    "max_triangles", "max_depth", "resampling" (at import) or "precision" (float32 alone). `changed`: False if the mesh
+    is the one of the last update.
     """
 
     surface: Surface
@@ -111,12 +125,12 @@ class Terrain:
             raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
         depth = self._max_depth(criterion)
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
-        steps = (domain.unit_x, domain.unit_y)
+        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset)
         views = views if criterion.needs_view else ()
         slants = [slant_of(v, placement) for v in views]
         widened = [widening(v, s, criterion) for v, s in zip(views, slants, strict=True)]
         scales = [w * s for w, s in zip(widened, slants, strict=True)]
-        edge_scale = 1.0
+        edge_scale, lengths, off, stretch = 1.0, (0.0, 0.0), 0.0, 1.0
         if views and (criterion.edge_px or criterion.area_px):
             # Spans of a pixel are those of heights, edges may lie across the view. One scale for the edges of all
             # views: they must not depend on what errors do to each.
@@ -124,14 +138,17 @@ class Terrain:
             edge_scale = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
             scales = [edge_scale * secant for secant in secants]
             widened = [scale / slant for scale, slant in zip(scales, slants, strict=True)]
+            of_views = [unit_lengths(v, placement, (domain.unit_x, domain.unit_y)) for v in views]
+            lengths = tuple(max(of_one) for of_one in zip(*of_views, strict=True))
+            rounded = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
+            off = max(largest_offset(v, placement, rounded) for v in views)
+            stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
+            edge_scale /= stretch
         local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale)
-        if criterion.edge_px or criterion.area_px:
-            lengths = [unit_lengths(v, placement, steps) for v in views]
-            asked.diagonal2, asked.axis2 = (max(of_one) for of_one in zip(*lengths, strict=True))
+        asked.diagonal2, asked.axis2 = lengths
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
-        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset)
         changed = bool(leaves.changed_words) or shape != self._shape_key
         surface = self._last.surface if self._last else None
         if changed:
@@ -144,16 +161,19 @@ class Terrain:
         seen = [as_seen(v, s, spans / w) for v, s, w in zip(views, slants, widened, strict=True)]
         bound_px = max(seen, default=0.0)
         measures_edges = bool(asked.measures_edges)
+        if measures_edges:
+            deepest = int(surface.level.max()) - 2 * criterion.meshlet
+            stretch = max(1.0, _stretch(lengths, domain.unit_bits, deepest, off) / stretch)
         return Update(
             surface,
             leaves.total,
             changed,
             bound_px if views else None,
             bound_m,
-            math.sqrt(edge_px2) / edge_scale if measures_edges else None,
-            area_px2 / edge_scale**2 if measures_edges else None,
+            math.sqrt(edge_px2) / edge_scale * stretch if measures_edges else None,
+            area_px2 / edge_scale**2 * stretch**2 if measures_edges else None,
             relaxed,
-            _limited(asked, leaves.bounds.tolist(), relaxed, parts_px, parts_m),
+            _limited(asked, leaves.bounds.tolist(), relaxed, parts_px, parts_m, stretch),
             Terms.shares(bound_px, *parts_px) if views else None,
             Terms.shares(bound_m, *parts_m),
             ms,
@@ -201,8 +221,22 @@ def _max_leaves(criterion: Criterion) -> int:
     return triangles >> (2 * criterion.meshlet)
 
 
-def _limited(asked: Asked, bounds: list[float], relaxed: float, parts_px: list[float], parts_m: list[float]) -> str:
-    """What kept a bound above what was asked; `parts` are the own error, what resampling moved and rounding, metres."""
+def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: float) -> float:
+    """How many times longer than on the lattice the edges of leaves at `depth` or above may be, at most, where corners
+    are `off` from their places. `lengths`: squared diagonal and side of a lattice unit, in the space of `off`."""
+    diagonal2, axis2 = lengths
+    side = 2.0 ** (unit_bits - (depth - 1) // 2)
+    shortest = side * (math.sqrt(axis2) if depth % 2 else 0.5 * math.sqrt(diagonal2))
+    return 1 + 2 * off / shortest
+
+
+def _limited(
+    asked: Asked, bounds: list[float], relaxed: float, parts_px: list[float], parts_m: list[float], stretch: float
+) -> str:
+    """What kept a bound above what was asked; `parts` are the own error, what resampling moved and rounding, metres.
+
+    `stretch`: of the edges' bounds by rounding, beyond what was allowed for.
+    """
     error_px2, total_px2, edge_px2, area_px2, metres2, total_metres2 = bounds
     if relaxed > 1:
         return "max_triangles"
@@ -212,7 +246,7 @@ def _limited(asked: Asked, bounds: list[float], relaxed: float, parts_px: list[f
     over = [(total_px2 / asked.error_px2, parts_px), (total_metres2 / asked.metres2, parts_m)]
     over = [(math.sqrt(ratio), parts) for ratio, parts in over if ratio > 1]
     if not over:
-        return ""
+        return "precision" if stretch * stretch * max(excess[1:]) > 1 else ""
     return "precision" if all(r * (p[0] + p[1]) <= sum(p) for r, p in over) else "resampling"
 
 

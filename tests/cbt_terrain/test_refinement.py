@@ -130,6 +130,31 @@ def test_caps_hold_together_with_the_error():
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() <= capped.bound_edge_px
 
 
+@pytest.mark.parametrize(
+    ("height", "width", "edge_px", "limited"),
+    [(8e3, 2.0, 60.0, ""), (8e3, 2.0, 20.0, "max_depth"), (1e6, 4.0, 60.0, ""), (1e6, 4.0, 40.0, "precision")],
+)
+def test_edges_hold_where_float32_corners_stretch_them(height, width, edge_px, limited):
+    """Corners far from the origin are off by millimetres, which edges of half a metre show."""
+    heights = height + 100.0 * np.random.default_rng(4).normal(size=(33, 33))
+    field = from_array(heights.astype(np.float32), 1000.1)
+    eye = np.array([15_003.3, 15_002.7, height + 1000.0])
+    view = View.look(
+        eye, eye - [0, 0, 1], kind=ORTHOGRAPHIC, ortho_width=width, resolution=(200, 200), clip=(1.0, 2000.0)
+    )
+    update = Terrain(field, 1).update(
+        Criterion(error_px=0.0, edge_px=edge_px, max_depth=34, off_screen_factor=1e30), [view]
+    )
+    assert update.limited == limited and (update.bound_edge_px > edge_px) == bool(limited)
+    p = update.surface.positions.astype(np.float64)
+    camera = p @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
+    pixels = camera[:, :2] * view.pixels_per_unit
+    ends = pixels[update.surface.edges]
+    seen = (np.abs(ends) < 100).all(axis=(1, 2))
+    longest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)[seen].max()
+    assert 0.5 * update.bound_edge_px < longest <= update.bound_edge_px
+
+
 def test_off_screen_factor_coarsens_only_what_is_outside():
     field = rough(65, 65)
     view = View.look((0, -330, 100), (0, 0, 0), fov_deg=30)

@@ -105,7 +105,7 @@ def test_even_ground_comes_from_blocks(monkeypatch):
     try:
         table[:] ^= 0x1000  # a bit of the depth
         other = Terrain(terrain.field, 1)
-        monkeypatch.setattr(other._builder, "build", lambda leaves, *_: None)
+        monkeypatch.setattr(other._builder, "build", lambda leaves, *_: update.surface)
         other.update(Criterion(error_px=0.0, edge_px=20.0), [view])
         changed = other._buffers.numpy("code")[: update.leaves] != code
     finally:

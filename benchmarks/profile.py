@@ -55,18 +55,20 @@ CALLED = {
     "metres2_of": BAND_TEST,
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
-    **dict.fromkeys(("coarsest", "first_within"), BAND),
+    **dict.fromkeys(("coarsest", "band_below", "remembered_at", "not_split"), BAND),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
+    **dict.fromkeys(("touches_border", "leaf_word"), LEAF),
     "border_role": LEAF,
 }
 # The walk's own lines, from each of these on, in their order.
 LINES = (
     ("x = (left_x + right_x) >> 1", BAND_TEST),
+    ("memory = wp.int32(0)", BAND),
     ("diamond = diamond_at(", PIXEL),
-    ("coarse2, clear = coarsest(", BAND),
+    ("coarse2, inside_all = coarsest(", BAND),
     ("near2 = pixel2 * BELOW", PIXEL),
-    ("levels = even_depth - depth", BLOCK),
+    ("levels = below - depth", BLOCK),
     ("near_error = wp.float32(0.0)", DESCENT),
     ("room = wp.where(leaves", LEAF),
     ("# On along the curve", DESCENT),

@@ -10,7 +10,6 @@ _NUMPY = {
     wp.vec4i: (np.int32, 4),
     wp.vec2f: (np.float32, 2),
     wp.vec3f: (np.float32, 3),
-    wp.vec3d: (np.float64, 3),
 }
 
 
@@ -27,6 +26,11 @@ def bind(struct, **values) -> None:
             setattr(struct, name, value)
 
 
+def _scalar(dtype):
+    """The numpy dtype of a Warp scalar or struct."""
+    return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
+
+
 class Buffers:
     """Named Warp arrays over uninitialised memory, which the system commits as it is touched."""
 
@@ -37,7 +41,7 @@ class Buffers:
         """At least `count` items of a Warp dtype; the contents are kept only if it did not have to grow."""
         held = self._arrays.get(name)
         if held is None or len(held[0]) < count:
-            scalar, columns = _NUMPY.get(dtype) or (wp.dtype_to_numpy(dtype), 1)
+            scalar, columns = _NUMPY.get(dtype) or (_scalar(dtype), 1)
             room = count if held is None else max(count, int(1.25 * len(held[0])))
             array = np.empty((room, columns) if columns > 1 else room, scalar)
             self._arrays[name] = held = (array, shared(array, dtype))

@@ -10,6 +10,7 @@ import warp as wp
 
 from ..kernels import curve
 from ..kernels import refine as kernels
+from ..kernels.band import REMEMBERED, Band
 from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.criterion import Asked, Domain
 from ..kernels.walk_state import STACK, Walk
@@ -187,8 +188,8 @@ class Refinement:
             "stack": get("walk_stack", stacks, wp.vec4i),
             "aside": get("walk_aside", stacks, wp.int32),
             "errors": get("walk_errors", stacks, wp.float32),
-            "bands": get("walk_bands", stacks, wp.vec3d),
-            "depths": get("walk_depths", stacks, wp.vec4i),
+            "bands": get("walk_bands", stacks, Band),
+            "remembered": get("walk_remembered", slices * REMEMBERED, Band),
             "blocks": _blocks(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
             "counts": get("counts", slices * 4, wp.int64),

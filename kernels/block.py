@@ -6,6 +6,8 @@ Where only edge lengths ask, nearly every leaf lies in one: bands of equal depth
 
 import warp as wp
 
+from .unchecked import copy_codes, number_at, number_words, place_legs
+
 wp.set_module_options({"enable_backward": False})
 
 MAX_BISECTIONS = wp.constant(8)
@@ -27,7 +29,7 @@ class Blocks:
 @wp.func
 def new_vertices(blocks: Blocks, state: wp.int32, bisections: wp.int32) -> wp.int32:
     """How many vertices a block makes."""
-    return blocks.vertices[6 * bisections + state]
+    return number_at(blocks.vertices, 6 * bisections + state)
 
 
 @wp.func
@@ -46,20 +48,12 @@ def write_block(
 ):
     """The words of a block's leaves, each with the bits `extra`, and its new vertices, in the order of the curve."""
     entry = 6 * bisections + state
-    first = blocks.first_leaf[entry]
-    for k in range(1 << bisections):
-        code[first_code + wp.int64(k)] = blocks.code[first + k] | extra
-    first = blocks.first_vertex[entry]
+    first = number_at(blocks.first_leaf, entry)
+    copy_codes(blocks.code, first, 1 << bisections, extra, code, first_code)
+    first = number_at(blocks.first_vertex, entry)
+    count = number_at(blocks.vertices, entry)
     bits = (bisections + 1) >> 1
-    left_x = left[0] - apex[0]
-    left_y = left[1] - apex[1]
-    right_x = right[0] - apex[0]
-    right_y = right[1] - apex[1]
-    for k in range(blocks.vertices[entry]):
-        leg = blocks.leg[first + k]
-        x = apex[0] + ((leg[0] * left_x + leg[1] * right_x) >> bits)
-        y = apex[1] + ((leg[0] * left_y + leg[1] * right_y) >> bits)
-        point[first_point + wp.int64(k)] = wp.vec2i(x, y)
+    place_legs(blocks.leg, first, count, apex, left - apex, right - apex, bits, point, first_point)
 
 
 @wp.func
@@ -81,7 +75,5 @@ def write_words(
         stride = wp.int64(1)
         bits = EVERY // ((wp.uint64(1) << step) - wp.uint64(1))
     word = wp.int64(cell >> wp.uint64(6))
-    for k in range(count):
-        word_index[first + wp.int64(k)] = word + wp.int64(k) * stride
-        word_bits[first + wp.int64(k)] = bits
+    number_words(word_index, word_bits, first, count, word, stride, bits)
     return count

@@ -9,7 +9,7 @@ same way. All that is done with them below is monotone, also in rounded arithmet
 import warp as wp
 
 from .layout import tile_index
-from .unchecked import height_at, prefetch, prefetch_range
+from .unchecked import code_at, entry_at, height_at, number_at, prefetch, prefetch_range
 
 wp.set_module_options({"enable_backward": False})
 
@@ -110,7 +110,7 @@ def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64
     """Where the arrays hold the diamond split at (x, y), above the raster's cells: see kernels/layout.py."""
     group = (domain.levels - 1 - ((depth - 1) >> 1)) >> 1
     shift = domain.unit_bits - domain.levels + 2 * group
-    return domain.base[group] + tile_index(x >> shift, y >> shift, domain.pages[group])
+    return entry_at(domain.base, group) + tile_index(x >> shift, y >> shift, number_at(domain.pages, group))
 
 
 @wp.func
@@ -180,8 +180,8 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     high = wp.float64(0.0)
     if depth <= 2 * domain.levels:
         index = wp.int64(2) * place(domain, x, y, depth)
-        low = domain.range_base + wp.float64(domain.ranges[index]) * domain.range_step
-        high = domain.range_base + wp.float64(domain.ranges[index + wp.int64(1)]) * domain.range_step
+        low = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
+        high = domain.range_base + wp.float64(code_at(domain.ranges, index + wp.int64(1))) * domain.range_step
     else:
         bits = domain.unit_bits - domain.levels
         i0 = wp.max((x - reach) >> bits, 0)
@@ -231,28 +231,6 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
         long2 = legs2
         legs2 = asked.diagonal2 * side2 * wp.float64(0.25)
     return long2, legs2
-
-
-@wp.func
-def first_within(
-    asked: Asked,
-    unit_bits: wp.int32,
-    depth: wp.int32,
-    end: wp.int32,
-    climb2: wp.float64,
-    edge2: wp.float64,
-    area2: wp.float64,
-) -> wp.int32:
-    """The first depth after `depth`, `end` at most, where edges and areas are within these."""
-    found = depth + 1
-    looking = wp.int32(1)
-    while looking == 1 and found < end:
-        long2, legs2 = sizes(asked, unit_bits, found)
-        if long2 + climb2 > edge2 or legs2 + climb2 > area2:
-            found += 1
-        else:
-            looking = 0
-    return found
 
 
 @wp.func

@@ -65,6 +65,26 @@ def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
 
 
 @wp.func
+def leaf_word(state: wp.int32, depth: wp.int32) -> wp.uint32:
+    """The word of a leaf, without its role on the border and its flags."""
+    return wp.uint32(state | ((depth & 1) << PARITY) | (depth << DEPTH_SHIFT))
+
+
+@wp.func
+def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32) -> wp.bool:
+    """Whether a triangle has a vertex on the border of the square at `corner`."""
+    low = wp.min(wp.min(left, right), apex) - corner
+    high = wp.max(wp.max(left, right), apex) - corner
+    return low[0] == 0 or low[1] == 0 or high[0] == side or high[1] == side
+
+
+@wp.func
+def hypotenuse_passed(state: wp.int32) -> wp.bool:
+    """Whether the curve has passed the triangle behind the longest edge before it enters this one."""
+    return state > LEG_LEG and state < LEG_HYP
+
+
+@wp.func
 def border_role(
     p: wp.vec2i,
     q: wp.vec2i,

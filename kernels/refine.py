@@ -3,8 +3,9 @@
 
 Below a diamond that is split, a *band* says what is certain: between the finest and the coarsest pixel on its box lie
 those of all boxes inside it (they are nested), so most diamonds are decided by a look at their error, or at nothing but
-their depth. Only one that falls between is measured, and makes a narrower band for what is below it. Margins are far
-above rounding: the mesh is the one that measuring every diamond gives.
+their depth. Only one that falls between is measured, and makes a narrower band for what is below it; when the curve
+comes to its other triangle, it is remembered. Margins are far above rounding: the mesh is the one that measuring every
+diamond gives.
 
 The walk writes a word of 16 bits a leaf (kernels/curve.py) and one point a new vertex, all that the welding needs, and
 the leaves' bits of the tree.
@@ -12,6 +13,7 @@ the leaves' bits of the tree.
 
 import warp as wp
 
+from .band import NOT_SPLIT, REMEMBERED, band_below, not_split, nothing_certain, remembered_at
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import (
     Asked,
@@ -21,7 +23,6 @@ from .criterion import (
     error_at,
     fetch_ahead,
     finest,
-    first_within,
     larger,
     leaves_tile,
     metres2_of,
@@ -33,19 +34,31 @@ from .criterion import (
 from .curve import (
     BORDER,
     CORNER,
-    DEPTH_SHIFT,
     FIRST,
     HYP_LEG,
     INNER,
     LAST,
     LEG_HYP,
-    PARITY,
     TAKE_BELOW,
     TAKE_LEFT,
     TO_CORNER,
     border_role,
+    hypotenuse_passed,
+    leaf_word,
     left_state,
     right_state,
+    touches_border,
+)
+from .unchecked import (
+    corners_at,
+    height_at,
+    number_at,
+    put,
+    put_code,
+    put_corners,
+    put_height,
+    put_pair,
+    put_word,
 )
 from .walk_state import STACK, Walk
 
@@ -77,9 +90,9 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
     in_metres = wp.vec2f()
     in_pixels = wp.vec2f()
-    split_error2 = asked.limit * asked.error_px2
-    split_metres2 = asked.limit * asked.metres2
     place = w.slot * STACK
+    for k in range(REMEMBERED):
+        w.remembered[w.slot * REMEMBERED + k].x = -1
     sides = 4 * w.slot * domain.columns * domain.rows
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     start = w.first_cell & (cells - wp.uint64(1))
@@ -105,24 +118,35 @@ def walk(domain: Domain, asked: Asked, w: Walk):
         error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
         w.errors[place] = error
         band_at = wp.int32(0)
-        finest2 = wp.float64(0.0)
-        split_above2 = wp.float64(wp.inf)
-        leaf_up_to2 = wp.float64(-1.0)
-        clear = wp.int32(0)
-        split_depth = wp.int32(0)
-        leaf_depth = 1 << 30
-        even_depth = wp.int32(0)
-        w.bands[place] = wp.vec3d(finest2, split_above2, leaf_up_to2)
-        w.depths[place] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
+        held = wp.int32(0)  # the band at hand
+        root = nothing_certain()
+        w.bands[place] = root
+        finest2 = root.finest2
+        split_above2 = root.split_above2
+        leaf_up_to2 = root.leaf_up_to2
+        split_depth = root.split_depth
+        leaf_depth = root.leaf_depth
+        even_depth = root.even_depth
+        clear = root.clear
         inside = wp.int32(1)
         while inside == 1 and leaves <= w.leaf_limit:
             size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
+            if held != band_at:
+                held = band_at
+                above = w.bands[place + band_at]
+                finest2 = above.finest2
+                split_above2 = above.split_above2
+                leaf_up_to2 = above.leaf_up_to2
+                split_depth = above.split_depth
+                leaf_depth = above.leaf_depth
+                even_depth = above.even_depth
+                clear = above.clear
             x = (left_x + right_x) >> 1
             y = (left_y + right_y) >> 1
-            split = wp.int32(0)
-            known = wp.int32(1)
             moved = moved_at(domain, x, y, depth)
             metres2, total2 = metres2_of(domain, error, moved)
+            split = wp.int32(0)
+            known = wp.int32(1)
             if depth < w.max_depth:
                 if depth < split_depth or metres2 > split_above2:
                     split = 1
@@ -133,6 +157,22 @@ def walk(domain: Domain, asked: Asked, w: Walk):
             if split == 0:
                 if depth < leaf_depth or not (metres2 <= worst_px2 * finest2 and total2 <= worst_total_px2 * finest2):
                     known = 0
+            memory = wp.int32(0)
+            below = even_depth  # of the band for what is below
+            if known == 0:
+                # The diamond may have been measured from its other triangle: behind an edge that the curve has passed.
+                memory = w.slot * REMEMBERED + remembered_at(x, y)
+                if hypotenuse_passed(state):
+                    met = w.remembered[memory]
+                    if met.x == x and met.y == y:
+                        known = 1
+                        split = 0
+                        if met.split_depth != NOT_SPLIT:
+                            split = 1
+                            w.bands[place + top] = met
+                            band_at = top
+                            held = -1
+                            below = met.even_depth
             if known == 0:
                 diamond = diamond_at(domain, x, y, depth)
                 pixel2 = finest(asked, diamond, clear)
@@ -140,51 +180,34 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 climb2 = diamond.rise * diamond.rise
                 if depth < w.max_depth and too_coarse(asked, pixel2, metres2, long2 + climb2, legs2 + climb2):
                     split = 1
-                    coarse2, clear = coarsest(asked, diamond, clear)
-                    finest2 = pixel2 * BELOW
-                    coarsest2 = coarse2 * ABOVE
-                    leaf_up_to2 = smaller(split_error2 * finest2, split_metres2)
-                    split_above2 = smaller(split_error2 * coarsest2, split_metres2)
+                    coarse2, inside_all = coarsest(asked, diamond, clear)
+                    band = band_below(
+                        asked,
+                        domain.unit_bits,
+                        depth,
+                        w.max_depth,
+                        pixel2 * BELOW,
+                        coarse2 * ABOVE,
+                        climb2,
+                        worst_long_px2,
+                        worst_legs_px2,
+                    )
+                    band.clear = inside_all
+                    band.x = x
+                    band.y = y
+                    # No error below asks for a split or is a new maximum: depths alone decide.
+                    largest2 = smaller(worst_px2 * band.finest2, worst_metres2)
+                    if asked.measures_edges == 1 and metres2 <= smaller(band.leaf_up_to2, largest2):
+                        if total2 <= smaller(worst_total_px2 * band.finest2, worst_total2):
+                            band.even_depth = wp.where(band.split_depth == band.leaf_depth, band.leaf_depth, -1)
+                    w.remembered[memory] = band
+                    w.bands[place + top] = band
                     band_at = top
-                    split_depth = 0
-                    leaf_depth = 0
-                    even_depth = 0
-                    if asked.measures_edges == 1:
-                        split_depth = first_within(
-                            asked,
-                            domain.unit_bits,
-                            depth,
-                            w.max_depth,
-                            wp.float64(0.0),
-                            asked.limit * asked.edge_px2 * coarsest2,
-                            asked.limit * asked.area_px2 * coarsest2,
-                        )
-                        leaf_depth = first_within(
-                            asked,
-                            domain.unit_bits,
-                            split_depth - 1,
-                            w.max_depth,
-                            climb2,
-                            smaller(asked.limit * asked.edge_px2, worst_long_px2) * finest2,
-                            smaller(asked.limit * asked.area_px2, worst_legs_px2) * finest2,
-                        )
-                        if leaf_depth == w.max_depth:  # leaves whatever they measure, but maxima count
-                            leaf_depth = first_within(
-                                asked,
-                                domain.unit_bits,
-                                w.max_depth - 1,
-                                w.max_depth + 1,
-                                climb2,
-                                worst_long_px2 * finest2,
-                                worst_legs_px2 * finest2,
-                            )
-                        # No error below asks for a split or is a new maximum: depths alone decide.
-                        if metres2 <= smaller(leaf_up_to2, smaller(worst_px2 * finest2, worst_metres2)):
-                            if total2 <= smaller(worst_total_px2 * finest2, worst_total2):
-                                even_depth = wp.where(split_depth == leaf_depth, leaf_depth, -1)
-                    w.bands[place + band_at] = wp.vec3d(finest2, split_above2, leaf_up_to2)
-                    w.depths[place + band_at] = wp.vec4i(split_depth, leaf_depth, even_depth, clear)
-                elif cell >= start:
+                    held = -1
+                    below = band.even_depth
+                else:
+                    w.remembered[memory] = not_split(x, y)
+                if split == 0 and cell >= start:
                     near2 = pixel2 * BELOW
                     if metres2 > worst_px2 * near2:
                         worst_px2 = larger(worst_px2, metres2 / pixel2)
@@ -197,41 +220,37 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         worst_long_px2 = larger(worst_long_px2, (long2 + climb2) / pixel2)
                     if legs2 + climb2 > worst_legs_px2 * near2:
                         worst_legs_px2 = larger(worst_legs_px2, (legs2 + climb2) / pixel2)
-            levels = even_depth - depth
+            levels = below - depth
             if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and cell > wp.uint64(0) and cell >= start:
-                low_x = wp.min(wp.min(left_x, right_x), apex_x)
-                high_x = wp.max(wp.max(left_x, right_x), apex_x)
-                low_y = wp.min(wp.min(left_y, right_y), apex_y)
-                high_y = wp.max(wp.max(left_y, right_y), apex_y)
-                bordering = low_x == x0 or low_y == y0 or high_x == x0 + side or high_y == y0 + side
+                left = wp.vec2i(left_x, left_y)
+                apex = wp.vec2i(apex_x, apex_y)
+                right = wp.vec2i(right_x, right_y)
+                bordering = touches_border(left, apex, right, wp.vec2i(x0, y0), side)
                 ends = cell + size == cells or square_cell + cell + size > w.end_cell
                 if size >= wp.uint64(64) and not (ends or (w.grid == 1 and bordering)):
                     count = 1 << levels
                     created = new_vertices(w.blocks, state, levels)
                     if leaves + wp.int64(count) <= w.leaf_capacity:
                         if word >= wp.int64(0):
-                            w.word_index[w.leaf_base + words] = word
-                            w.word_bits[w.leaf_base + words] = bits
+                            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
                             words += wp.int64(1)
                             word = wp.int64(-1)
-                        extra = ((even_depth & 1) << PARITY) | (even_depth << DEPTH_SHIFT)
                         write_block(
                             w.blocks,
                             state,
                             levels,
-                            wp.vec2i(left_x, left_y),
-                            wp.vec2i(apex_x, apex_y),
-                            wp.vec2i(right_x, right_y),
-                            wp.uint16(extra),
+                            left,
+                            apex,
+                            right,
+                            wp.uint16(leaf_word(0, below)),
                             w.code,
                             w.leaf_base + leaves,
                             w.point,
                             w.leaf_base + vertices,
                         )
+                        first = w.leaf_base + words
                         words += wp.int64(
-                            write_words(
-                                square_cell + cell, size, levels, w.word_index, w.word_bits, w.leaf_base + words
-                            )
+                            write_words(square_cell + cell, size, levels, w.word_index, w.word_bits, first)
                         )
                     leaves += wp.int64(count)
                     vertices += wp.int64(created)
@@ -241,7 +260,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 depth += 1
                 near_error = wp.float32(0.0)  # where only depths decide, errors need not be read
                 next_error = wp.float32(0.0)
-                if even_depth == 0:
+                if below == 0:
                     near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
                     next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
                     if leaves_tile(domain, depth):  # the children's children, a step ahead: 65 ns a leaf become 60
@@ -249,9 +268,9 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         fetch_ahead(domain, (apex_x + x) >> 1, (apex_y + y) >> 1, depth + 1)
                         fetch_ahead(domain, (right_x + x) >> 1, (right_y + y) >> 1, depth + 1)
                 if cell + (size >> wp.uint64(1)) > start:
-                    w.stack[place + top] = wp.vec4i(x, y, right_x, right_y)
-                    w.aside[place + top] = right_state(state, cell) | (depth << 3) | (band_at << 9)
-                    w.errors[place + top] = next_error
+                    put_corners(w.stack, place + top, wp.vec4i(x, y, right_x, right_y))
+                    put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (band_at << 9))
+                    put_height(w.errors, place + top, next_error)
                     error = near_error
                     top += 1
                     state = left_state(state)
@@ -272,11 +291,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         worst_total2 = total2
                         in_metres = wp.vec2f(error, moved)
                     room = wp.where(leaves < w.leaf_capacity, 1, 0)
-                    code = (
-                        wp.uint32(state)
-                        | (wp.uint32(depth & 1) << wp.uint32(PARITY))
-                        | (wp.uint32(depth) << wp.uint32(DEPTH_SHIFT))
-                    )
+                    code = leaf_word(state, depth)
                     passage = state & 6
                     if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
                         code = code | (wp.uint32(1) << wp.uint32(FIRST))
@@ -323,7 +338,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         if role == TO_CORNER:
                             new_vertex = 0
                     if room == 1:
-                        w.point[w.leaf_base + vertices] = wp.vec2i(q_x, q_y)  # stays only if it is new
+                        put_pair(w.point, w.leaf_base + vertices, wp.vec2i(q_x, q_y))  # stays only if it is new
                     vertices += wp.int64(new_vertex)
                     edges += wp.int64(new_edge)
                     edges += wp.int64(1)  # the edge through which the curve leaves
@@ -334,14 +349,13 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     at = square_cell + cell
                     if wp.int64(at >> wp.uint64(6)) != word:
                         if word >= wp.int64(0) and room == 1:
-                            w.word_index[w.leaf_base + words] = word
-                            w.word_bits[w.leaf_base + words] = bits
+                            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
                             words += wp.int64(1)
                         word = wp.int64(at >> wp.uint64(6))
                         bits = wp.uint64(0)
                     bits = bits | (wp.uint64(1) << (at & wp.uint64(63)))
                     if room == 1:
-                        w.code[w.leaf_base + leaves] = wp.uint16(code)
+                        put_code(w.code, w.leaf_base + leaves, wp.uint16(code))
                     leaves += wp.int64(1)
                 # On along the curve, to the next triangle that was put aside.
                 cell += size
@@ -351,31 +365,20 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     top -= 1
                     left_x = right_x
                     left_y = right_y
-                    corners = w.stack[place + top]
+                    corners = corners_at(w.stack, place + top)
                     apex_x = corners[0]
                     apex_y = corners[1]
                     right_x = corners[2]
                     right_y = corners[3]
-                    kept = w.aside[place + top]
-                    error = w.errors[place + top]
+                    kept = number_at(w.aside, place + top)
+                    error = height_at(w.errors, wp.int64(place + top))
                     state = kept & 7
                     depth = (kept >> 3) & 63
-                    if (kept >> 9) != band_at:
-                        band_at = kept >> 9
-                        band = w.bands[place + band_at]
-                        finest2 = band[0]
-                        split_above2 = band[1]
-                        leaf_up_to2 = band[2]
-                        kept_depths = w.depths[place + band_at]
-                        split_depth = kept_depths[0]
-                        leaf_depth = kept_depths[1]
-                        even_depth = kept_depths[2]
-                        clear = kept_depths[3]
+                    band_at = kept >> 9
         square += 1
         start = wp.uint64(0)
     if word >= wp.int64(0) and leaves <= w.leaf_capacity:
-        w.word_index[w.leaf_base + words] = word
-        w.word_bits[w.leaf_base + words] = bits
+        put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
         words += wp.int64(1)
     c = 4 * w.slot
     w.counts[c] = leaves

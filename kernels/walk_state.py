@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from .band import Band
 from .block import Blocks
 
 wp.set_module_options({"enable_backward": False})
@@ -30,8 +31,8 @@ class Walk:
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
     errors: wp.array(dtype=wp.float32)
-    bands: wp.array(dtype=wp.vec3d)
-    depths: wp.array(dtype=wp.vec4i)
+    bands: wp.array(dtype=Band)
+    remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
     blocks: Blocks
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words

@@ -53,7 +53,7 @@ def test_a_walk_that_has_changed_is_named(monkeypatch):
 
 def test_a_sample_belongs_to_one_part():
     assert profile.part_of(in_walk("diamond_at", "place")) == BOX
-    assert profile.part_of(in_walk(line=line_of("w.code[w.leaf_base + leaves]"))) == LEAF
+    assert profile.part_of(in_walk(line=line_of("put_code(w.code"))) == LEAF
     assert profile.part_of(in_walk(line=line_of("top -= 1"))) == DESCENT
     assert profile.part_of(in_walk(line=line_of("created = new_vertices("))) == BLOCK
     assert profile.part_of(Sample("refine.walk")) == MERGED

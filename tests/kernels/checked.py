@@ -27,6 +27,49 @@ def prefetch(a: wp.array(dtype=wp.float32), i: wp.int64):
 
 
 @wp.func
+def prefetch_range(a: wp.array(dtype=wp.uint16), i: wp.int64):
+    pass
+
+
+@wp.func
+def put_code(a: wp.array(dtype=wp.uint16), i: wp.int64, value: wp.uint16):
+    a[i] = value
+
+
+@wp.func
+def put_corners(a: wp.array(dtype=wp.vec4i), i: wp.int32, value: wp.vec4i):
+    a[i] = value
+
+
+@wp.func
+def put_height(a: wp.array(dtype=wp.float32), i: wp.int32, value: wp.float32):
+    a[i] = value
+
+
+@wp.func
+def corners_at(a: wp.array(dtype=wp.vec4i), i: wp.int32) -> wp.vec4i:
+    return a[i]
+
+
+@wp.func
+def number_at(a: wp.array(dtype=wp.int32), i: wp.int32) -> wp.int32:
+    return a[i]
+
+
+@wp.func
+def put_word(
+    index: wp.array(dtype=wp.int64), bits: wp.array(dtype=wp.uint64), i: wp.int64, word: wp.int64, value: wp.uint64
+):
+    index[i] = word
+    bits[i] = value
+
+
+@wp.func
+def entry_at(a: wp.array(dtype=wp.int64), i: wp.int32) -> wp.int64:
+    return a[i]
+
+
+@wp.func
 def put(a: wp.array(dtype=wp.int32), i: wp.int64, value: wp.int32):
     a[i] = value
 
@@ -87,3 +130,50 @@ def look_up_pairs(
 ):
     for k in range(count):
         out[at + k] = wp.vec2i(numbers[first + places[2 * k]], numbers[first + places[2 * k + 1]])
+
+
+@wp.func
+def copy_codes(
+    table: wp.array(dtype=wp.uint16),
+    first: wp.int32,
+    count: wp.int32,
+    extra: wp.uint16,
+    out: wp.array(dtype=wp.uint16),
+    at: wp.int64,
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = table[first + k] | extra
+
+
+@wp.func
+def place_legs(
+    legs: wp.array(dtype=wp.vec2i),
+    first: wp.int32,
+    count: wp.int32,
+    apex: wp.vec2i,
+    left: wp.vec2i,
+    right: wp.vec2i,
+    bits: wp.int32,
+    out: wp.array(dtype=wp.vec2i),
+    at: wp.int64,
+):
+    for k in range(count):
+        leg = legs[first + k]
+        x = apex[0] + ((leg[0] * left[0] + leg[1] * right[0]) >> bits)
+        y = apex[1] + ((leg[0] * left[1] + leg[1] * right[1]) >> bits)
+        out[at + wp.int64(k)] = wp.vec2i(x, y)
+
+
+@wp.func
+def number_words(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    at: wp.int64,
+    count: wp.int32,
+    first: wp.int64,
+    step: wp.int64,
+    bits: wp.uint64,
+):
+    for k in range(count):
+        indices[at + wp.int64(k)] = first + wp.int64(k) * step
+        words[at + wp.int64(k)] = bits

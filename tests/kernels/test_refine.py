@@ -76,11 +76,12 @@ def updated(field, criterion: Criterion, views: list[View], scale: float) -> tup
 
 @pytest.fixture
 def measuring_all(tmp_path):
-    """kernels/refine.py with margins so wide that nothing is certain."""
+    """kernels/refine.py with margins so wide that nothing is certain, and without memory."""
     source = (Path(kernels.__file__).parent / "refine.py").read_text()
-    for narrow, wide in (("1.0 + 1e-9", "1e300"), ("1.0 - 1e-9", "0.0")):
-        assert source.count(narrow) == 1
-        source = source.replace(narrow, wide)
+    met = "if met.x == x and met.y == y:"
+    for here, there in (("1.0 + 1e-9", "1e300"), ("1.0 - 1e-9", "0.0"), (met, "if met.x == -2:")):
+        assert source.count(here) == 1
+        source = source.replace(here, there)
     path = tmp_path / "refine_measuring_all.py"
     path.write_text(source)
     return load(path.stem, path)

@@ -3,7 +3,9 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+import warp as wp
 from adaptive_terrain import kernels
 from adaptive_terrain.cbt_terrain import launch, meshlet_template, surface
 from adaptive_terrain.cbt_terrain.criterion import Criterion
@@ -48,6 +50,37 @@ def updates() -> list[dict[str, bytes]]:
         terrain.update(Criterion(error_px=3.0, meshlet=criterion.meshlet), [VIEW])  # so that there is something to cut
         found.append(arrays(terrain.update(criterion, [VIEW]).surface))
     return found
+
+
+def walked(module) -> list[bytes]:
+    """What tests/kernels/walk_snippets.py writes, compiled as `module`."""
+    count, rng = 37, np.random.default_rng(3)
+    made = []
+    for dtype, scalar, columns in (
+        (wp.uint16, np.uint16, ()),
+        (wp.int32, np.int32, ()),
+        (wp.int64, np.int64, ()),
+        (wp.uint64, np.uint64, ()),
+        (wp.float32, np.float32, ()),
+        (wp.vec2i, np.int32, (2,)),
+        (wp.vec4i, np.int32, (4,)),
+    ):
+        values = rng.integers(0, 1000, (5 * count, *columns)).astype(scalar)
+        made.append(wp.array(values, dtype=dtype, device="cpu"))
+    before = [array.numpy().copy() for array in made]
+    launch.once(module.pass_all, [count, *made], step="test")
+    assert all((array.numpy()[2 * count :] != old[2 * count :]).any() for array, old in zip(made, before, strict=True))
+    return [array.numpy().tobytes() for array in made]
+
+
+def test_snippets_of_the_walk_write_the_bytes_of_plain_warp(tmp_path):
+    load("checked", Path(__file__).with_name("checked.py"))
+    source = Path(__file__).with_name("walk_snippets.py")
+    text = source.read_text()
+    assert text.count("from .unchecked import ") == 1
+    path = tmp_path / "walk_snippets_checked.py"
+    path.write_text(text.replace("from .unchecked import ", "from .checked import "))
+    assert walked(load("walk_snippets", source)) == walked(load(path.stem, path))
 
 
 def test_snippets_write_the_bytes_of_plain_warp(request, monkeypatch):

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A kernel that passes the walk's snippets: test_unchecked.py compiles it with kernels/unchecked.py and checked.py."""
+
+import warp as wp
+
+from .unchecked import (
+    code_at,
+    copy_codes,
+    corners_at,
+    entry_at,
+    height_at,
+    number_at,
+    number_words,
+    pair_at,
+    place_legs,
+    put,
+    put_code,
+    put_corners,
+    put_height,
+    put_pair,
+    put_word,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def pass_all(
+    count: wp.int32,
+    codes: wp.array(dtype=wp.uint16),
+    numbers: wp.array(dtype=wp.int32),
+    entries: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    heights: wp.array(dtype=wp.float32),
+    pairs: wp.array(dtype=wp.vec2i),
+    corners: wp.array(dtype=wp.vec4i),
+):
+    """Write entries 2 * count .. 3 * count - 1 of every array one by one from those before, then further ones in rows.
+
+    Arrays have 5 * count entries.
+    """
+    for k in range(count):
+        to = wp.int64(2 * count + k)
+        put_code(codes, to, code_at(codes, wp.int64(k)) + wp.uint16(k))
+        put(numbers, to, number_at(numbers, k) - k)
+        put_word(entries, words, to, entry_at(entries, k) + wp.int64(k), wp.uint64(number_at(numbers, k + 1)))
+        put_height(heights, 2 * count + k, height_at(heights, wp.int64(k)) * wp.float32(k))
+        put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
+        put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
+    row = wp.int64(3 * count + 1)
+    copy_codes(codes, 3, count, wp.uint16(0x4000), codes, row)
+    place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
+    number_words(entries, words, row, count, wp.int64(-11), wp.int64(1) << wp.int64(33), wp.uint64(0x1111))

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a welded mesh to one that is fitted, and what the next one is to know of it."""
+
+import warp as wp
+
+from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh, moved_under
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def gather(
+    offset: int,
+    m: Mesh,
+    positions: wp.array(dtype=wp.vec3f),
+    heights: wp.array(dtype=wp.float32),
+    states: wp.array(dtype=wp.uint8),
+):
+    """Where each vertex is on the lattice, and the height that it had before."""
+    v = offset + wp.tid()
+    d = m.domain
+    p = positions[v]
+    grid = wp.float64(wp.int32(1) << m.snap)
+    x = wp.int32(wp.rint((wp.float64(p[0]) - d.west) / (d.unit_x * grid))) << m.snap
+    y = wp.int32(wp.rint((wp.float64(p[1]) - d.south) / (d.unit_y * grid))) << m.snap
+    m.point[v] = wp.vec2i(x, y)
+    m.push[2 * v] = wp.float64(0.0)
+    m.push[2 * v + 1] = wp.float64(0.0)
+    bits = d.unit_bits - d.levels
+    state = PINNED  # inside a raster's cell
+    if ((x | y) & ((1 << bits) - 1)) == 0:
+        at = wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)
+        state = states[at]
+        if (state & KNOWN) != wp.uint8(0):
+            p = wp.vec3f(p[0], p[1], heights[at])
+            positions[v] = p
+    m.z[v] = p[2]
+    m.state[v] = state & PINNED
+
+
+@wp.kernel
+def begin(offset: int, m: Mesh):
+    """Every triangle is to be measured."""
+    t = offset + wp.tid()
+    m.active[t] = t
+    m.awake[t] = -1
+    m.worst[t] = NOT_MEASURED
+    m.moved[t] = moved_under(m, t)
+
+
+@wp.kernel
+def link(triangles: int, m: Mesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
+    """Neighbours of the triangles, and a triangle of every vertex. `side` [E]: -1."""
+    for c in range(3 * triangles):
+        m.first[m.corner_verts[c]] = c / 3
+        edge = corner_edges[c]
+        other = side[edge]
+        m.beside[c] = -1
+        if other < 0:
+            side[edge] = c
+        else:
+            m.beside[c] = other / 3
+            m.beside[other] = c / 3
+
+
+@wp.kernel
+def keep(offset: int, m: Mesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
+    """What `gather` of the next mesh is to find."""
+    v = offset + wp.tid()
+    d = m.domain
+    bits = d.unit_bits - d.levels
+    p = m.point[v]
+    if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
+        at = wp.int64(p[1] >> bits) * wp.int64(d.width) + wp.int64(p[0] >> bits)
+        heights[at] = m.z[v]
+        states[at] = m.state[v] | KNOWN

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh of a fit: welded triangles that know their neighbours, and are bisected where they lie.
+
+Corners of a triangle, counter-clockwise: left, apex, right; its longest edge is the one from right to left. Arrays have
+room for triangles and vertices to come.
+"""
+
+import warp as wp
+
+from ..criterion import Domain
+from ..layout import tile_index
+from ..unchecked import height_at
+from .facet import Facet, row_of, rows_of, surface
+from .raising import climb
+
+wp.set_module_options({"enable_backward": False})
+
+# What is known of a vertex, bits.
+KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
+PINNED = wp.constant(wp.uint8(2))  # on the surface, for good
+NOT_MEASURED = wp.constant(wp.float64(-1.0))
+
+
+@wp.struct
+class Mesh:
+    """A mesh whose vertices' heights are fitted."""
+
+    domain: Domain
+    snap: wp.int32  # mesh vertices lie on multiples of 2**snap units
+    asked: wp.float64  # metres of error, as interpolation is asked
+    bound: wp.float64  # metres of distance that a triangle may have where resampling moved nothing
+    aim: wp.float64  # part of what is allowed: points beyond it push
+    stretch: wp.float64  # length of a step over the mean push, below 2
+    room: wp.int32  # triangles that the arrays have room for
+    round: wp.int32  # triangles are split at the end of each
+    corner_verts: wp.array(dtype=wp.int32)  # [3 T]
+    beside: wp.array(dtype=wp.int32)  # [3 T] the triangle across the edge from a corner to the next, -1 at the border
+    level: wp.array(dtype=wp.int32)  # [T]
+    moved: wp.array(dtype=wp.float32)  # [T] metres, before scaling, by which resampling moved what is below
+    worst: wp.array(dtype=wp.float64)  # [T] metres, largest distance, or NOT_MEASURED
+    seen: wp.array(dtype=wp.vec3f)  # [T] heights of the corners when that was measured
+    pushes: wp.array(dtype=wp.vec2f)  # [3 T] of each triangle on its corners, and their weights
+    active: wp.array(dtype=wp.int32)  # [T] the triangles that are looked at
+    marks: wp.array(dtype=wp.uint32)  # [T / 32] bits: triangles to be listed
+    awake: wp.array(dtype=wp.int32)  # [T] the last round that measured it, or found it beyond the bound
+    point: wp.array(dtype=wp.vec2i)  # [V] lattice units
+    z: wp.array(dtype=wp.float32)  # [V] metres
+    state: wp.array(dtype=wp.uint8)  # [V]
+    first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
+    push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
+    movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
+
+
+@wp.func
+def allowed(m: Mesh, t: wp.int32) -> wp.float64:
+    """Metres that a triangle may be from the surface, beside what resampling has moved there."""
+    return m.bound - wp.float64(m.moved[t]) * m.domain.error_scale
+
+
+@wp.func
+def facet_of(m: Mesh, t: wp.int32) -> Facet:
+    """A triangle over the plane. Legs are orthogonal and of one length."""
+    left = m.corner_verts[3 * t]
+    apex = m.corner_verts[3 * t + 1]
+    right = m.corner_verts[3 * t + 2]
+    at = m.point[apex]
+    to_left = m.point[left] - at
+    to_right = m.point[right] - at
+    s = Facet()
+    s.x = at[0]
+    s.y = at[1]
+    s.left_x = to_left[0]
+    s.left_y = to_left[1]
+    s.right_x = to_right[0]
+    s.right_y = to_right[1]
+    z = wp.float64(m.z[apex])
+    s.z = (z - m.domain.height_offset) / m.domain.height_scale
+    length2 = wp.float64(s.left_x) * wp.float64(s.left_x) + wp.float64(s.left_y) * wp.float64(s.left_y)
+    per_unit2 = wp.float64(1.0) / (length2 * m.domain.height_scale)
+    zl = (wp.float64(m.z[left]) - z) * per_unit2
+    zr = (wp.float64(m.z[right]) - z) * per_unit2
+    s.slope_x = zl * wp.float64(s.left_x) + zr * wp.float64(s.right_x)
+    s.slope_y = zl * wp.float64(s.left_y) + zr * wp.float64(s.right_y)
+    return s
+
+
+@wp.func
+def moved_under(m: Mesh, t: wp.int32) -> wp.float32:
+    """Metres, before scaling, by which resampling moved the raster in the cells that a triangle touches."""
+    d = m.domain
+    most = wp.float32(0.0)
+    if d.resampled == 1:
+        bits = d.unit_bits - d.levels
+        s = facet_of(m, t)
+        low, rows = rows_of(s, bits)
+        # In a row of cells the columns between its ends, or of a triangle inside a cell that one.
+        for k in range(wp.max(rows - 1, 1)):
+            j = (s.y + wp.min(wp.min(s.left_y, s.right_y), 0)) >> bits
+            i = (s.x + wp.min(wp.min(s.left_x, s.right_x), 0)) >> bits
+            end = i + 1
+            if rows > 0:
+                j = (s.y >> bits) + low + k
+                first, samples = row_of(s, bits, low + k)
+                above_first, above_samples = row_of(s, bits, low + k + 1)
+                i = (s.x >> bits) + wp.min(first, above_first)
+                end = (s.x >> bits) + wp.max(first + samples, above_first + above_samples) - 1
+            for column in range(i, end):
+                cell = height_at(d.moved, d.cell_base + tile_index(column, j, d.cell_pages))
+                most = wp.max(most, cell)
+    return most
+
+
+@wp.func
+def is_marked(m: Mesh, t: wp.int32) -> wp.bool:
+    """Whether a triangle is to be listed."""
+    return ((m.marks[t >> 5] >> wp.uint32(t & 31)) & wp.uint32(1)) != wp.uint32(0)
+
+
+@wp.func
+def mark(m: Mesh, t: wp.int32):
+    """A triangle is to be listed."""
+    m.marks[t >> 5] = m.marks[t >> 5] | (wp.uint32(1) << wp.uint32(t & 31))
+
+
+@wp.func
+def mark_around(m: Mesh, v: wp.int32):
+    """The triangles that have a vertex are to be listed."""
+    start = m.first[v]
+    t = start
+    way = wp.int32(0)
+    while t >= 0:
+        mark(m, t)
+        k = wp.int32(0)
+        if m.corner_verts[3 * t + 1] == v:
+            k = 1
+        if m.corner_verts[3 * t + 2] == v:
+            k = 2
+        if way == 1:
+            k = wp.where(k == 0, 2, k - 1)
+        t = m.beside[3 * t + k]
+        if t < 0 and way == 0:  # at the border; now the other way round
+            way = 1
+            t = start
+            k = wp.int32(2)
+            if m.corner_verts[3 * t + 1] == v:
+                k = 0
+            if m.corner_verts[3 * t + 2] == v:
+                k = 1
+            t = m.beside[3 * t + k]
+        elif t == start:
+            t = -1
+
+
+@wp.func
+def list_marked(m: Mesh, triangles: wp.int32) -> wp.int32:
+    """List in their order the triangles that are marked, and clear the marks; returns how many there are.
+
+    Memory is then read in its order too, which halves the time of a sweep over many triangles.
+    """
+    count = wp.int32(0)
+    for word in range((triangles + 31) >> 5):
+        marks = m.marks[word]
+        if marks != wp.uint32(0):
+            m.marks[word] = wp.uint32(0)
+            for k in range(32):
+                m.active[count] = 32 * word + k
+                count += wp.int32((marks >> wp.uint32(k)) & wp.uint32(1))
+    return count
+
+
+@wp.func
+def replace_beside(m: Mesh, t: wp.int32, old: wp.int32, new: wp.int32):
+    """Of a triangle, if there is one, the neighbour."""
+    if t >= 0:
+        for k in range(3):
+            if m.beside[3 * t + k] == old:
+                m.beside[3 * t + k] = new
+
+
+@wp.func
+def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
+    """Bisect a triangle: it keeps its left half, `new` is its right one; `across` and `across_new` likewise beyond."""
+    left = m.corner_verts[3 * t]
+    apex = m.corner_verts[3 * t + 1]
+    right = m.corner_verts[3 * t + 2]
+    near = m.beside[3 * t]
+    far = m.beside[3 * t + 1]
+    m.corner_verts[3 * t] = apex
+    m.corner_verts[3 * t + 1] = middle
+    m.corner_verts[3 * t + 2] = left
+    m.beside[3 * t] = new
+    m.beside[3 * t + 1] = across_new
+    m.beside[3 * t + 2] = near
+    m.corner_verts[3 * new] = right
+    m.corner_verts[3 * new + 1] = middle
+    m.corner_verts[3 * new + 2] = apex
+    m.beside[3 * new] = across
+    m.beside[3 * new + 1] = t
+    m.beside[3 * new + 2] = far
+    replace_beside(m, far, t, new)
+    m.level[t] = m.level[t] + 1
+    m.level[new] = m.level[t]
+    m.first[left] = t
+    m.first[right] = new
+    m.first[apex] = t
+    m.worst[t] = NOT_MEASURED
+    m.worst[new] = NOT_MEASURED
+
+
+@wp.func
+def split(
+    m: Mesh,
+    t: wp.int32,
+    raised: wp.float32,
+    errors: wp.array(dtype=wp.float32),
+    stack: wp.array(dtype=wp.int32),
+    climbing: wp.array(dtype=wp.vec3i),
+    size: wp.vec2i,
+) -> wp.vec2i:
+    """Bisect a triangle and what has to be for a conforming mesh; the error of what is split rises to `raised`.
+
+    `size`: triangles and vertices; as they are then is returned. New vertices are samples, on the surface. New
+    triangles are marked.
+    """
+    d = m.domain
+    triangles = size[0]
+    vertices = size[1]
+    top = wp.int32(1)
+    stack[0] = t
+    while top > 0:
+        a = stack[top - 1]
+        b = m.beside[3 * a + 2]
+        if b >= 0 and m.beside[3 * b + 2] != a:
+            stack[top] = b  # coarser by one bisection
+            top += 1
+        else:
+            top -= 1
+            left = m.corner_verts[3 * a]
+            right = m.corner_verts[3 * a + 2]
+            p = (m.point[left] + m.point[right]) / 2
+            climb(d, p[0], p[1], m.level[a], raised, errors, climbing)
+            v = vertices
+            vertices += 1
+            m.point[v] = p
+            m.z[v] = wp.float32(surface(d, p[0], p[1]) * d.height_scale + d.height_offset)
+            m.state[v] = wp.uint8(0)
+            m.push[2 * v] = wp.float64(0.0)
+            m.push[2 * v + 1] = wp.float64(0.0)
+            m.first[v] = a
+            new = triangles
+            triangles += 1
+            if b >= 0:
+                halve(m, a, new, v, b, new + 1)
+                halve(m, b, new + 1, v, a, new)
+                triangles += 1
+                m.moved[b] = moved_under(m, b)
+                m.moved[new + 1] = moved_under(m, new + 1)
+            else:
+                halve(m, a, new, v, -1, -1)
+            m.moved[a] = moved_under(m, a)
+            m.moved[new] = moved_under(m, new)
+            mark_around(m, v)
+    return wp.vec2i(triangles, vertices)

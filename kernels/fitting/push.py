@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a sweep asks of a triangle, in single precision: how far it is from the surface, and what pushes its corners."""
+
+import warp as wp
+
+from ..criterion import Domain
+from .facet import Facet, above, bulge, twist_over
+
+wp.set_module_options({"enable_backward": False})
+
+Pushes = wp.types.vector(length=7, dtype=wp.float32)
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    typedef float lanes __attribute__((vector_size(32)));
+    typedef int masks __attribute__((vector_size(32)));
+    const float* data = h.data;
+    const int size = (int)h.shape[0];
+    const int n = wp::max(wp::abs(left_x), wp::abs(left_y));
+    const float per_leg = 1.0f / ((float)left_x * (float)left_x + (float)left_y * (float)left_y);
+    const float slope_x = (rise_left * (float)left_x + rise_right * (float)right_x) * per_leg;
+    const float slope_y = (rise_left * (float)left_y + rise_right * (float)right_y) * per_leg;
+    const float high = (float)z;  // two numbers for the apex: heights are small beside it, not beside 0
+    const float rest = (float)(z - (double)high);
+    const bool level = left_x == 0 || left_y == 0;
+    const bool upright = left_x == right_x;
+    const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
+    const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
+    lanes most = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
+    const int south = wp::min(wp::min(left_y, right_y), 0), north = wp::max(wp::max(left_y, right_y), 0);
+    for (int y = south; y <= north; ++y) {
+        const int away = wp::abs(y);
+        int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
+        const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
+        const int row = apex + y * width, last = first + samples - 1;
+        const float base = rest + slope_y * (float)y;
+        for (int x = first; x <= last; x += 8) {
+            int from = row + x;
+            lanes heights;
+            if (size >= 8) {  // not beyond the last sample
+                from = wp::min(from, size - 8);
+                __builtin_memcpy(&heights, data + from, sizeof(heights));
+            } else {
+                for (int k = 0; k < 8; ++k)
+                    heights[k] = data[wp::min(from + k, size - 1)];
+            }
+            const lanes at = number + (float)(from - row);
+            const masks inside = (at >= (float)x) & (at <= (float)last);
+            const lanes r = (heights - high) - (base + slope_x * at);
+            const lanes far = (lanes)((masks)r & magnitude & inside);
+            const masks more = far > most;
+            most = (lanes)(((masks)far & more) | ((masks)most & ~more));
+            const masks beyond = far > aim;
+            const lanes over = (lanes)(((masks)(far - aim) | ((masks)r & ~magnitude)) & beyond);
+            const lanes hit = (lanes)(one & beyond);
+            count += hit;
+            count_x += hit * at;
+            count_y += hit * (float)y;
+            push += over;
+            push_x += over * at;
+            push_y += over * (float)y;
+        }
+    }
+    float worst = 0.0f;
+    for (int k = 0; k < 8; ++k)
+        worst = most[k] > worst ? most[k] : worst;
+    const auto sum = [](lanes v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); };
+    float c = sum(count), c_x = sum(count_x), c_y = sum(count_y);
+    float p = sum(push), p_x = sum(push_x), p_y = sum(push_y);
+    // Along the diagonals of cells the distance is a parabola, r0 (1 - t) + r1 t - twist t (1 - t).
+    for (int side = 0; side < (level ? 1 : 2); ++side) {
+        int x = level ? left_x : 0, y = level ? left_y : 0;
+        const int end_x = level || side ? right_x : left_x, end_y = level || side ? right_y : left_y;
+        const int dx = end_x > x ? 1 : -1, dy = end_y > y ? 1 : -1;
+        int at = apex + y * width + x;
+        float r0 = (data[at] - high) - (rest + slope_x * (float)x + slope_y * (float)y);
+        while (x != end_x) {
+            const int across = at + dx, along = at + dy * width, next = along + dx;
+            const float r1 = (data[next] - high) - (rest + slope_x * (float)(x + dx) + slope_y * (float)(y + dy));
+            const float twist = (data[at] - data[across]) - (data[along] - data[next]);
+            const float turn = r1 - r0 - twist;
+            const bool bent = (turn * twist < 0.0f) & (wp::abs(turn) < 2.0f * wp::abs(twist));
+            const float t = (bent ? -turn : 0.0f) / (bent ? 2.0f * twist : 1.0f);
+            const float r = r0 + t * (turn + twist * t);
+            const float far = wp::abs(r);
+            worst = far > worst ? far : worst;
+            const float hit = (bent & (far > aim)) ? 1.0f : 0.0f;  // no branches: nobody could predict them
+            const float over = hit * (r > 0.0f ? far - aim : aim - far);
+            const float at_x = (float)x + t * (float)dx, at_y = (float)y + t * (float)dy;
+            c += hit;
+            c_x += hit * at_x;
+            c_y += hit * at_y;
+            p += over;
+            p_x += over * at_x;
+            p_y += over * at_y;
+            r0 = r1;
+            at = next;
+            x += dx;
+            y += dy;
+        }
+    }
+    const float c_left = (c_x * (float)left_x + c_y * (float)left_y) * per_leg;
+    const float c_right = (c_x * (float)right_x + c_y * (float)right_y) * per_leg;
+    const float p_left = (p_x * (float)left_x + p_y * (float)left_y) * per_leg;
+    const float p_right = (p_x * (float)right_x + p_y * (float)right_y) * per_leg;
+    const float found[7] = {worst, c - c_left - c_right, p - p_left - p_right, c_left, p_left, c_right, p_right};
+    wp::vec_t<7, float> pushes;
+    for (int k = 0; k < 7; ++k)
+        pushes[k] = found[k];
+    return pushes;
+""")
+def pushes_of(
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    apex: int,
+    left_x: int,
+    left_y: int,
+    right_x: int,
+    right_y: int,
+    z: wp.float64,
+    rise_left: wp.float32,
+    rise_right: wp.float32,
+    aim: wp.float32,
+) -> Pushes:
+    """A triangle with its corners on samples against the bilinear surface over it.
+
+    h: heights of all samples, `width` in a row. apex: index of the sample at the right angle, `z` the triangle's height
+    there. left, right: from there to the other corners, cells; their heights above it. Returns the largest distance,
+    then of the apex, of the left and of the right corner the weights of the points beyond `aim`, summed, and the sum of
+    what they are beyond it, weighted, positive upwards. Points: samples, and extrema along the diagonals of cells on
+    the triangle's sides. Nearly all time of a sweep passes here, in vectors of eight samples of a row.
+    """
+    ...
+
+
+@wp.func
+def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
+    """With one point more, where the surface is `r` above the triangle: `u` of the left corner, `v` of the right."""
+    far = wp.abs(r)
+    q[0] = wp.max(q[0], wp.float32(far))
+    if far > aim:
+        over = wp.where(r > wp.float64(0.0), far - aim, aim - far)
+        apex = wp.float64(1.0) - u - v
+        q[1] = q[1] + wp.float32(apex)
+        q[2] = q[2] + wp.float32(over * apex)
+        q[3] = q[3] + wp.float32(u)
+        q[4] = q[4] + wp.float32(over * u)
+        q[5] = q[5] + wp.float32(v)
+        q[6] = q[6] + wp.float32(over * v)
+    return q
+
+
+@wp.func
+def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
+    """As `pushes_of`, of a triangle inside a cell, where the points are its corners and the extrema along diagonals."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    apex = above(d, s, 0, 0)
+    left = above(d, s, s.left_x, s.left_y)
+    right = above(d, s, s.right_x, s.right_y)
+    q = pushed_at(Pushes(), apex, zero, zero, aim)
+    q = pushed_at(q, left, one, zero, aim)
+    q = pushed_at(q, right, zero, one, aim)
+    if s.left_x == 0 or s.left_y == 0:
+        twist = twist_over(d, s.x + s.left_x, s.y + s.left_y, s.right_x - s.left_x, s.right_y - s.left_y)
+        t, r = bulge(left, right, twist)
+        if t > zero:
+            q = pushed_at(q, r, one - t, t, aim)
+    else:
+        t, r = bulge(apex, left, twist_over(d, s.x, s.y, s.left_x, s.left_y))
+        if t > zero:
+            q = pushed_at(q, r, t, zero, aim)
+        t, r = bulge(apex, right, twist_over(d, s.x, s.y, s.right_x, s.right_y))
+        if t > zero:
+            q = pushed_at(q, r, zero, t, aim)
+    return q

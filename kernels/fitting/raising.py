@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors that rise so that the next walk splits a diamond; they stay nested."""
+
+import warp as wp
+
+from ..criterion import Domain, place
+from ..layout import tile_index
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
+    """Where the arrays hold the diamond split at (x, y), or the raster's cell that it is in."""
+    at = d.cell_base
+    if depth <= 2 * d.levels:
+        at = place(d, x, y, depth)
+    else:
+        bits = d.unit_bits - d.levels
+        i = wp.min(x >> bits, d.width - 2)
+        j = wp.min(y >> bits, d.height - 2)
+        at = at + tile_index(i, j, d.cell_pages)
+    return at
+
+
+@wp.func
+def apex_step(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """From the split vertex (x, y) of a diamond to an apex; the other is as far on the other side."""
+    half = wp.int32(1) << (d.unit_bits - ((depth - 1) >> 1) - 1)
+    step = wp.vec2i(half, half)
+    if (depth & 1) == 1:
+        # A cell's centre: the corners off its diagonal. Root squares have all the same.
+        if depth > 1 and ((x / (2 * half) + y / (2 * half)) & 1) == 0:
+            step = wp.vec2i(half, -half)
+    elif (x & half) != 0:
+        step = wp.vec2i(0, half)
+    else:
+        step = wp.vec2i(half, 0)
+    return step
+
+
+@wp.func
+def climb(
+    d: Domain,
+    x: wp.int32,
+    y: wp.int32,
+    depth: wp.int32,
+    value: wp.float32,
+    errors: wp.array(dtype=wp.float32),
+    stack: wp.array(dtype=wp.vec3i),
+):
+    """Raise the error of the diamond at (x, y), `depth` at most that of cells, and those above it to `value`."""
+    top = wp.int32(1)
+    stack[0] = wp.vec3i(x, y, depth)
+    while top > 0:
+        top -= 1
+        q = stack[top]
+        at = entry_of(d, q[0], q[1], q[2])
+        if errors[at] < value:
+            errors[at] = value
+            if q[2] > 1:
+                step = apex_step(d, q[0], q[1], q[2])
+                for k in range(2):
+                    px = wp.where(k == 0, q[0] - step[0], q[0] + step[0])
+                    py = wp.where(k == 0, q[1] - step[1], q[1] + step[1])
+                    inside = px >= 0 and py >= 0
+                    if inside and px <= (d.columns << d.unit_bits) and py <= (d.rows << d.unit_bits):
+                        stack[top] = wp.vec3i(px, py, q[2] - 1)
+                        top += 1
+
+
+@wp.func
+def raise_cells(
+    d: Domain,
+    i: wp.int32,
+    j: wp.int32,
+    halvings: wp.int32,
+    raised: wp.float64,
+    errors: wp.array(dtype=wp.float32),
+    stack: wp.array(dtype=wp.vec3i),
+):
+    """Raise cell (i, j) so that triangles after `halvings` of its sides are split.
+
+    An error in a cell is a quarter after each halving, and at least a quarter of the next cells': hierarchy.py. One
+    cell more on every side: a quarter of `raised`, with what resampling moved, may split again; a sixteenth never does.
+    """
+    bits = d.unit_bits - d.levels
+    reach = halvings + 1
+    for b in range(-reach, reach + 1):
+        for a in range(-reach, reach + 1):
+            left = reach - wp.abs(a) - wp.abs(b)
+            inside = i + a >= 0 and j + b >= 0 and i + a < d.width - 1 and j + b < d.height - 1
+            if left >= 0 and inside:
+                x = ((i + a) << bits) + (1 << (bits - 1))
+                y = ((j + b) << bits) + (1 << (bits - 1))
+                value = wp.float64(0.25) * raised * wp.float64(wp.int64(1) << wp.int64(2 * left))
+                climb(d, x, y, 2 * d.levels + 1, wp.float32(value), errors, stack)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from . import launch
 from .criterion import Criterion
+from .errors import TerrainError
 from .fitting import Fitter, Mesh
 from .heightfield import HeightField
 from .refinement import MAX_TRIANGLES
@@ -50,6 +51,10 @@ def fit(
     vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels.
     Raises TerrainError if a number cannot be used.
     """
+    if field.interpolation != "bilinear":
+        raise TerrainError(
+            f"A fit is of the bilinear surface; the terrain's is {field.interpolation}: choose bilinear interpolation."
+        )
     threads = launch.default_threads() if threads is None else max(1, threads)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
     error_m = criterion.error_m

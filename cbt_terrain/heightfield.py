@@ -12,6 +12,8 @@ from . import hierarchy, launch, resample
 from .errors import TerrainError
 from .lattice import Lattice
 
+INTERPOLATIONS = ("bilinear", "bicubic")
+
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
@@ -20,11 +22,13 @@ class HeightField:
     """A terrain ready for refinement; arrays may be memory-mapped and are never written.
 
     samples: float32 [height, width] metres, row 0 south, column 0 west.
+    interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
     error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py; the order of both
-    is that of lattice.py).
+    is that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
     ranges: uint16 [lattice.range_count, 2], diamonds above the raster's cells; a height is range_base + q * range_step
-    metres.
-    steepest_x, steepest_y: metres of height per metre, the most between neighbouring samples.
+    metres. Of a bicubic surface [lattice.node_count, 2]: those of the cells follow.
+    min_height, max_height: metres between which the surface lies.
+    steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
     resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
     moved: float32 [lattice.node_count] metres, the most of that below each diamond, nested; None where the raster fits.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
@@ -50,7 +54,26 @@ class HeightField:
     crs: str = ""
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
+    interpolation: str = "bilinear"
     _expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    _interpolated: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
+
+    def interpolated(self, name: str) -> "HeightField":
+        """The same samples with another surface between them, one of INTERPOLATIONS; this field if it is its own.
+
+        Computed once and kept in the store if the field has one. Raises TerrainError for another name.
+        """
+        if name not in INTERPOLATIONS:
+            known = " or ".join(INTERPOLATIONS)
+            raise TerrainError(f"The interpolation is {name!r}; expected {known}.")
+        if name == self.interpolation:
+            return self
+        if name not in self._interpolated:
+            from . import bicubic
+
+            self._interpolated[name] = made = bicubic.bicubic(self)
+            made._interpolated = {self.interpolation: self}
+        return self._interpolated[name]
 
     def error_for(self, meshlet: int) -> np.ndarray:
         """float32 [node_count]: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
@@ -66,12 +89,13 @@ class HeightField:
     def _load_or_expand(self, meshlet: int) -> np.ndarray:
         from . import store
 
-        kept = store.load_expanded(self, meshlet)
+        name = f"error_m{meshlet}" if self.interpolation == "bilinear" else f"error_c_m{meshlet}"
+        kept = store.load_kept(self, name, self.error.shape, np.float32)
         if kept is not None:
             return kept
         errors = np.array(self.error)
         hierarchy.expand_errors(self.lattice, errors, meshlet, launch.default_threads())
-        store.keep_expanded(self, meshlet, errors)
+        store.keep(self, name, errors)
         return errors
 
 

@@ -37,12 +37,12 @@ def _ignore(_fraction: float) -> None:
     pass
 
 
-def _shared(array: np.ndarray, dtype) -> wp.array:
+def flat(array: np.ndarray, dtype) -> wp.array:
     """The array's memory as Warp sees it, flat."""
     return wp.array(array.reshape(-1), dtype=dtype, device=launch.DEVICE, copy=False)
 
 
-def _depth(lattice: Lattice, depth: int) -> Depth:
+def stored_at(lattice: Lattice, depth: int) -> Depth:
     """Where the arrays hold the diamonds of one depth (1 .. cell_depth)."""
     base, pages = lattice.layout()
     group = lattice.group(depth)
@@ -57,7 +57,7 @@ def _depth(lattice: Lattice, depth: int) -> Depth:
     return place
 
 
-def _extent(lattice: Lattice, depth: int) -> tuple[int, int, int]:
+def extent_of(lattice: Lattice, depth: int) -> tuple[int, int, int]:
     """Columns and rows of the cells whose centres are at a depth or its children, and the items of a launch over it."""
     columns, rows = lattice.columns << depth // 2, lattice.rows << depth // 2
     return columns, rows, columns * rows if depth % 2 else (columns // 2 + 1) * (rows + 1)
@@ -67,20 +67,21 @@ def build_errors(
     samples: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int, on_progress: Progress = _ignore
 ) -> None:
     """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres)."""
-    h, out = _shared(samples, wp.float32), _shared(errors, wp.float32)
+    h, out = flat(samples, wp.float32), flat(errors, wp.float32)
     width = lattice.width
 
     def spread(kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
     cells_x, cells_y = lattice.width - 1, lattice.height - 1
-    finer = _depth(lattice, lattice.cell_depth)
+    finer = stored_at(lattice, lattice.cell_depth)
     spread(kernels.twists, cells_y, [h, width, finer], 0.5 * cells_x)
     blocks = -(-cells_x // COLUMN_BLOCK)
-    spread(kernels.saturate_columns, blocks, [cells_x, cells_y, COLUMN_BLOCK, finer], 0.2 * COLUMN_BLOCK * cells_y)
+    inputs = [cells_x, cells_y, COLUMN_BLOCK, wp.float32(0.25), finer]
+    spread(kernels.saturate_columns, blocks, inputs, 0.2 * COLUMN_BLOCK * cells_y)
     for depth in range(lattice.cell_depth - 1, 0, -1):
-        own = _depth(lattice, depth)
-        columns, rows, count = _extent(lattice, depth)
+        own = stored_at(lattice, depth)
+        columns, rows, count = extent_of(lattice, depth)
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
         if depth % 2:
@@ -94,10 +95,12 @@ def build_errors(
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
     """Turn `errors` in place into those of leaves that are drawn `2 * meshlet` bisections finer than they are.
 
-    Each pass gives a diamond the largest error of its children, which keeps parents above children.
+    Each pass gives a diamond the largest error of its children, which keeps parents above children. `errors` may have
+    bends behind them, as bicubic.py makes them.
     """
-    out = _shared(errors, wp.float32)
-    cells, before = _depth(lattice, lattice.cell_depth), _depth(lattice, lattice.cell_depth)
+    bicubic = len(errors) > lattice.node_count
+    out = flat(errors, wp.float32)
+    cells, before = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     before.base = 0
 
     def spread(kernel, count: int, inputs: list) -> None:
@@ -105,18 +108,23 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
 
     for step in range(2 * meshlet):
         for depth in range(1, lattice.cell_depth):
-            columns, rows, count = _extent(lattice, depth)
-            places = [_depth(lattice, depth + 1), _depth(lattice, depth)]
+            columns, rows, count = extent_of(lattice, depth)
+            places = [stored_at(lattice, depth + 1), stored_at(lattice, depth)]
             if depth % 2:
                 spread(expand_kernels.raise_centres, count, [columns, *places])
             else:
                 spread(expand_kernels.raise_sides, count, [columns, rows, *places])
-        # A cell's diamond and the side diamonds one bisection below it have the same error, so cells move in every
-        # other pass, by two bisections at once.
+        # Of a bilinear surface a cell's diamond and the side diamonds one bisection below it have the same error, so
+        # cells move in every other pass, by two bisections at once. Bends halve with each.
         if step % 2 == 0:
-            columns, rows, count = _extent(lattice, lattice.cell_depth)
-            old = wp.clone(out[lattice.range_count :])
-            spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells])
+            columns, rows, count = extent_of(lattice, lattice.cell_depth)
+            first, part = (lattice.node_count, 0.5) if bicubic else (lattice.range_count, 0.25)
+            old = wp.clone(out[first:])
+            spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells, wp.float32(part)])
+            if bicubic:
+                errors[lattice.node_count :] = errors[lattice.range_count : lattice.node_count]
+        elif bicubic:
+            errors[lattice.range_count :] *= np.float32(0.5)
 
 
 def build_moved(raster: np.ndarray, samples: np.ndarray, lattice: Lattice, moved: np.ndarray, threads: int) -> None:
@@ -125,26 +133,37 @@ def build_moved(raster: np.ndarray, samples: np.ndarray, lattice: Lattice, moved
     raster, samples: before and after, float32, over the same rectangle. Of the raster's cells what each holds itself;
     above them saturated over what `moved_at` in kernels/criterion.py finds below.
     """
-    out = _shared(moved, wp.float32)
-    cells, own = _depth(lattice, lattice.cell_depth), _depth(lattice, lattice.cell_depth)
+    cells = stored_at(lattice, lattice.cell_depth)
     cells.base = 0
-    held = wp.zeros(lattice.node_count - lattice.range_count, dtype=wp.float32, device=launch.DEVICE)
+    held = np.zeros(lattice.node_count - lattice.range_count, np.float32)
+    inputs = [flat(raster, wp.float32), *raster.shape[::-1], flat(samples, wp.float32), *samples.shape[::-1]]
+    inputs += [cells, flat(held, wp.float32)]
+    cost = 2.0 * lattice.width
+    launch.spread(
+        resample_kernels.moved_in_cells, lattice.height - 1, inputs, step="resample", threads=threads, cost=cost
+    )
+    raise_moved(held, lattice, moved, threads)
 
-    def spread(kernel, count: int, inputs: list, cost: float = 1.0) -> None:
-        launch.spread(kernel, count, inputs, step="resample", threads=threads, cost=cost)
 
-    inputs = [_shared(raster, wp.float32), *raster.shape[::-1], _shared(samples, wp.float32), *samples.shape[::-1]]
-    spread(resample_kernels.moved_in_cells, lattice.height - 1, [*inputs, cells, held], 2.0 * lattice.width)
-    columns, rows, count = _extent(lattice, lattice.cell_depth)
-    spread(expand_kernels.widen_cells, count, [columns, rows, cells, held, own, out])
+def raise_moved(held: np.ndarray, lattice: Lattice, moved: np.ndarray, threads: int) -> None:
+    """Fill `moved` with what the raster's cells hold themselves (float32, in the order of the last of the images)."""
+    out = flat(moved, wp.float32)
+    cells, own = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
+    cells.base = 0
+
+    def spread(kernel, count: int, inputs: list) -> None:
+        launch.spread(kernel, count, inputs, step="resample", threads=threads)
+
+    columns, rows, count = extent_of(lattice, lattice.cell_depth)
+    spread(expand_kernels.widen_cells, count, [columns, rows, cells, flat(held, wp.float32), own, out])
     for depth in range(lattice.cell_depth - 1, 0, -1):
-        columns, rows, count = _extent(lattice, depth)
-        places = [_depth(lattice, depth + 1), _depth(lattice, depth), out]
+        columns, rows, count = extent_of(lattice, depth)
+        places = [stored_at(lattice, depth + 1), stored_at(lattice, depth), out]
         if depth % 2:
             spread(expand_kernels.raise_centres, count, [columns, *places])
         else:
             spread(expand_kernels.raise_sides, count, [columns, rows, *places])
-    moved[lattice.range_count :] = held.numpy()
+    moved[lattice.range_count :] = held
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:
@@ -171,18 +190,24 @@ def build_ranges(
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface."""
     if lattice.levels == 0:
         return
-    out = _shared(ranges, wp.uint16)
+    h = flat(samples, wp.float32)
+    inputs = [h, lattice.width, lattice.height, wp.float64(base), wp.float64(step)]
+    inputs += [stored_at(lattice, lattice.cell_depth - 1), flat(ranges, wp.uint16)]
+    cost = 3.0 * lattice.width
+    launch.spread(range_kernels.finest_ranges, lattice.height, inputs, step="height ranges", threads=threads, cost=cost)
+    unite_ranges(lattice, ranges, threads)
 
-    def spread(kernel, count: int, inputs: list, cost: float = 1.0) -> None:
-        launch.spread(kernel, count, [*inputs, out], step="height ranges", threads=threads, cost=cost)
 
-    finer = _depth(lattice, lattice.cell_depth - 1)
-    h = _shared(samples, wp.float32)
-    inputs = [h, lattice.width, lattice.height, wp.float64(base), wp.float64(step), finer]
-    spread(range_kernels.finest_ranges, lattice.height, inputs, 3.0 * lattice.width)
+def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
+    """Fill the ranges of what is above the diamonds about single samples, of which all have theirs."""
+    out, finer = flat(ranges, wp.uint16), stored_at(lattice, lattice.cell_depth - 1)
+
+    def spread(kernel, count: int, inputs: list) -> None:
+        launch.spread(kernel, count, [*inputs, out], step="height ranges", threads=threads)
+
     for depth in range(lattice.cell_depth - 2, 0, -1):
-        own = _depth(lattice, depth)
-        columns, rows, count = _extent(lattice, depth)
+        own = stored_at(lattice, depth)
+        columns, rows, count = extent_of(lattice, depth)
         if depth % 2:
             spread(range_kernels.centre_ranges, count, [columns, finer, own])
         else:

@@ -90,9 +90,11 @@ def make_domain(
     domain.error_scale, domain.rounding = abs(height_scale), rounding
     domain.resampled = int(field.moved is not None)
     domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
+    domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.bend_base = base[-1] if domain.bicubic else base[-2]
     domain.error = shared(field.error_for(meshlet), wp.float32)
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
     domain.samples = shared(field.samples.reshape(-1), wp.float32)

@@ -7,6 +7,8 @@
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
     STORE/data-*/moved.npy      float32 [lattice.node_count], where the raster did not fit its lattice
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
+    STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
+                                error_c_m1.npy its error hierarchies for meshlets
 
 A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
 while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
@@ -37,7 +39,8 @@ PAGE_BYTES = 4096
 STALE_SECONDS = 86_400.0
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
-    r"(samples|raster|error|ranges|moved|error_m\d+)\.npy|error_m\d+\.[0-9a-f]{32}\.part|store\.json"
+    r"(samples|raster|error|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"
 )
 
 _NUMBERS = (
@@ -156,16 +159,16 @@ def data_folder(field: HeightField) -> Path | None:
         content = read_json(field.path)
     except TerrainError:
         return None
-    return field.path / content["data"] if content["key"] == field.key else None
+    return field.path / content["data"] if content["key"] == field.interpolated("bilinear").key else None
 
 
-def load_expanded(field: HeightField, meshlet: int) -> np.ndarray | None:
-    """The kept error hierarchy for a meshlet size, if there is one."""
+def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
+    """An array that was made of a field and kept as NAME.npy, if there is one."""
     folder = data_folder(field)
     if folder is None:
         return None
     try:
-        return _map(folder / f"error_m{meshlet}.npy", (field.lattice.node_count,), np.float32)
+        return _map(folder / f"{name}.npy", shape, dtype)
     except (OSError, TerrainError):
         return None
 
@@ -178,17 +181,17 @@ def _header(shape: tuple[int, ...], dtype) -> bytes:
     return magic + struct.pack("<H", len(text)) + text
 
 
-def keep_expanded(field: HeightField, meshlet: int, errors: np.ndarray) -> None:
-    """Keep the error hierarchy for a meshlet size; a store that cannot be written is left as it is."""
+def keep(field: HeightField, name: str, array: np.ndarray) -> None:
+    """Keep an array that was made of a field as NAME.npy; a store that cannot be written is left as it is."""
     folder = data_folder(field)
     if folder is None:
         return
-    part = folder / f"error_m{meshlet}.{uuid.uuid4().hex}.part"
+    part = folder / f"{name}.{uuid.uuid4().hex}.part"
     try:
         with part.open("wb") as file:
-            file.write(_header(errors.shape, errors.dtype))
-            errors.tofile(file)
-        os.replace(part, folder / f"error_m{meshlet}.npy")
+            file.write(_header(array.shape, array.dtype))
+            array.tofile(file)
+        os.replace(part, folder / f"{name}.npy")
     except OSError:
         part.unlink(missing_ok=True)
 

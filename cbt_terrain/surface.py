@@ -151,7 +151,8 @@ class SurfaceBuilder:
         for base, n in runs:
             inputs += [[*_piece(n, k, pieces), base, first, domain, p] for k in range(pieces)]
             first += n
-        launch.slices(displace_kernels.displace, inputs, step="displace", recorded=self._recorded)
+        kernel = displace_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
+        launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
 
     def _mesh_arrays(self, prefix: str, triangles: int, edges: int) -> dict[str, wp.array]:
         get = self._buffers.get

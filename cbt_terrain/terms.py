@@ -57,7 +57,9 @@ def position_rounding(
         plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
-    return *plane, _half_step(highest) + DISPLACEMENT_ERROR * (heights + abs(vertical_offset))
+    # A bicubic height is a sum of sixteen, which rounds about twice as much.
+    part = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
+    return *plane, _half_step(highest) + part * (heights + abs(vertical_offset))
 
 
 def _half_step(largest: float) -> float:

@@ -8,6 +8,7 @@ same way. All that is done with them below is monotone, also in rounded arithmet
 
 import warp as wp
 
+from .domain import Domain
 from .layout import tile_index
 from .unchecked import code_at, entry_at, height_at, number_at, prefetch, prefetch_range
 
@@ -34,37 +35,6 @@ class LocalView:
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
     planes: planes_type  # positive towards the frustum
-
-
-@wp.struct
-class Domain:
-    """The height field, its lattice and its place, as the walk reads them."""
-
-    columns: wp.int32
-    rows: wp.int32
-    levels: wp.int32  # a root square has 2**levels raster cells a side
-    unit_bits: wp.int32  # and 2**unit_bits lattice units
-    width: wp.int32  # samples in a row
-    height: wp.int32
-    unit_x: wp.float64  # metres of a lattice unit
-    unit_y: wp.float64
-    west: wp.float64  # metres, x of lattice coordinate 0
-    south: wp.float64
-    height_scale: wp.float64
-    height_offset: wp.float64
-    range_base: wp.float64
-    range_step: wp.float64
-    error_scale: wp.float64  # magnitude of height_scale
-    rounding: wp.float64  # metres: what float32 positions may be off
-    resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
-    base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
-    pages: wp.array(dtype=wp.int32)  # ... and pages in a row
-    cell_base: wp.int64  # the same of the raster's cells
-    cell_pages: wp.int32
-    error: wp.array(dtype=wp.float32)
-    moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
-    ranges: wp.array(dtype=wp.uint16)
-    samples: wp.array(dtype=wp.float32)
 
 
 @wp.struct
@@ -97,12 +67,18 @@ def larger(a: wp.float64, b: wp.float64) -> wp.float64:
 
 
 @wp.func
-def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
+def cell_entry(domain: Domain, base: wp.int64, i: wp.int32, j: wp.int32) -> wp.float32:
+    """What the errors hold from `base` on for raster cell (i, j)."""
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < (domain.columns << domain.levels) and j < (domain.rows << domain.levels):
-        e = height_at(domain.error, domain.cell_base + tile_index(i, j, domain.cell_pages))
+        e = height_at(domain.error, base + tile_index(i, j, domain.cell_pages))
     return e
+
+
+@wp.func
+def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
+    return cell_entry(domain, domain.cell_base, i, j)
 
 
 @wp.func
@@ -124,15 +100,17 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
         bits = domain.unit_bits - domain.levels
         i = x >> bits
         j = y >> bits
-        error = cell_error(domain, i, j)
+        base = wp.where(finer > 0, domain.bend_base, domain.cell_base)
+        error = cell_entry(domain, base, i, j)
         if (depth & 1) == 0:
             # the middle of an edge that two raster cells share
             if (i << bits) == x:
-                error = wp.max(error, cell_error(domain, i - 1, j))
+                error = wp.max(error, cell_entry(domain, base, i - 1, j))
             if (j << bits) == y:
-                error = wp.max(error, cell_error(domain, i, j - 1))
-        # A bilinear patch halved has a quarter of the twist.
-        error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
+                error = wp.max(error, cell_entry(domain, base, i, j - 1))
+        # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
+        halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+        error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
     return error
 
 
@@ -171,6 +149,23 @@ def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
 
 
 @wp.func
+def patches_range(domain: Domain, x: wp.int32, y: wp.int32, reach: wp.int32):
+    """Lowest and highest control height of the bicubic patches that a diamond's box touches."""
+    bits = domain.unit_bits - domain.levels
+    i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
+    j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+    least = wp.int32(65535)
+    most = wp.int32(0)
+    for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
+        for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
+            index = wp.int64(2) * (domain.cell_base + tile_index(i, j, domain.cell_pages))
+            least = wp.min(least, wp.int32(domain.ranges[index]))
+            most = wp.max(most, wp.int32(domain.ranges[index + wp.int64(1)]))
+    low = domain.range_base + wp.float64(least) * domain.range_step
+    return low, domain.range_base + wp.float64(most) * domain.range_step
+
+
+@wp.func
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
     """The box of the diamond split at (x, y)."""
     half = (depth - 1) >> 1
@@ -182,6 +177,8 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         index = wp.int64(2) * place(domain, x, y, depth)
         low = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
         high = domain.range_base + wp.float64(code_at(domain.ranges, index + wp.int64(1))) * domain.range_step
+    elif domain.bicubic == 1:
+        low, high = patches_range(domain, x, y, reach)
     else:
         bits = domain.unit_bits - domain.levels
         i0 = wp.max((x - reach) >> bits, 0)
@@ -214,9 +211,11 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     )
     d.rise = d.high[2] - d.low[2]
     if depth > 2 * domain.levels:
-        # Inside a bilinear patch heights change in proportion to |dx| + |dy|.
+        # Inside a bilinear patch heights change in proportion to |dx| + |dy|; of a bicubic one by three times that at
+        # most: its slopes are means of three times the differences of its control heights.
         part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
-        d.rise = d.rise * smaller(wp.float64(1 + odd) / part, wp.float64(1.0))
+        climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
+        d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
     return d
 
 

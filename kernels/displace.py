@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from .bicubic import in_patch
 from .criterion import Domain
 from .unchecked import height_at, pair_at, prefetch, put_vec2, put_vec3
 
@@ -74,11 +75,36 @@ def in_cell(
     return south + north
 
 
+@wp.func
+def put_vertex(
+    points: Points,
+    o: wp.int32,
+    domain: Domain,
+    p: wp.vec2i,
+    g: wp.vec3d,
+    slope_x: wp.float64,
+    slope_y: wp.float64,
+    per_width: wp.float64,
+    per_height: wp.float64,
+):
+    """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
+    px = domain.west + wp.float64(p[0]) * domain.unit_x
+    py = domain.south + wp.float64(p[1]) * domain.unit_y
+    pz = g[0] * domain.height_scale + domain.height_offset
+    nx = -g[1] * slope_x
+    ny = -g[2] * slope_y
+    nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
+    put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
+    put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
+    u = wp.float32(wp.float64(p[0]) * per_width)
+    put_vec2(points.uv, o, wp.vec2f(u, wp.float32(wp.float64(p[1]) * per_height)))
+
+
 @wp.kernel
 def displace(
     first: wp.int32, end: wp.int32, point_base: wp.int64, vertex_base: wp.int32, domain: Domain, points: Points
 ):
-    """Everything in float64 about the local origin, cast to float32 last."""
+    """Positions, normals and texture coordinates on the bilinear surface, about the local origin."""
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
     columns = domain.width
@@ -111,13 +137,40 @@ def displace(
             s = wp.float64(x - (i << bits)) * part
             t = wp.float64(y - (j << bits)) * part
             g = in_cell(samples, columns, rows, i, j, s, t)
-        px = domain.west + wp.float64(x) * domain.unit_x
-        py = domain.south + wp.float64(y) * domain.unit_y
-        pz = g[0] * domain.height_scale + domain.height_offset
-        nx = -g[1] * slope_x
-        ny = -g[2] * slope_y
-        nz = whole / wp.sqrt(nx * nx + ny * ny + whole)
-        o = vertex_base + v
-        put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
-        put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
-        put_vec2(points.uv, o, wp.vec2f(wp.float32(wp.float64(x) * per_width), wp.float32(wp.float64(y) * per_height)))
+        put_vertex(points, vertex_base + v, domain, p, g, slope_x, slope_y, per_width, per_height)
+
+
+@wp.kernel
+def displace_bicubic(
+    first: wp.int32, end: wp.int32, point_base: wp.int64, vertex_base: wp.int32, domain: Domain, points: Points
+):
+    """The same on the bicubic surface; on samples, where most points are, both are one."""
+    bits = domain.unit_bits - domain.levels
+    cell = wp.int32(1) << bits
+    columns = domain.width
+    rows = domain.height
+    samples = domain.samples
+    units = wp.float64(cell)
+    part = wp.float64(1.0) / units
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    per_width = part / wp.float64(columns - 1)
+    per_height = part / wp.float64(rows - 1)
+    last = wp.int64(end - 1)
+    for v in range(first, end):
+        k = point_base + wp.int64(v)
+        q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
+        near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
+        for b in range(-1, 3):
+            prefetch(samples, near + wp.int64(b) * wp.int64(columns))
+        p = pair_at(points.point, k)
+        g = wp.vec3d()
+        if ((p[0] | p[1]) & (cell - 1)) == 0:
+            g = on_sample(samples, columns, rows, p[0] >> bits, p[1] >> bits)
+        else:
+            i = wp.min(p[0] >> bits, columns - 2)
+            j = wp.min(p[1] >> bits, rows - 2)
+            s = wp.float64(p[0] - (i << bits)) * part
+            t = wp.float64(p[1] - (j << bits)) * part
+            g = in_patch(samples, columns, rows, i, j, s, t)
+        put_vertex(points, vertex_base + v, domain, p, g, slope_x, slope_y, per_width, per_height)

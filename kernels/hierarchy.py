@@ -283,17 +283,23 @@ def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, cells: Depth,
 
 @wp.kernel
 def saturate_columns(
-    offset: int, columns: int, rows: int, block: int, cells: Depth, errors: wp.array(dtype=wp.float32)
+    offset: int,
+    columns: int,
+    rows: int,
+    block: int,
+    part: wp.float32,
+    cells: Depth,
+    errors: wp.array(dtype=wp.float32),
 ):
-    """Block `offset + tid` of columns: each cell to at least a quarter of its southern and northern neighbours."""
+    """Block `offset + tid` of columns: each cell to at least `part` of its southern and northern neighbours."""
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, columns)
     for i in range(rows - 1):
         for x in range(x0, x1):
             cell = entry(cells, x, i + 1)
-            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, i)] * wp.float32(0.25))
+            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, i)] * part)
     for i in range(rows - 1):
         cy = rows - 2 - i
         for x in range(x0, x1):
             cell = entry(cells, x, cy)
-            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, cy + 1)] * wp.float32(0.25))
+            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, cy + 1)] * part)

@@ -92,6 +92,20 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 
 
 @wp.kernel
+def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
+    """Row `offset + tid` of samples: diamonds about those with x + y odd, from all cells within two of them."""
+    y = offset + wp.tid()
+    for x in range(1 - (y & 1), columns + 1, 2):
+        r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
+        for cy in range(wp.max(y - 2, 0), wp.min(y + 2, rows)):
+            for cx in range(wp.max(x - 2, 0), wp.min(x + 2, columns)):
+                r = unite(r, ranges, entry(cells, cx, cy))
+        at = wp.int64(2) * entry(own, x, y)
+        ranges[at] = r[0]
+        ranges[at + wp.int64(1)] = r[1]
+
+
+@wp.kernel
 def centre_ranges(offset: int, columns: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Cell centres: the union of their four children, the middles of the cell's sides."""
     t = offset + wp.tid()

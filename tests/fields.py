@@ -59,7 +59,9 @@ def sample_position(field: HeightField, i: int, j: int) -> np.ndarray:
 
 
 def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
-    """The bilinear reference surface at points [n, 2] of the terrain's own space."""
+    """The reference surface at points [n, 2] of the terrain's own space."""
+    if field.interpolation == "bicubic":
+        return bezier(field, plane)[0]
     lattice = field.lattice
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
@@ -67,6 +69,40 @@ def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
     s, t, h = s - i, t - j, np.asarray(field.samples, np.float64)
     low = h[j, i] * (1 - s) + h[j, i + 1] * s
     return low * (1 - t) + (h[j + 1, i] * (1 - s) + h[j + 1, i + 1] * s) * t
+
+
+# Four samples in a row to the control heights of the cubic between the middle two.
+TO_BEZIER = np.array([[0, 1, 0, 0], [-1 / 6, 1, 1 / 6, 0], [0, 1 / 6, 1, -1 / 6], [0, 0, 1, 0]])
+
+
+def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The C1 bicubic surface at points [n, 2], as Bezier patches: heights [n], gradients [n, 2] in metres a metre.
+
+    cell: int [n, 2], the columns and rows of the patches to use in place of those in which the points lie.
+    """
+    lattice = field.lattice
+    steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
+    place = np.clip(plane / steps + cells / 2, 0, cells)
+    at = np.minimum(place.astype(int), cells - 1) if cell is None else cell
+    h = np.asarray(field.samples, np.float64)
+    h = np.concatenate([2 * h[:1] - h[1:2], h, 2 * h[-1:] - h[-2:-1]])
+    h = np.concatenate([2 * h[:, :1] - h[:, 1:2], h, 2 * h[:, -1:] - h[:, -2:-1]], axis=1)
+    near = np.arange(4)
+    patch = h[at[:, 1, None, None] + near[:, None], at[:, 0, None, None] + near]
+    control = TO_BEZIER @ patch @ TO_BEZIER.T
+    (u, du), (v, dv) = (_bernstein(place[:, k] - at[:, k]) for k in (0, 1))
+
+    def weigh(across: np.ndarray, up: np.ndarray) -> np.ndarray:
+        return np.einsum("nj,nji,ni->n", up, control, across)
+
+    return weigh(u, v), np.stack([weigh(du, v), weigh(u, dv)], axis=1) / steps
+
+
+def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cubic Bernstein polynomials [n, 4] and their derivatives."""
+    r = 1 - t
+    values = np.stack([r**3, 3 * t * r**2, 3 * t**2 * r, t**3], axis=1)
+    return values, np.stack([-3 * r**2, 3 * r**2 - 6 * t * r, 6 * t * r - 3 * t**2, 3 * t**2], axis=1)
 
 
 def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:

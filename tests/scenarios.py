@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain, a view and what is asked, as plain numbers: what property tests draw and the regression corpus keeps.
 
-A scenario is a dict that JSON holds: `field` {"kind", "shape", "seed", "relief", "base", "steps"}, `views` a list of
-{"kind", "eye", "look", ...}, `criterion` the fields of Criterion that differ from its defaults, `placement` 16 numbers
-or None, `scale` the vertical scale.
+A scenario is a dict that JSON holds: `field` {"kind", "shape", "seed", "relief", "base", "steps"} and, if it is not
+bilinear, "interpolation"; `views` a list of {"kind", "eye", "look", ...}, `criterion` the fields of Criterion that
+differ from its defaults, `placement` 16 numbers or None, `scale` the vertical scale.
 """
 
 import json
@@ -47,7 +47,8 @@ def make_field(asked: dict) -> HeightField:
         z = np.ones((height, width))
     else:
         z = (x / width - rng.random()) * (y / height - rng.random())
-    return from_array((relief * np.asarray(z, np.float64) + asked["base"]).astype(np.float32), *asked["steps"])
+    heights = (relief * np.asarray(z, np.float64) + asked["base"]).astype(np.float32)
+    return from_array(heights, *asked["steps"]).interpolated(asked.get("interpolation", "bilinear"))
 
 
 def make_view(asked: dict, field: HeightField) -> View:
@@ -104,7 +105,7 @@ def assert_sound(scenario: dict) -> None:
 
 
 def assert_bounds(field: HeightField, views: list[View], update, placed: dict) -> None:
-    """Assert that the exact error in metres and, in each view, errors in pixels are within the update's bounds."""
+    """Assert that the largest error in metres and, in each view, errors in pixels are within the update's bounds."""
     scale = placed["vertical_scale"]
     metres = triangle_errors(field, update.surface, [], vertical_scale=scale).max()
     # Triangle errors are float32: so is what they are compared with, for rounding keeps the order.

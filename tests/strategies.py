@@ -12,7 +12,7 @@ def magnitudes(low: float, high: float):
     return st.floats(low, high).map(lambda power: round(10**power, 12))
 
 
-def fields(kinds=KINDS, shapes=SHAPES):
+def fields(kinds=KINDS, shapes=SHAPES, interpolations=("bilinear", "bilinear", "bicubic")):
     """`field` of a scenario, on a lattice as it is: nothing is resampled."""
     return st.fixed_dictionaries(
         {
@@ -22,6 +22,7 @@ def fields(kinds=KINDS, shapes=SHAPES):
             "relief": magnitudes(-2, 4),
             "base": st.sampled_from([0.0, 0.0, -500.0, 8000.0]),
             "steps": st.sampled_from([[10.0, 10.0], [1.0, 1.0], [30.0, 20.0], [0.5, 3.0]]),
+            "interpolation": st.sampled_from(interpolations),
         }
     )
 

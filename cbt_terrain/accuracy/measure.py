@@ -2,7 +2,9 @@
 """How accurate a delivered mesh is, measured: nothing here asks the tree or the code that makes bounds.
 
 What is measured is what Blender is given: the float32 arrays of a Surface, also after expansion to meshlets and where
-a fit has moved its heights. The truth is the reference surface: bilinear between a field's samples.
+a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as the
+field says. Of the bicubic one the measurement has its own evaluation, and takes the largest of many places for the
+maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
 """
 
 from collections.abc import Sequence
@@ -28,12 +30,13 @@ from .screen import Sight
 class Measured:
     """What was found.
 
-    `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the exact
-    maximum over the continuous surface. `rounding_m`: largest height by which float32 positions have moved the mesh,
-    over all of it: the delivered triangles against the same with float64 corners on the reference, rounding of plane
-    coordinates included; a fitted corner is not on the reference, there half a unit in the last place of its height
-    stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the interpolated vertex normals
-    against the reference's (central differences) at every sample. `screen_px`, `hidden_px`, `silhouette_px`:
+    `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the
+    maximum over the continuous surface, exact of a bilinear reference. `rounding_m`: largest height by which float32
+    positions have moved the mesh, over all of it: the delivered triangles against the same with float64 corners on the
+    reference, rounding of plane coordinates included; a fitted corner is not on the reference, there half a unit in the
+    last place of its height stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the
+    interpolated vertex normals against the reference's (central differences, which are a bicubic surface's own) at
+    every sample. `screen_px`, `hidden_px`, `silhouette_px`:
     screen.py and outline.py say how; None without a view, the last also where no outline is in the frame.
     """
 
@@ -123,9 +126,9 @@ def triangle_errors(
 ) -> np.ndarray:
     """float32 [T]: the largest error of what each triangle covers, in pixels, the largest over the views.
 
-    Looked at are its samples and, along its edges, where it is vertically furthest from the reference in each cell, of
-    these what is in the frame, hidden or not; and the point seen in each pixel. 0 for triangles with nothing in any
-    frame. Without views: metres, the exact maximum over the triangle.
+    Looked at are its samples and, along its edges, where it is vertically furthest from the reference in each cell
+    (of a bicubic reference 8 places there), of these what is in the frame, hidden or not; and the point seen in each
+    pixel. 0 for triangles with nothing in any frame. Without views: metres, the maximum over the triangle.
     """
     ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
     mesh = MeasuredMesh(ground, surface)

@@ -9,6 +9,7 @@ import warp as wp
 
 from ...kernels.accuracy import edges as edge_kernels
 from ...kernels.accuracy import facets as kernels
+from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from .. import launch
 from ..buffers import shared
@@ -69,6 +70,7 @@ class Ground:
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         g = self.packed = kernels.Ground()
         g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
+        g.bicubic = int(field.interpolation == "bicubic")
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y
@@ -133,13 +135,17 @@ class MeasuredMesh:
         return difference, worst
 
     def edge_extremes(self, worst: np.ndarray) -> np.ndarray:
-        """Raise `worst` (float64 [T], metres) to the exact maximum over each triangle.
+        """Raise `worst` (float64 [T], metres) from that at samples to the maximum over each triangle.
 
-        Returns float64 [T], what float32 has moved each by. Over a cell the reference is a saddle, so mesh less
-        reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell.
+        Returns float64 [T], what float32 has moved each by. Over a cell a bilinear reference is a saddle, so mesh less
+        reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
+        maximum is exact. Of a bicubic reference it is the largest at the samples, at 8 places of each edge in each cell
+        and at 4 x 4 places of each cell, or of the box of a triangle that is smaller.
         """
         rounding = np.zeros(self.triangles)
         self.walk(edge_kernels.edge_extremes, [shared(worst, wp.float64), shared(rounding, wp.float64)])
+        if self.ground.packed.bicubic:
+            self.walk(grid_kernels.grid_extremes, [shared(worst, wp.float64)])
         return rounding
 
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -32,9 +32,19 @@ BLOCK = 1 << 20
 
 
 def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
-    """The lowest and highest samples of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block."""
-    low = _reduce(_reduce(ground.field.samples, 4, np.minimum, 1), 4, np.minimum, 0)
-    high = _reduce(_reduce(ground.field.samples, 4, np.maximum, 1), 4, np.maximum, 0)
+    """The lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
+
+    Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by 9/32 of their range
+    at most, as that is what the samples' negative weights add up to.
+    """
+    around = int(ground.packed.bicubic)
+    low, high = (
+        _reduce(_reduce(ground.field.samples, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum)
+    )
+    if around:
+        more = 0.28125 * (high.astype(np.float64) - low)
+        low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
+        high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
     lows, highs, widths, bases = [], [], [0], [0]
     while True:
         bases.append(sum(a.size for a in lows))
@@ -53,14 +63,14 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     return b
 
 
-def _reduce(samples: np.ndarray, side: int, reduce, axis: int) -> np.ndarray:
-    """The least or greatest of the samples of every `side` cells, both ends included, along one axis."""
+def _reduce(samples: np.ndarray, side: int, reduce, axis: int, around: int) -> np.ndarray:
+    """The least or greatest of the samples of every `side` cells, both ends and `around` more, along one axis."""
     cells = samples.shape[axis] - 1
     blocks = -(-cells // side)
     first = np.arange(blocks) * side
     result = np.take(samples, first, axis)
-    for k in range(1, side + 1):
-        reduce(result, np.take(samples, np.minimum(first + k, cells), axis), out=result)
+    for k in range(-around, side + 1 + around):
+        reduce(result, np.take(samples, np.clip(first + k, 0, cells), axis), out=result)
     return result
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The edges of a mesh, cell by cell: with the samples they hold every extremum of mesh less reference.
+"""The edges of a mesh, cell by cell: with the samples they hold every extremum of mesh less bilinear reference.
 
 Over one cell the reference is a saddle, so against a plane it has extrema only on the border of what a triangle covers
 of the cell. Along cell borders both are straight; along a triangle's edge the difference is a parabola in each cell.
+Against a bicubic reference it is a polynomial of degree six there: it is looked at in PLACES places.
 """
 
 import warp as wp
@@ -10,6 +11,8 @@ import warp as wp
 from .facets import Facet, Ground, Mesh, facet_of, plane_at, reference_at
 
 wp.set_module_options({"enable_backward": False})
+
+PLACES = wp.constant(8)
 
 
 @wp.struct
@@ -78,6 +81,12 @@ def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
 
 
 @wp.func
+def place_in(s: Stretch, q: wp.int32) -> wp.float64:
+    """Where along the edge place q (1 .. PLACES, the last one at its end) of a stretch is."""
+    return s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))
+
+
+@wp.func
 def difference_at(ground: Ground, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Mesh less reference, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
@@ -132,14 +141,19 @@ def edge_extremes(
                 e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
-                    e1 = difference_at(ground, f, u, v)
-                    u, v = on_edge(ground, f, k, s.to)
-                    e2 = difference_at(ground, f, u, v)
-                    along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
-                    u, v = on_edge(ground, f, k, along)
-                    e1 = difference_at(ground, f, u, v)
-                    most = wp.max(most, wp.max(wp.abs(e1), wp.max(wp.abs(e0), wp.abs(e2))))
-                    e0 = e2
+                    if ground.bicubic == 1:
+                        for q in range(1, PLACES + 1):
+                            u, v = on_edge(ground, f, k, place_in(s, q))
+                            most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
+                    else:
+                        u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
+                        e1 = difference_at(ground, f, u, v)
+                        u, v = on_edge(ground, f, k, s.to)
+                        e2 = difference_at(ground, f, u, v)
+                        along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
+                        u, v = on_edge(ground, f, k, along)
+                        e1 = difference_at(ground, f, u, v)
+                        most = wp.max(most, wp.max(wp.abs(e1), wp.max(wp.abs(e0), wp.abs(e2))))
+                        e0 = e2
         worst[t] = most
         rounding[t] = moved

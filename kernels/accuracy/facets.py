@@ -12,17 +12,19 @@ the same maximum: a fault in one of the two shows in the other.
 import warp as wp
 
 from ..unchecked import height_at
+from .cubic import cubic_at
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
 class Ground:
-    """The reference surface: bilinear between the samples, z = sample * scale + offset, metres."""
+    """The reference surface: bilinear or C1 bicubic between the samples, z = sample * scale + offset, metres."""
 
     columns: wp.int32  # samples in a row
     rows: wp.int32
     bits: wp.int32  # 2**bits lattice units a cell
+    bicubic: wp.int32  # 1, or 0: bilinear
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64
@@ -139,7 +141,10 @@ def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float
     t = v - wp.float64(j)
     low = south_west + (south_east - south_west) * s
     high = north_west + (north_east - north_west) * s
-    return (low + (high - low) * t) * ground.scale + ground.offset
+    z = low + (high - low) * t
+    if ground.bicubic == 1:
+        z = cubic_at(ground.samples, ground.columns, ground.rows, i, j, s, t)
+    return z * ground.scale + ground.offset
 
 
 @wp.func

@@ -1,27 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against the reference surface, exactly: cell by cell, and past whole blocks of cells that lie above or below.
+"""Rays against the reference surface: cell by cell, and past whole blocks of cells that lie above or below.
 
-Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest sample; a ray climbs
+Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest height; a ray climbs
 to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps;
-here with minima, as a ray may also run below). In one cell, ray less surface is a parabola along the ray. Cells are
-left by their number, never by a rounded coordinate, and a change of sides between two cells is a crossing, so that no
-ray slips through. All arithmetic is float64.
+here with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and
+what is found is exact. Of a bicubic surface it is looked at in PLACES + 1 places of the ray in the cell, and a change
+of sides between two of them is halved down: a ray that dips into the surface and out again between two places is not
+seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
+is a crossing, so that no ray slips through. All arithmetic is float64.
 """
 
 import warp as wp
 
 from ..unchecked import height_at
+from .cubic import cubic_at, heights_about
 from .facets import Ground
 
 wp.set_module_options({"enable_backward": False})
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
+PLACES = wp.constant(8)
+HALVINGS = wp.constant(44)  # of the way between two places: what float64 holds of it
 
 
 @wp.struct
 class Blocks:
-    """The lowest and highest samples of blocks: level k (1 .. levels) is row-major from base[k] on, width[k] a row."""
+    """The lowest and highest heights of blocks: level k (1 .. levels) is row-major from base[k] on, width[k] a row."""
 
     levels: wp.int32
     low_z: wp.float64  # of the whole surface, metres
@@ -137,6 +142,78 @@ def in_one_cell(
 
 
 @wp.func
+def above_patch(ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
+    """Metres of the ray above the bicubic surface in cell (i, j)."""
+    s = ray.u + t * ray.du - wp.float64(i)
+    r = ray.v + t * ray.dv - wp.float64(j)
+    z = cubic_at(ground.samples, ground.columns, ground.rows, i, j, s, r)
+    return ray.z + t * ray.dz - (z * ground.scale + ground.offset)
+
+
+@wp.func
+def between(
+    ground: Ground,
+    ray: Ray,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
+    tolerance: wp.float64,
+) -> wp.float64:
+    """Where (t) between first and last, at which it is so, the ray comes to be `tolerance` beyond the surface."""
+    low = first
+    high = last
+    for _ in range(HALVINGS):
+        middle = wp.float64(0.5) * (low + high)
+        if side * above_patch(ground, ray, i, j, middle) + tolerance < wp.float64(0.0):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@wp.func
+def in_one_patch(
+    ground: Ground,
+    ray: Ray,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
+    tolerance: wp.float64,
+):
+    """As `in_one_cell`, of a bicubic surface: to what its places show."""
+    hit = NOWHERE
+    a, b = heights_about(ground.samples, ground.columns, ground.rows, i, j)
+    a = a * ground.scale + ground.offset
+    b = b * ground.scale + ground.offset
+    z0 = ray.z + first * ray.dz
+    z1 = ray.z + last * ray.dz
+    above = wp.min(z0, z1) - wp.max(a, b)
+    below = wp.min(a, b) - wp.max(z0, z1)
+    if above > tolerance or below > tolerance:
+        on_side = wp.where(above > tolerance, wp.float64(1.0), wp.float64(-1.0))
+        if side * on_side < wp.float64(0.0):
+            hit = first
+        side = on_side
+    else:
+        before = first
+        k = wp.int32(0)
+        while k <= PLACES and hit == NOWHERE:
+            t = first + (last - first) * (wp.float64(k) / wp.float64(PLACES))
+            e = above_patch(ground, ray, i, j, t)
+            if side == wp.float64(0.0):
+                side = side_of(e, tolerance)
+            elif side * e + tolerance < wp.float64(0.0):
+                hit = between(ground, ray, i, j, before, t, side, tolerance)
+            before = t
+            k += 1
+    return hit, side
+
+
+@wp.func
 def first_crossing(
     ground: Ground,
     blocks: Blocks,
@@ -181,7 +258,10 @@ def first_crossing(
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
         if level == 0:
-            hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
+            if ground.bicubic == 1:
+                hit, side = in_one_patch(ground, ray, i, j, t, out, side, tolerance)
+            else:
+                hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
         else:
             n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
             a = wp.float64(blocks.low[n]) * ground.scale + ground.offset

@@ -8,7 +8,7 @@ before and after. Its error is the distance of their projections.
 import warp as wp
 
 from ..criterion import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
-from .edges import advance, begin, difference_at, on_edge, turning_point
+from .edges import PLACES, advance, begin, difference_at, on_edge, place_in, turning_point
 from .facets import Facet, Ground, Mesh, facet_of, owns, plane_at, reference_at, sample_at, sample_box, toward_zero
 from .points import POINT_BITS
 from .rays import NOWHERE, Blocks, Ray, first_crossing
@@ -276,13 +276,18 @@ def triangle_px(
                 e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
-                    e1 = difference_at(ground, f, u, v)
-                    u, v = on_edge(ground, f, k, s.to)
-                    e2 = difference_at(ground, f, u, v)
-                    most = wp.max(most, seen_px(ground, eye, f, u, v))
-                    along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
-                    u, v = on_edge(ground, f, k, along)
-                    most = wp.max(most, seen_px(ground, eye, f, u, v))
-                    e0 = e2
+                    if ground.bicubic == 1:
+                        for q in range(1, PLACES + 1):
+                            u, v = on_edge(ground, f, k, place_in(s, q))
+                            most = wp.max(most, seen_px(ground, eye, f, u, v))
+                    else:
+                        u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
+                        e1 = difference_at(ground, f, u, v)
+                        u, v = on_edge(ground, f, k, s.to)
+                        e2 = difference_at(ground, f, u, v)
+                        most = wp.max(most, seen_px(ground, eye, f, u, v))
+                        along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
+                        u, v = on_edge(ground, f, k, along)
+                        most = wp.max(most, seen_px(ground, eye, f, u, v))
+                        e0 = e2
         worst[t] = most

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.criterion import LARGEST, Criterion
-from adaptive_terrain.cbt_terrain.heightfield import HeightField, from_array
+from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, HeightField, from_array
 from adaptive_terrain.cbt_terrain.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
 from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
@@ -35,16 +35,18 @@ class Ground:
     heights: np.ndarray
 
 
-def ground(kind: str, rng: np.random.Generator) -> Ground:
+def ground(kind: str, interpolation: str, rng: np.random.Generator) -> Ground:
     n, m = (int(2 ** rng.integers(1, 6)) + 1 for _ in range(2))
     y, x = np.indices((n, m))
     step = tuple(rng.choice([1.0, 30.0, 0.1, 10 ** rng.uniform(-1, 2)], 2))
     noise = rng.standard_normal((n, m))
     if kind == "rough":
-        return on_lattice(rough(n, m, int(rng.integers(1000)), relief=10 ** rng.uniform(0, 3), step=step[0]), rng)
+        field = rough(n, m, int(rng.integers(1000)), relief=10 ** rng.uniform(0, 3), step=step[0])
+        return on_lattice(field.interpolated(interpolation), rng)
     if kind == "real":
         j, i = rng.integers(0, 344 - 65), rng.integers(0, 403 - 129)
-        return on_lattice(from_array(jacksboro()[j : j + 65, i : i + 129], *step), rng)
+        field = from_array(jacksboro()[j : j + 65, i : i + 129], *step)
+        return on_lattice(field.interpolated(interpolation), rng)
     if kind.startswith("resampled"):
         n, m = rng.integers(33, 60, 2)
         raster = rng.standard_normal((n, m)) * 10 ** rng.uniform(-1, 2)
@@ -54,7 +56,8 @@ def ground(kind: str, rng: np.random.Generator) -> Ground:
         raster = raster.astype(np.float32)
         j, i = np.indices(raster.shape).reshape(2, -1)
         plane = np.stack([(i - (m - 1) / 2) * step[0], (j - (n - 1) / 2) * step[1]], axis=1)
-        return Ground(from_array(raster, *step), plane, raster.reshape(-1).astype(np.float64))
+        field = from_array(raster, *step).interpolated(interpolation)
+        return Ground(field, plane, raster.reshape(-1).astype(np.float64))
     z = {
         "noise": noise * 10 ** rng.uniform(-3, 3),
         "spike": np.where((x == rng.integers(m)) & (y == rng.integers(n)), 10 ** rng.uniform(0, 5), 0.0),
@@ -67,7 +70,7 @@ def ground(kind: str, rng: np.random.Generator) -> Ground:
     }[kind]
     if kind == "vast":
         step = (500e3 / (m - 1) * rng.uniform(0.5, 1), 500e3 / (n - 1))
-    return on_lattice(from_array(z.astype(np.float32), *step), rng)
+    return on_lattice(from_array(z.astype(np.float32), *step).interpolated(interpolation), rng)
 
 
 def on_lattice(field: HeightField, rng: np.random.Generator) -> Ground:
@@ -199,11 +202,12 @@ def check(found: Update, truth: Ground, views, placement, scale: float, offset: 
         assert max(pixels_off(view, a, b, placement) for view in views) <= found.bound_px
 
 
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_error_is_above_its_bound(kind):
+def test_no_error_is_above_its_bound(kind, interpolation):
     rng = np.random.default_rng(sum(map(ord, kind)))
     for _ in range(math.ceil(ROUNDS / len(KINDS))):
-        truth = ground(kind, rng)
+        truth = ground(kind, interpolation, rng)
         placement = a_placement(rng)
         scale, offset = float(rng.choice([1.0, 1.0, -2.0, 0.01, 0.0])), float(rng.choice([0.0, 0.0, -1234.5]))
         places = rng.choice(["inside", "above", "below", "surface", "far"], rng.integers(0, 3))

@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain import kernels
 from adaptive_terrain.cbt_terrain import launch, refinement
 from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
 from adaptive_terrain.cbt_terrain.view import PANORAMIC, View
 from invariants import arrays
@@ -59,6 +59,7 @@ def scenes(kind: str) -> list[tuple]:
             size = (field.lattice.width * field.lattice.step_x, field.lattice.height * field.lattice.step_y)
             kinds = rng.choice(["PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"], rng.integers(1, 3))
             views = [a_view(str(k), size, rng) for k in kinds]
+            field = field.interpolated(INTERPOLATIONS[(len(found) + len(found) // 4) % 2])
             found.append((field, a_criterion(asks, rng), views, float(rng.choice([1.0, -2.0, 0.0]))))
     return found
 

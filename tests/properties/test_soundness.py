@@ -32,3 +32,18 @@ def test_large_meshlets_are_sound(scenario):
 )
 def test_fields_that_are_not_on_a_lattice_are_sound(scenario):
     assert_sound(scenario)
+
+
+@given(scenarios(field=fields(interpolations=("bicubic",))))
+def test_bicubic_scenes_are_sound(scenario):
+    assert_sound(scenario)
+
+
+@given(
+    scenarios(
+        field=fields(shapes=[(2, 2), (3, 3), (5, 9), (6, 7), (13, 13)], interpolations=("bicubic",)),
+        criterion=criteria(meshlets=(1, 2, 3, 4)),
+    )
+)
+def test_bicubic_meshlets_are_sound_also_where_nothing_fits_the_lattice(scenario):
+    assert_sound(scenario)

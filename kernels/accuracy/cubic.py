@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The C1 bicubic reference surface as the measurement evaluates it: by cubic Hermite interpolation.
+
+Slopes at samples are central differences; beyond the border heights go on straight. kernels/bicubic.py displaces by the
+same surface with other arithmetic, so that a fault in one of the two shows in the other.
+"""
+
+import warp as wp
+
+from ..unchecked import height_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: wp.float64) -> wp.float64:
+    """Between p1 (s = 0) and p2 (s = 1) with the slopes of the chords p0 p2 and p1 p3."""
+    rise = p2 - p1
+    start = wp.float64(0.5) * (p2 - p0)
+    end = wp.float64(0.5) * (p3 - p1)
+    cubic = start + end - wp.float64(2.0) * rise
+    square = wp.float64(3.0) * rise - wp.float64(2.0) * start - end
+    return ((cubic * s + square) * s + start) * s + p1
+
+
+@wp.func
+def along_row(samples: wp.array(dtype=wp.float32), columns: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64):
+    """Along row j of samples, s cells east of column i."""
+    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    p1 = wp.float64(height_at(samples, at))
+    p2 = wp.float64(height_at(samples, at + wp.int64(1)))
+    p0 = wp.float64(2.0) * p1 - p2
+    p3 = wp.float64(2.0) * p2 - p1
+    if i > 0:
+        p0 = wp.float64(height_at(samples, at - wp.int64(1)))
+    if i < columns - 2:
+        p3 = wp.float64(height_at(samples, at + wp.int64(2)))
+    return hermite(p0, p1, p2, p3, s)
+
+
+@wp.func
+def cubic_at(
+    samples: wp.array(dtype=wp.float32),
+    columns: wp.int32,
+    rows: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
+    s: wp.float64,
+    t: wp.float64,
+) -> wp.float64:
+    """Height of the samples' surface in cell (i, j), s cells east and t cells north of its corner."""
+    z1 = along_row(samples, columns, i, j, s)
+    z2 = along_row(samples, columns, i, j + 1, s)
+    z0 = wp.float64(2.0) * z1 - z2
+    z3 = wp.float64(2.0) * z2 - z1
+    if j > 0:
+        z0 = along_row(samples, columns, i, j - 1, s)
+    if j < rows - 2:
+        z3 = along_row(samples, columns, i, j + 2, s)
+    return hermite(z0, z1, z2, z3, t)
+
+
+@wp.func
+def heights_about(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+    """Two heights between which the surface lies in cell (i, j).
+
+    In one direction the samples' weights are negative by 1/8 in sum at most, hence in two by 9/32.
+    """
+    low = wp.float64(wp.inf)
+    high = -wp.float64(wp.inf)
+    for b in range(wp.max(j - 1, 0), wp.min(j + 2, rows - 1) + 1):
+        for a in range(wp.max(i - 1, 0), wp.min(i + 2, columns - 1) + 1):
+            h = wp.float64(height_at(samples, wp.int64(b) * wp.int64(columns) + wp.int64(a)))
+            low = wp.where(h < low, h, low)
+            high = wp.where(h > high, h, high)
+    more = (high - low) * wp.float64(0.28125)
+    return low - more, high + more

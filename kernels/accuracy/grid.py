@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh less a bicubic reference inside triangles: no closed form says where that is largest."""
+
+import warp as wp
+
+from .edges import difference_at
+from .facets import Ground, Mesh, covers, facet_of, shift_of
+
+wp.set_module_options({"enable_backward": False})
+
+PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of a smaller triangle
+
+
+@wp.kernel
+def grid_extremes(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, worst: wp.array(dtype=wp.float64)):
+    """Raises `worst` of some triangles to the largest difference on a grid of places."""
+    one = wp.int64(1)
+    bits = wp.int64(ground.bits)
+    end_x = wp.int64(ground.columns - 1) << bits
+    end_y = wp.int64(ground.rows - 1) << bits
+    per_unit = wp.float64(1.0) / wp.float64(one << bits)
+    for t in range(first, end):
+        f = facet_of(ground, mesh, t)
+        if f.area2 > wp.int64(0):
+            most = worst[t]
+            extent = wp.max(f.east - f.west, f.north - f.south)
+            side = bits
+            while (one << side) > extent:
+                side -= one
+            spacing = one << wp.max(side - PLACES_BITS, wp.int64(0))
+            y = (f.south + spacing - one) / spacing * spacing
+            while y <= f.north:
+                x = (f.west + spacing - one) / spacing * spacing
+                while x <= f.east:
+                    if covers(f, one, x, y, shift_of(x, end_x), shift_of(y, end_y)):
+                        u = wp.float64(x) * per_unit
+                        v = wp.float64(y) * per_unit
+                        most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
+                    x += spacing
+                y += spacing
+            worst[t] = most

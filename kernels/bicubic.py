@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Height and gradient of the C1 bicubic surface through the samples.
+
+In each direction it is the cubic convolution of Keys (1981), "Cubic convolution interpolation for digital image
+processing", with a = -1/2: at a sample its slope is the central difference. Beyond the border heights go on straight,
+h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there.
+"""
+
+import warp as wp
+
+from .unchecked import height_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def weights(s: wp.float64) -> wp.vec4d:
+    """What the samples -1, 0, 1 and 2 weigh at s between samples 0 and 1."""
+    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    three = wp.float64(3.0)
+    rest = one - s
+    return wp.vec4d(
+        -half * s * rest * rest,
+        one - half * s * s * (wp.float64(5.0) - three * s),
+        half * s * (one + s * (wp.float64(4.0) - three * s)),
+        -half * s * s * rest,
+    )
+
+
+@wp.func
+def slopes(s: wp.float64) -> wp.vec4d:
+    """Derivatives of the weights."""
+    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    three = wp.float64(3.0)
+    nine = wp.float64(9.0)
+    return wp.vec4d(
+        -half * (one - s) * (one - three * s),
+        half * s * (nine * s - wp.float64(10.0)),
+        half * (one + s * (wp.float64(8.0) - nine * s)),
+        half * s * (three * s - wp.float64(2.0)),
+    )
+
+
+@wp.func
+def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
+    """The same weights for cell `at` of a row of `count` samples: those beyond its ends go to the two next to them."""
+    zero = wp.float64(0.0)
+    two = wp.float64(2.0)
+    if at == 0:
+        w = wp.vec4d(zero, w[1] + two * w[0], w[2] - w[0], w[3])
+    if at == count - 2:
+        w = wp.vec4d(w[0], w[1] - w[3], w[2] + two * w[3], zero)
+    return w
+
+
+@wp.func
+def in_patch(
+    samples: wp.array(dtype=wp.float32),
+    columns: wp.int32,
+    rows: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
+    s: wp.float64,
+    t: wp.float64,
+):
+    """Height and gradient (metres a cell) inside cell (i, j), s cells east and t cells north of its corner."""
+    wx = inside(weights(s), i, columns)
+    wy = inside(weights(t), j, rows)
+    dx = inside(slopes(s), i, columns)
+    dy = inside(slopes(t), j, rows)
+    row = wp.int64(columns)
+    west = wp.int64(wp.max(i - 1, 0))
+    here = wp.int64(i)
+    east = wp.int64(i + 1)
+    far = wp.int64(wp.min(i + 2, columns - 1))
+    # About a height of the cell: a constant map stays one to the last bit.
+    base = wp.float64(height_at(samples, wp.int64(j) * row + here))
+    found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
+    for b in range(4):
+        at = wp.int64(wp.clamp(j + b - 1, 0, rows - 1)) * row
+        h = wp.vec4d(
+            wp.float64(height_at(samples, at + west)) - base,
+            wp.float64(height_at(samples, at + here)) - base,
+            wp.float64(height_at(samples, at + east)) - base,
+            wp.float64(height_at(samples, at + far)) - base,
+        )
+        z = wp.dot(wx, h)
+        found += wp.vec3d(wy[b] * z, wy[b] * wp.dot(dx, h), dy[b] * z)
+    return found

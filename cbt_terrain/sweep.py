@@ -14,7 +14,7 @@ from .accuracy import Errors, Measured, Sight, look, measure, popping
 from .cost_curve import CostCurve
 from .criterion import Criterion
 from .fit import fit
-from .heightfield import HeightField
+from .heightfield import INTERPOLATIONS, HeightField
 from .surface import Surface
 from .terms import Terms
 from .terrain import Terrain
@@ -43,17 +43,18 @@ PARTS = ("count", "max", "p95", "mean", "rms")
 @dataclass(frozen=True)
 class Setting:
     """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
-    Criterion. `fitted`: heights of vertices are fitted (metres only)."""
+    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field."""
 
     unit: str
     error: float
     max_depth: int | None = None
     meshlet: int = 0
     fitted: bool = False
+    interpolation: str = INTERPOLATIONS[0]
 
     @property
     def plain(self) -> bool:
-        """Whether the error is all that is asked."""
+        """Whether the error is all that is asked, of whichever surface."""
         return self.max_depth is None and self.meshlet == 0 and not self.fitted
 
     def criterion(self, base: Criterion) -> Criterion:
@@ -120,15 +121,20 @@ class Row:
 
 
 def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
-    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted."""
+    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
+    every other error with the other interpolation. A fit has a bilinear surface under it."""
+    own = {"interpolation": heights.interpolation}
+    other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []
     if frame.views:
-        settings += [Setting("px", error) for error in PIXELS]
+        settings += [Setting("px", error, **own) for error in PIXELS]
         depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
-        settings += [Setting("px", 1.0, max_depth=depth) for depth in depths if depth >= 1]
-        settings += [Setting("px", 1.0, meshlet=meshlet) for meshlet in MESHLETS]
+        settings += [Setting("px", 1.0, max_depth=depth, **own) for depth in depths if depth >= 1]
+        settings += [Setting("px", 1.0, meshlet=meshlet, **own) for meshlet in MESHLETS]
+        settings += [Setting("px", error, **other) for error in PIXELS[::2]]
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
-    settings += [Setting("m", error) for error in metres]
+    settings += [Setting("m", error, **own) for error in metres]
+    settings += [Setting("m", error, **other) for error in metres[::2]]
     return settings + [Setting("m", error, fitted=True) for error in metres]
 
 
@@ -156,9 +162,9 @@ def sweep(
     """
     rows, sights = [], {}
 
-    def sight(view: View, frame: Frame) -> Sight:
+    def sight(reference: HeightField, view: View, frame: Frame) -> Sight:
         """What a view sees is the same for every setting, and takes longest to find out."""
-        found = look(heights, view, *frame.heights, threads=threads)
+        found = look(reference, view, *frame.heights, threads=threads)
         if found.key not in sights and len(sights) == KEPT_SIGHTS:
             del sights[next(iter(sights))]
         return sights.setdefault(found.key, found)
@@ -169,10 +175,11 @@ def sweep(
             on_progress((done + fraction) / len(settings))
 
         on_part(0.0)
+        reference = heights.interpolated(setting.interpolation)
         if setting.fitted:
-            row = _fitted_row(heights, setting, frames[0], threads, on_part)
+            row = _fitted_row(reference, setting, frames[0], threads, on_part)
         else:
-            row = _row(heights, setting, frames, base or Criterion(), threads, sight, write, on_part)
+            row = _row(reference, setting, frames, base or Criterion(), threads, sight, write, on_part)
         rows.append(row)
         on_row(row)
     on_progress(1.0)
@@ -180,13 +187,14 @@ def sweep(
 
 
 def curve_of(rows: Sequence[Row]) -> CostCurve:
-    """The cost curve through the plain rows of the first row's unit; milliseconds are those to the finished mesh.
+    """The cost curve through the plain rows of the first row's unit and interpolation, to the finished mesh.
 
     Raises TerrainError where there are fewer than two.
     """
-    unit = rows[0].setting.unit if rows else "px"
-    plain = [r for r in rows if r.setting.plain and r.setting.unit == unit and r.limited != "max_triangles"]
-    return CostCurve.through(unit, [(row.setting.error, row.triangles, row.whole_ms) for row in plain])
+    first = rows[0].setting if rows else Setting("px", 1.0)
+    alike = [r for r in rows if (r.setting.unit, r.setting.interpolation) == (first.unit, first.interpolation)]
+    plain = [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
+    return CostCurve.through(first.unit, [(row.setting.error, row.triangles, row.whole_ms) for row in plain])
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -221,7 +229,7 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
                     view,
                     *frame.heights,
                     threads=threads,
-                    sight=sight(view, frame) if view else None,
+                    sight=sight(heights, view, frame) if view else None,
                     on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
                 )
             )
@@ -285,7 +293,15 @@ def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Fram
     """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
     return [
-        popping(terrain.field, before, after, view, *frame.heights, threads=threads, sight=sight(view, frame))
+        popping(
+            terrain.field,
+            before,
+            after,
+            view,
+            *frame.heights,
+            threads=threads,
+            sight=sight(terrain.field, view, frame),
+        )
         for view in frame.views
     ]
 

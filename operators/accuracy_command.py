@@ -143,7 +143,7 @@ def scene_subjects(
 
     What a clean-up cuts away is measured too: it changes no error of what is left.
     """
-    source = SceneFrames(blend, camera, resolution, None, None, None)
+    source = SceneFrames(blend, camera, resolution)
     import bpy
 
     from . import session
@@ -171,24 +171,26 @@ def scene_subjects(
         shown = [Frame(f.views, *f.heights, after=after) for f, after in found]
         size = " x ".join(f"{pixels:g}" for pixels in first.views[0].resolution)
         seen = f"through the camera of {Path(blend).name}, {size} pixels"
-        heights, current = session.open_field(request.store), current_setting(request.criterion)
+        heights, current = session.field_of(request), current_setting(request)
         subjects.append(Subject(file_name(obj), heights, shown, numbers, seen, current, request.criterion))
         subjects[-1].notes += notes_on(request.criterion)
     return subjects
 
 
-def current_setting(criterion: Criterion) -> Setting | None:
-    """What of a criterion a sweep can vary: its error in pixels, else the one in metres, and its limits."""
+def current_setting(request) -> Setting | None:
+    """What of a request a sweep can vary: its error in pixels, else the one in metres, limits and interpolation."""
+    criterion = request.criterion
     unit = unit_asked(criterion)
     if not unit:
         return None
-    return Setting(unit, getattr(criterion, f"error_{unit}"), criterion.max_depth, criterion.meshlet)
+    limits = criterion.max_depth, criterion.meshlet
+    return Setting(unit, getattr(criterion, f"error_{unit}"), *limits, interpolation=request.interpolation)
 
 
 def notes_on(criterion: Criterion) -> list[str]:
     """What of a criterion is no part of a sweep."""
     notes = []
-    if current_setting(criterion) is None:
+    if not unit_asked(criterion):
         notes.append("The terrain asks for no error, so no setting is marked as the current one.")
     if criterion.edge_px or criterion.area_px or criterion.max_triangles is not None:
         notes.append("Edge lengths, areas and limits of triangles that the terrain asks for are left out here.")

@@ -8,12 +8,15 @@ import math
 
 from ..cbt_terrain.accuracy import interpolation
 from ..cbt_terrain.criterion import LARGEST
+from ..cbt_terrain.heightfield import INTERPOLATIONS
 from ..cbt_terrain.sweep import STEPS, TERMS, Row, Setting, curve_of, pareto
 from .log_plot import CROSS, RING, Curve, draw
 from .page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
 from .shown_bounds import bound_text, limit_text
 
-GREY, TEAL, RED, GREEN, BLUE, BROWN, INK = "#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#1c1f26"
+GREY, TEAL, RED, GREEN, BLUE, BROWN, PURPLE, INK = (
+    *("#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#8a4f9e", "#1c1f26"),
+)
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
@@ -113,9 +116,9 @@ def section(subject, prefix: str) -> list:
             f"lowest to the highest{source}; seen {subject.seen}{frames}.{several}"
         ),
         Text(
-            f"Beside every error stands what the height field itself leaves open: between its samples it is bilinear, "
-            f"and a smooth (bicubic) surface through the same samples is up to {between.max:.3g} m away (95 % of "
-            f"places within {between.p95:.3g} m)." + resampled_text(heights)
+            f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
+            f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
+            f"apart (95 % of places within {between.p95:.3g} m)." + resampled_text(heights)
         ),
     ]
     current = next((row for row in rows if row.setting == subject.current), None)
@@ -128,6 +131,11 @@ def section(subject, prefix: str) -> list:
     blocks += [Heading(f"What the errors of {subject.name} are made of"), *error_tables(rows)]
     blocks += [Heading(f"Where the time goes on {subject.name}"), steps_table(rows)]
     return blocks + [Text(note) for note in subject.notes]
+
+
+def other_interpolation(heights) -> str:
+    """The one that only some rows have."""
+    return next(name for name in INTERPOLATIONS if name != heights.interpolation)
 
 
 def resampled_text(heights) -> str:
@@ -194,7 +202,8 @@ def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
 
 
 def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
-    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles"."""
+    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles". The first row has the interpolation that
+    most have."""
 
     def points(kept: list[Row], error) -> list[tuple[float, float]]:
         coarse_first = sorted(kept, key=lambda row: -row.setting.error)
@@ -206,14 +215,16 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     def bound(row: Row) -> float:
         return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
 
-    plain, fitted = (
-        [r for r in rows if r.setting == Setting(r.setting.unit, r.setting.error, fitted=f)] for f in (0, 1)
-    )
+    own = rows[0].setting.interpolation
+    plain, other = ([r for r in rows if r.setting.plain and (r.setting.interpolation == own) == is_] for is_ in (1, 0))
+    fitted = [row for row in rows if row.setting.fitted]
+    other_name = other[0].setting.interpolation if other else ""
     front = [rows[i] for i in pareto([(row.error, cost_of(row, cost)) for row in rows])]
     found = [
         Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
         Curve("bound", TEAL, points(plain, bound)),
         Curve("measured", RED, points(plain, measured)),
+        Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
         Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
         Curve("fitted, measured", GREEN, points(fitted, measured)),
         Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
@@ -295,6 +306,7 @@ def label(setting: Setting) -> str:
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
     parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []
+    parts += [setting.interpolation] if setting.interpolation != INTERPOLATIONS[0] else []
     return ", ".join([*parts, "fitted"] if setting.fitted else parts)
 
 

@@ -29,7 +29,7 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
     with session.engine_lock:
         if fitted:
             update = fit(
-                session.open_field(request.store),
+                session.field_of(request),
                 error_m,
                 max_triangles=criterion.max_triangles,
                 vertical_scale=request.vertical_scale,

@@ -45,6 +45,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from ..cbt_terrain.heightfield import INTERPOLATIONS
     from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
     from ..cbt_terrain.sources import RAW_TYPES
     from .exporting import FORMATS, parse_formats, parse_frames
@@ -88,6 +89,8 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
     verb.add_argument("--budget", type=count, metavar="N", help="triangles at most; the error reached is reported")
+    between = {"choices": INTERPOLATIONS, "help": "of the surface between samples"}
+    verb.add_argument("--interpolation", default=INTERPOLATIONS[0], **between)
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
     verb = _verb(verbs, "export", "write the terrain's mesh for each frame", run_export)
@@ -105,6 +108,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
     verb.add_argument("--budget", type=count, metavar="N", help="triangles at most")
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
+    verb.add_argument("--interpolation", **between)
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
     verb = _verb(verbs, "accuracy", "measure errors, and what they cost in time and triangles", run_accuracy)
@@ -205,7 +209,13 @@ def run_bake(arguments) -> None:
     bar = Progress(1.0, "bake", arguments.progress)
     try:
         piece = baked_piece(
-            arguments.store, arguments.max_error, arguments.budget, needs_blender([form]), arguments.fit, bar.to
+            arguments.store,
+            arguments.max_error,
+            arguments.budget,
+            needs_blender([form]),
+            arguments.interpolation,
+            arguments.fit,
+            bar.to,
         )
     finally:
         bar.close()
@@ -237,6 +247,7 @@ def run_export(arguments) -> None:
 
 def _export_source(arguments):
     from ..cbt_terrain.criterion import Criterion
+    from ..cbt_terrain.heightfield import INTERPOLATIONS
     from .exporting import needs_blender
     from .frame_sources import SceneFrames, StoreFrames
 
@@ -249,6 +260,7 @@ def _export_source(arguments):
             arguments.pixel_error,
             arguments.budget,
             arguments.meshlet,
+            arguments.interpolation,
         )
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
@@ -258,7 +270,9 @@ def _export_source(arguments):
         meshlet=arguments.meshlet or 0,
     )
     resolution = arguments.resolution or DEFAULT_RESOLUTION
-    return StoreFrames(arguments.store, arguments.path, criterion, resolution, needs_blender(arguments.format))
+    interpolation = arguments.interpolation or INTERPOLATIONS[0]
+    in_blender = needs_blender(arguments.format)
+    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation)
 
 
 def run_accuracy(arguments) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from ..cbt_terrain.camera_path import read_camera_path
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.heightfield import INTERPOLATIONS
 from ..cbt_terrain.store import open_store
 from ..cbt_terrain.surface import Surface
 from ..cbt_terrain.terrain import Terrain, Update
@@ -40,10 +41,18 @@ class StoreFrames:
 
     name = "terrain"
 
-    def __init__(self, store: Path, path: Path, criterion: Criterion, resolution: tuple[int, int], in_blender: bool):
+    def __init__(
+        self,
+        store: Path,
+        path: Path,
+        criterion: Criterion,
+        resolution: tuple[int, int],
+        in_blender: bool,
+        interpolation: str = INTERPOLATIONS[0],
+    ):
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
-        self.field = open_store(store)
+        self.field = open_store(store).interpolated(interpolation)
         self.terrain = Terrain(self.field)
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
@@ -68,8 +77,8 @@ class StoreFrames:
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles) and `meshlet` replace what the objects
-    say; None keeps it.
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet` and `interpolation` replace
+    what the objects say; None keeps it.
     """
 
     def __init__(
@@ -77,9 +86,10 @@ class SceneFrames:
         blend: Path,
         camera: str | None,
         resolution: tuple[int, int] | None,
-        pixel_error: float | None,
-        budget: int | None,
-        meshlet: int | None,
+        pixel_error: float | None = None,
+        budget: int | None = None,
+        meshlet: int | None = None,
+        interpolation: str | None = None,
     ):
         bpy = need_bpy("A .blend file")
         from . import session
@@ -107,7 +117,10 @@ class SceneFrames:
                 raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
         for obj in self.objects:
             _override(obj.adaptive_terrain.render, pixel_error, budget, meshlet)
+            if interpolation is not None:
+                obj.adaptive_terrain.interpolation = interpolation
         asked = {"camera": camera, "resolution": resolution, "pixel": pixel_error, "budget": budget, "meshlet": meshlet}
+        asked["interpolation"] = interpolation
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
         # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
@@ -143,6 +156,7 @@ def baked_piece(
     max_error_m: float,
     budget: int | None,
     in_blender: bool,
+    interpolation: str,
     fitted: bool,
     on_progress: Callable[[float], None],
 ) -> Piece:
@@ -153,7 +167,7 @@ def baked_piece(
     """
     from ..cbt_terrain.fit import fit
 
-    field = open_store(store)
+    field = open_store(store).interpolated(interpolation)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     more = {}
     if fitted:
@@ -186,6 +200,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
         "height_field": field.key,
+        "interpolation": field.interpolation,
     }
 
 

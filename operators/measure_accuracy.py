@@ -54,6 +54,12 @@ def read_measured(detail) -> dict:
     return measured if isinstance(measured, dict) and measured.keys() >= names else {}
 
 
+def errors_text(measured: Measured) -> str:
+    """The largest error that was measured: of visible points in pixels, if there is a view, and of heights."""
+    seen = "" if measured.screen_px is None else f"{measured.screen_px.max:.3g} px on screen, "
+    return f"measured at most {seen}{measured.vertical_max_m:.3g} m of height"
+
+
 class MeasureJob:
     """Measures each mode's request, on a thread after `start` or on this one by `run`; touches nothing of Blender.
 
@@ -92,7 +98,7 @@ class MeasureJob:
             results = {}
             for i, (mode, request) in enumerate(self.requests.items()):
                 with session.engine_lock:
-                    field = session.open_field(request.store)
+                    field = session.field_of(request)
 
                 def on_progress(fraction: float, message: str, i: int = i, mode: str = mode) -> None:
                     if self.stopped:
@@ -260,6 +266,7 @@ class MeasureAccuracy(bpy.types.Operator):
             return self._failed(obj, job.error)
         for mode, result in job.results.items():
             result.store(getattr(obj.adaptive_terrain, DETAIL[mode]))
+            self.report({"INFO"}, f"{DETAIL[mode].capitalize()}: {errors_text(result.measured)}")
         return {"FINISHED"}
 
     def _failed(self, obj, message: str):

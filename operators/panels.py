@@ -83,6 +83,7 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
             row.progress(factor=progress[0], text=progress[1])
             row.operator("adaptive_terrain.cancel_import", text="", icon="CANCEL")
         column.prop(settings, "store")
+        column.prop(settings, "interpolation")
         column.prop(settings, "vertical_scale")
         column.prop(settings, "vertical_offset")
 

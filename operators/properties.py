@@ -15,6 +15,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..cbt_terrain.heightfield import INTERPOLATIONS
 from ..cbt_terrain.island import DEFAULT_SEED, SIDE
 from ..cbt_terrain.sources import RAW_TYPES
 
@@ -190,6 +191,14 @@ class TerrainSettings(bpy.types.PropertyGroup):
     camera: PointerProperty(
         name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=_changed
     )
+    interpolation: EnumProperty(
+        name="Interpolation",
+        description="The terrain's surface between its samples",
+        items=[(INTERPOLATIONS[0], "Bilinear", "Flat from sample to sample: never above or below them"),
+               (INTERPOLATIONS[1], "Bicubic", "Smooth: closer than a sample it shows no facets, but takes more "
+                "triangles; beside cliffs it may overshoot")],
+        update=_changed,
+    )  # fmt: skip
     vertical_scale: FloatProperty(
         name="Vertical Scale", description="Factor on every height", default=1.0, update=_changed
     )

@@ -23,11 +23,13 @@ VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 class Request:
     """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
 
+    `interpolation`: of the height field, by its name in heightfield.py.
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     """
 
     store: str
+    interpolation: str
     criterion: Criterion
     views: list[View]
     placement: np.ndarray
@@ -41,7 +43,7 @@ class Request:
 
     def key(self) -> tuple:
         """Equal for equal requests."""
-        return self.store, *self._shape(), self.smooth, self.cleanup.key(), self.overlay, self.note
+        return self.store, self.interpolation, *self._shape(), self.smooth, self.cleanup.key(), self.overlay, self.note
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -88,6 +90,7 @@ def gather(
         views = _views(settings, depsgraph, mode, camera, resolution)
     return Request(
         store=bpy.path.abspath(settings.store),
+        interpolation=settings.interpolation,
         criterion=criterion,
         views=views,
         placement=placement,

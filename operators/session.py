@@ -137,7 +137,7 @@ def solve(record: Record, request: Request):
     """Run the engine; touches nothing of Blender, so that any thread may call it (holding `engine_lock`). Waits for
     kernels that are being prepared: a render needs its mesh now, the viewport's updates do not begin before."""
     warmup.wait()
-    heights = open_field(request.store)
+    heights = field_of(request)
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
     update = record.terrain.update(
@@ -161,6 +161,11 @@ def paint(record: Record, request: Request, update) -> None:
         start = time.perf_counter()
         record.overlay = None if key is None else make_overlay(record.field, request, update.surface)
         record.overlay_key, record.overlay_ms = key, (time.perf_counter() - start) * 1e3
+
+
+def field_of(request: Request):
+    """The height field that a request refines, with its interpolation."""
+    return open_field(request.store).interpolated(request.interpolation)
 
 
 def open_field(store: str):

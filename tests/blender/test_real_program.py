@@ -140,6 +140,9 @@ def test_clicks_on_the_panel(program, tmp_path):
             picture = read_screen(tmp_path)
             picture.save(pictures / "panel.png")
             (tmp_path / "pictured").touch()
+            wait_for(tmp_path / "budget", blender, 300)
+            read_screen(tmp_path).save(pictures / "budget.png")
+            (tmp_path / "budget_pictured").touch()
             wait_for(tmp_path / "measured", blender, 300)
             read_screen(tmp_path).save(pictures / "measured.png")
             (tmp_path / "measured_pictured").touch()
@@ -159,6 +162,11 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert said["turns_while_measuring"] > 10, "the window lives while errors are measured"
     assert said["could_cancel_measuring"] and said["curve_after_cancel"] == ""
     assert all(len(curve["error"]) > 2 for curve in said["curves"])
+    budget = said["budget"]
+    assert budget["mesh"][0] == pytest.approx(budget["measured"], rel=0.02), "the error of the measured curve"
+    assert budget["mesh"][1] == budget["mesh"][0], "with a budget the error asked for does not count"
+    assert said["interpolations"]["bicubic"] > said["interpolations"]["bilinear"] > said["updated_triangles"]
+    assert 0 < said["baked"]["True"] < said["baked"]["False"]
     assert 0.0 < said["error_px"] <= 2.0
     assert said["viewport_triangles"] > said["further_triangles"] > 0, "the terrain follows the viewport's own view"
     assert said["import_started_s"] < 0.5, "an import does not hold the window up"

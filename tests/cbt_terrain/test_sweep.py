@@ -66,14 +66,23 @@ def test_metres_are_halved_powers_of_two_below_a_part_of_the_relief():
 
 def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
     settings = settings_for(field, Frame([SEEN]))
-    assert [s.error for s in settings if s.unit == "px" and s.plain] == list(PIXELS)
+    own, other = ([s for s in settings if s.interpolation == name] for name in ("bilinear", "bicubic"))
+    assert [s.error for s in own if s.unit == "px" and s.plain] == list(PIXELS)
+    assert [s.error for s in other if s.unit == "px"] == list(PIXELS[::2]) and all(s.plain for s in other)
     assert [s.max_depth for s in settings if s.max_depth] == [7, 9, 11, 13]  # cells are split at depth 13
     assert [s.meshlet for s in settings if s.meshlet] == [1, 2, 3, 4]
-    metres = [s for s in settings if s.unit == "m"]
+    metres = [s for s in own if s.unit == "m"]
     assert [s.error for s in metres if s.plain] == metre_steps(field.max_height - field.min_height)
     assert [s for s in settings_for(field, Frame()) if s.unit == "px"] == []
     scaled = settings_for(field, Frame(vertical_scale=-2.0))
     assert scaled[0].error == 2 * metres[0].error
+
+
+def test_a_sweep_of_a_smooth_surface_has_the_other_one_beside_it(field):
+    settings = settings_for(field.interpolated("bicubic"), Frame([SEEN]))
+    smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
+    assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
+    assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
 def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_screen():
@@ -86,6 +95,7 @@ def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_scr
 
 def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
     settings = [Setting("px", 4.0), Setting("px", 1.0), Setting("px", 1.0, meshlet=2), Setting("m", 2.0)]
+    settings += [Setting("px", 1.0, interpolation="bicubic"), Setting("m", 2.0, interpolation="bicubic")]
     told, progress = [], []
     rows = sweep(field, settings, [Frame([SEEN])], on_row=told.append, on_progress=progress.append)
     assert rows == told and [row.setting for row in rows] == settings
@@ -100,6 +110,7 @@ def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
     assert rows[0].triangles < rows[1].triangles < rows[2].triangles
     assert "meshlets" in rows[2].ms and rows[2].triangles % 16 == 0
     assert rows[3].measured.screen_px is None and rows[3].bound_px is None
+    assert rows[4].triangles > rows[1].triangles, "a smooth surface has more to follow"
     names = [list(row.figures()) for row in rows]
     assert all(other == names[0] for other in names)
     figures = rows[1].figures()
@@ -164,6 +175,7 @@ def test_the_curve_goes_through_the_plain_rows_of_one_unit():
         make_row(Setting("px", 1.0, max_depth=9), 2.0, 500, 2.0, "max_depth"),
         make_row(Setting("px", 0.5), 0.9, 3100, 30.0, "max_triangles"),
         make_row(Setting("m", 1.0), 0.9, 70, 1.0),
+        make_row(Setting("px", 4.0, interpolation="bicubic"), 3.0, 5, 0.5),
     ]
     curve = curve_of(rows)
     assert (curve.unit, curve.error, curve.triangles, curve.ms) == ("px", (2, 1), (1000, 3000), (5, 10))

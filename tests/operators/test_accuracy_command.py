@@ -9,6 +9,7 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -184,15 +185,21 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     assert terrains[0]["seen"] == "through the camera of scene.blend, 640 x 360 pixels"
 
 
+def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNamespace:
+    return SimpleNamespace(criterion=criterion, interpolation=interpolation)
+
+
 def test_what_a_sweep_leaves_out_is_said():
     plain = Criterion(error_px=2.0, meshlet=1)
-    assert accuracy_command.current_setting(plain) == Setting("px", 2.0, meshlet=1)
+    assert accuracy_command.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
+    smooth = Setting("px", 2.0, meshlet=1, interpolation="bicubic")
+    assert accuracy_command.current_setting(asking(plain, "bicubic")) == smooth
     assert accuracy_command.notes_on(plain) == []
     metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
-    assert accuracy_command.current_setting(metres) == Setting("m", 0.5, max_depth=9)
+    assert accuracy_command.current_setting(asking(metres)) == Setting("m", 0.5, max_depth=9)
     assert len(accuracy_command.notes_on(metres)) == 1 and "limits of triangles" in accuracy_command.notes_on(metres)[0]
     edges = Criterion(error_px=0, edge_px=4)
-    assert accuracy_command.current_setting(edges) is None and len(accuracy_command.notes_on(edges)) == 2
+    assert accuracy_command.current_setting(asking(edges)) is None and len(accuracy_command.notes_on(edges)) == 2
 
 
 @pytest.mark.parametrize(
@@ -313,6 +320,11 @@ def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, fro
     curves = {curve.label: curve for curve in accuracy_page.plot_curves(rows, cost, rows[0])}
     assert curves["Pareto front"].points == front
     assert curves[f"current, {accuracy_page.label(rows[0].setting)}"].points[0][1] == rows[0].error
+    assert "bicubic, measured" not in curves or curves["bicubic, measured"].points == []
+    smooth = dataclasses.replace(rows[0], setting=dataclasses.replace(rows[0].setting, interpolation="bicubic"))
+    curves = {curve.label: curve for curve in accuracy_page.plot_curves([*rows, smooth], cost, rows[0])}
+    assert [y for _, y in curves["bicubic, measured"].points] == [smooth.error]
+    assert accuracy_page.label(smooth.setting).endswith(", bicubic")
     plain = curves["measured"].points
     assert [y for _, y in plain] == [row.error for row in rows if row.setting.plain]
     assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]

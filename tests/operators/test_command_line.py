@@ -120,6 +120,14 @@ def test_budget_and_meshlet(export):
     assert "held back by the triangle limit" in said.out
 
 
+def test_a_smooth_surface_may_be_asked_for(export):
+    _, _, flat = export("--frames", "2", "--format", "npz", "--pixel-error", "0.5", out="flat")
+    code, _, smooth = export("--frames", "2", "--format", "npz", "--pixel-error", "0.5", "--interpolation", "bicubic")
+    infos = [read_npz(folder / "terrain_0002.npz")["info"] for folder in (flat, smooth)]
+    assert code == 0 and [info["interpolation"] for info in infos] == ["bilinear", "bicubic"]
+    assert infos[1]["triangles"] > infos[0]["triangles"] and infos[1]["height_field"] != infos[0]["height_field"]
+
+
 @pytest.mark.parametrize("form", ["ply", "obj", "glb", "stl", "blend"])
 def test_blenders_formats_hold_the_same_mesh(export, form):
     bpy = pytest.importorskip("bpy")
@@ -150,6 +158,14 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
     assert 0 < info["bound_m"] <= 0.5 and info["bound_px"] is None and info["views"] == []
     assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "resampling", "precision"}
     assert capsys.readouterr().out.startswith(f"hills.npz: {info['triangles']:,} triangles, bound 0.")
+
+
+def test_a_bake_of_a_smooth_surface_cannot_be_fitted(store, tmp_path, capsys):
+    bake = ["bake", "--store", store, "--max-error", "2", "--interpolation", "bicubic", "--out"]
+    assert command_line.main([*bake, str(tmp_path / "smooth.npz")]) == 0
+    assert read_npz(tmp_path / "smooth.npz")["info"]["interpolation"] == "bicubic"
+    assert command_line.main([*bake, str(tmp_path / "fitted.npz"), "--fit"]) == 1
+    assert "bilinear" in capsys.readouterr().err and not (tmp_path / "fitted.npz").exists()
 
 
 def test_a_fitted_bake_holds_its_error_with_fewer_triangles(store, tmp_path, capsys):

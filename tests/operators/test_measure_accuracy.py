@@ -163,6 +163,10 @@ def test_the_thread_beside_the_window_measures_the_same(terrain, short):
     assert to_the_end(operator) == {"FINISHED"}
     curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
     assert curve.error == (8.0, 2.0, 1.0) and measure_accuracy.progress_of(terrain) is None
+    [viewport, render] = [call.args for call in operator.report.call_args_list]
+    largest = read_measured(terrain.adaptive_terrain.viewport)["screen_px"]["max"]
+    assert viewport[0] == {"INFO"} and f"Viewport: measured at most {largest:.3g} px" in viewport[1]
+    assert render[1].startswith("Render: measured at most ")
 
 
 def test_the_panel_shows_progress_and_cancel_leaves_the_old_curve(terrain, held):

@@ -36,6 +36,20 @@ def test_render_and_viewport_have_settings_of_their_own(scene, add_terrain):
     assert session.update_object(terrain).triangles == viewport.triangles == len(terrain.data.polygons)
 
 
+def test_another_interpolation_is_another_mesh(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.viewport.error_px = 0.5
+    flat = session.update_object(terrain).triangles, positions(terrain)
+    terrain.adaptive_terrain.interpolation = "bicubic"
+    smooth = session.update_object(terrain)
+    digest = session.record_of(terrain).status.digest
+    assert smooth.triangles > flat[0] and smooth.bound_px <= 0.5
+    assert session.update_object(terrain).changed is False, "its errors are computed once"
+    terrain.adaptive_terrain.interpolation = "bilinear"
+    session.update_object(terrain)
+    assert positions(terrain) == flat[1] and session.record_of(terrain).status.digest != digest
+
+
 def test_a_criterion_in_metres_needs_no_camera(scene, add_terrain):
     terrain = add_terrain()
     scene.camera = None

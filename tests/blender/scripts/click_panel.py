@@ -93,6 +93,9 @@ def steps():
     (folder / "updated").touch()
     yield from until((folder / "pictured").exists)
     yield from measure_accuracy()
+    yield from keep_to_a_time()
+    yield from smooth_between_samples()
+    yield from bake_with_fit()
     yield from show_the_error()
     yield from follow_the_viewport()
     yield from cancel_an_import()
@@ -120,6 +123,58 @@ def measure_accuracy():
         result["turns_while_measuring"] += 1
         yield 0.02
     result["curves"] = [json.loads(detail.curve) for detail in (settings.viewport, settings.render)]
+
+
+def keep_to_a_time():
+    """With a budget the error is the one that the measured curve gives; the error asked for no longer counts."""
+    detail = terrain().adaptive_terrain.viewport
+    terrain().adaptive_terrain.live = True
+    curve = json.loads(detail.curve)
+    # A measured point, so that the budget's mesh is known; one that is dearer than the next coarser.
+    errors = enumerate(zip(curve["error"], curve["ms"], curve["ms"][1:], strict=False))
+    point = next(i for i, (error, ms, finer_ms) in errors if error != detail.error_px and ms < finer_ms)
+    detail.max_ms = curve["ms"][point] * 1.0001  # the property is float32
+    before = len(terrain().data.polygons)
+    detail.limit_time = True
+    yield from until(lambda: len(terrain().data.polygons) != before)
+    yield 1.0
+    result["budget"] = {"measured": curve["triangles"][point], "mesh": [len(terrain().data.polygons)]}
+    (folder / "budget").touch()
+    yield from until((folder / "budget_pictured").exists)
+    detail.error_px = 1.0
+    yield 1.0
+    result["budget"]["mesh"].append(len(terrain().data.polygons))
+    detail.limit_time, detail.error_px = False, 2.0
+    yield from until(lambda: len(terrain().data.polygons) == result["updated_triangles"])
+
+
+def smooth_between_samples():
+    """Another interpolation is another mesh, and the first comes back."""
+    settings = terrain().adaptive_terrain
+    settings.viewport.error_px = 0.25
+    yield from until(lambda: len(terrain().data.polygons) > result["updated_triangles"])
+    fine = len(terrain().data.polygons)
+    settings.interpolation = "bicubic"
+    yield from until(lambda: len(terrain().data.polygons) != fine)
+    result["interpolations"] = {"bilinear": fine, "bicubic": len(terrain().data.polygons)}
+    settings.interpolation = "bilinear"
+    yield from until(lambda: len(terrain().data.polygons) == fine)
+    settings.viewport.error_px = 2.0
+    yield from until(lambda: len(terrain().data.polygons) == result["updated_triangles"])
+
+
+def bake_with_fit():
+    """A baked mesh is an object of its own; fitted it has fewer triangles for the same error."""
+    source, settings = terrain(), terrain().adaptive_terrain
+    result["baked"] = {}
+    for settings.bake_fit in (False, True):
+        with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+            bpy.ops.adaptive_terrain.bake()
+        [baked] = [item for item in bpy.data.objects if item.name.endswith("baked")]
+        result["baked"][str(settings.bake_fit)] = len(baked.data.polygons)
+        bpy.data.objects.remove(baked)
+        bpy.context.view_layer.objects.active = source
+        yield 0.5
 
 
 def show_the_error():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The error hierarchy and the ranges of heights of the C1 bicubic surface through a height field's samples.
 
-The surface is a Bezier patch in each cell of the raster (kernels/patches.py), and a patch lies between its lowest and
-highest control height; so does the difference of two patches, and each derivative.
+The surface is a Bezier patch in each cell of the raster (kernels/smooth/patches.py), and a patch lies between its
+lowest and highest control height; so does the difference of two patches, and each derivative.
 
 Above the cells all corners of triangles are samples, so a triangle is as far from the bicubic surface as from the
 bilinear one and, at most, as far more as the two are apart in the cells that it covers: a diamond's error is its
@@ -29,8 +29,8 @@ import warp as wp
 
 from ..kernels import expand as expand_kernels
 from ..kernels import hierarchy as hierarchy_kernels
-from ..kernels import patches as kernels
 from ..kernels import ranges as range_kernels
+from ..kernels.smooth import patches as kernels
 from . import hierarchy, launch, store
 from .errors import TerrainError
 from .hierarchy import extent_of, flat, stored_at

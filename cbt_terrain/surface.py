@@ -12,6 +12,7 @@ from ..kernels import meshlet as meshlet_kernels
 from ..kernels import weld as weld_kernels
 from ..kernels import weld_state
 from ..kernels.criterion import Domain
+from ..kernels.smooth import displace as smooth_kernels
 from . import launch
 from .buffers import Buffers, bind
 from .meshlet_template import template
@@ -151,7 +152,7 @@ class SurfaceBuilder:
         for base, n in runs:
             inputs += [[*_piece(n, k, pieces), base, first, domain, p] for k in range(pieces)]
             first += n
-        kernel = displace_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
+        kernel = smooth_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
 
     def _mesh_arrays(self, prefix: str, triangles: int, edges: int) -> dict[str, wp.array]:

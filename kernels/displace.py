@@ -3,7 +3,6 @@
 
 import warp as wp
 
-from .bicubic import in_patch
 from .criterion import Domain
 from .unchecked import height_at, pair_at, prefetch, put_vec2, put_vec3
 
@@ -137,40 +136,4 @@ def displace(
             s = wp.float64(x - (i << bits)) * part
             t = wp.float64(y - (j << bits)) * part
             g = in_cell(samples, columns, rows, i, j, s, t)
-        put_vertex(points, vertex_base + v, domain, p, g, slope_x, slope_y, per_width, per_height)
-
-
-@wp.kernel
-def displace_bicubic(
-    first: wp.int32, end: wp.int32, point_base: wp.int64, vertex_base: wp.int32, domain: Domain, points: Points
-):
-    """The same on the bicubic surface; on samples, where most points are, both are one."""
-    bits = domain.unit_bits - domain.levels
-    cell = wp.int32(1) << bits
-    columns = domain.width
-    rows = domain.height
-    samples = domain.samples
-    units = wp.float64(cell)
-    part = wp.float64(1.0) / units
-    slope_x = domain.height_scale / (domain.unit_x * units)
-    slope_y = domain.height_scale / (domain.unit_y * units)
-    per_width = part / wp.float64(columns - 1)
-    per_height = part / wp.float64(rows - 1)
-    last = wp.int64(end - 1)
-    for v in range(first, end):
-        k = point_base + wp.int64(v)
-        q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
-        near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
-        for b in range(-1, 3):
-            prefetch(samples, near + wp.int64(b) * wp.int64(columns))
-        p = pair_at(points.point, k)
-        g = wp.vec3d()
-        if ((p[0] | p[1]) & (cell - 1)) == 0:
-            g = on_sample(samples, columns, rows, p[0] >> bits, p[1] >> bits)
-        else:
-            i = wp.min(p[0] >> bits, columns - 2)
-            j = wp.min(p[1] >> bits, rows - 2)
-            s = wp.float64(p[0] - (i << bits)) * part
-            t = wp.float64(p[1] - (j << bits)) * part
-            g = in_patch(samples, columns, rows, i, j, s, t)
         put_vertex(points, vertex_base + v, domain, p, g, slope_x, slope_y, per_width, per_height)

@@ -27,7 +27,7 @@ class Domain:
     error_scale: wp.float64  # magnitude of height_scale
     rounding: wp.float64  # metres: what float32 positions may be off
     resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
-    bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/patches.py
+    bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/smooth/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
     cell_base: wp.int64  # the same of the raster's cells

@@ -8,7 +8,7 @@ h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there.
 
 import warp as wp
 
-from .unchecked import height_at
+from ..unchecked import height_at
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,9 +9,9 @@ h(1). What is an exact difference of float32 samples stays one: a planar map ben
 
 import warp as wp
 
-from .hierarchy import round_up
-from .layout import Depth, entry
-from .ranges import quantise_down, quantise_up
+from ..hierarchy import round_up
+from ..layout import Depth, entry
+from ..ranges import quantise_down, quantise_up
 
 wp.set_module_options({"enable_backward": False})
 

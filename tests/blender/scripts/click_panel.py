@@ -151,7 +151,7 @@ def keep_to_a_time():
 def smooth_between_samples():
     """Another interpolation is another mesh, and the first comes back."""
     settings = terrain().adaptive_terrain
-    settings.viewport.error_px = 0.25
+    settings.viewport.error_px = 1.0
     yield from until(lambda: len(terrain().data.polygons) > result["updated_triangles"])
     fine = len(terrain().data.polygons)
     settings.interpolation = "bicubic"
@@ -167,10 +167,11 @@ def bake_with_fit():
     """A baked mesh is an object of its own; fitted it has fewer triangles for the same error."""
     source, settings = terrain(), terrain().adaptive_terrain
     result["baked"] = {}
+    settings.bake_error_m = 0.005
     for settings.bake_fit in (False, True):
         with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
             bpy.ops.adaptive_terrain.bake()
-        [baked] = [item for item in bpy.data.objects if item.name.endswith("baked")]
+        [baked] = [item for item in bpy.data.objects if "baked" in item.name]
         result["baked"][str(settings.bake_fit)] = len(baked.data.polygons)
         bpy.data.objects.remove(baked)
         bpy.context.view_layer.objects.active = source

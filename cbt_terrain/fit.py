@@ -19,6 +19,8 @@ from .terrain import Terrain, Update
 
 # A budget coarsens what was asked in steps of 2^(1/8).
 STEPS_PER_OCTAVE = 8
+# A fit never does with what interpolation needs for so many times the error: moving a chord halves its error at most.
+MOST_GAIN = 2.6
 
 
 @dataclass(frozen=True)
@@ -51,24 +53,22 @@ def fit(
     vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels.
     Raises TerrainError if a number cannot be used.
     """
-    if field.interpolation != "bilinear":
-        raise TerrainError(
-            f"A fit is of the bilinear surface; the terrain's is {field.interpolation}: choose bilinear interpolation."
-        )
+    check_interpolation(field.interpolation)
     threads = launch.default_threads() if threads is None else max(1, threads)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
     error_m = criterion.error_m
     most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
-        best = fitter.run(error_m)
-        if best is None or best.beyond_plain or best.limited or best.triangles > most:
-            plain = Terrain(field, threads).update(criterion, (), None, vertical_scale, vertical_offset)
-            if best is not None and best.triangles > most:
-                best = _within(fitter, error_m, most, plain)
-            more = best is not None and plain.relaxed == 1.0 and best.triangles > plain.triangles
-            if best is None or more or best.bound_m > max(plain.bound_m, error_m):
-                best = fitter.interpolated(plain, error_m)
+        plain = Terrain(field, threads).update(criterion, (), None, vertical_scale, vertical_offset)
+        best = None
+        if plain.relaxed > 1.0:
+            best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
+        elif plain.limited != "max_depth":
+            best = fitter.run(error_m)
+        more = best is not None and plain.relaxed == 1.0 and best.triangles > plain.triangles
+        if best is None or more or best.bound_m > max(plain.bound_m, error_m):
+            best = fitter.interpolated(plain, error_m)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(
@@ -89,11 +89,21 @@ def fit(
     )
 
 
-def _within(fitter: Fitter, error_m: float, most: int, plain: Update) -> Mesh | None:
-    """The fit for the least step above `error_m` that has at most `most` triangles, as bisection finds it."""
-    if not plain.bound_m > error_m:
+def check_interpolation(name: str) -> None:
+    """Raise TerrainError unless a surface with this interpolation can be fitted; for before it is made."""
+    if name != "bilinear":
+        raise TerrainError(f"A fit is of the bilinear surface; the terrain's is {name}: choose bilinear interpolation.")
+
+
+def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: float) -> Mesh | None:
+    """The fit for the least step from `error_m` on that has at most `most` triangles, as bisection finds it.
+
+    relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
+    """
+    if not plain_m > error_m or relaxed == math.inf:  # nothing has so few
         return None
-    low, high = 0, math.ceil(STEPS_PER_OCTAVE * math.log2(plain.bound_m / error_m))
+    low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MOST_GAIN)))
+    high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     found = None
     while high - low > 1:
         step = (low + high) // 2

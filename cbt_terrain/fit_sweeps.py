@@ -32,7 +32,7 @@ class Sweeps:
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
         self.stacks = [wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")]
-        self.found_np = np.zeros(8, np.int32)
+        self.found_np = np.zeros(7, np.int32)
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
@@ -80,19 +80,17 @@ class Sweeps:
         """Triangles that a sweep is to measure."""
         self.buffers.numpy("fit_worst")[: self.triangles][which] = mesh_kernels.NOT_MEASURED.value
 
-    def settle(self) -> bool:
-        """Sweep and split until no triangle is beyond the bound; True if interpolation would not split so."""
-        beyond_plain, later = False, 0
+    def settle(self) -> None:
+        """Sweep and split until no triangle is beyond the bound."""
+        later = 0
         for rounds in range(1, MAX_ROUNDS + 1):
             self.m.round = rounds
             self.fitter.tell_progress()
             beyond = self._sweep()
             found = self.refine(LOCAL if beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS else 0.0)
-            beyond_plain |= found["forced"] > 0
             later = found["later"]
             if found["splits"] - later + found["pins"] <= later:  # the next walk is due
                 break
-        return beyond_plain
 
     def _sweep(self) -> int:
         """Move the vertices; returns how many triangles were beyond the bound before the last move."""
@@ -120,4 +118,4 @@ class Sweeps:
             refine_kernels.refine, [[*inputs, *self.stacks, self.found]], step="fit refine", recorded=self.recorded
         )
         self.count, self.triangles, self.vertices = self.found_np[:3].tolist()
-        return dict(zip(("splits", "pins", "later", "forced", "deepest"), self.found_np[3:].tolist(), strict=True))
+        return dict(zip(("splits", "pins", "later", "deepest"), self.found_np[3:].tolist(), strict=True))

@@ -56,7 +56,6 @@ class Mesh:
     terms: Terms
     limited: str
     rounds: int
-    beyond_plain: bool = False  # it was split where interpolation would not be
     relaxed: float = 1.0
 
     @property
@@ -93,7 +92,6 @@ class Fitter:
         domain = make_domain(replace(field, error=errors, _expanded={}), 0, *self.placement)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
         work = Sweeps(self, m, buffers, shared(errors, wp.float32))
-        beyond_plain = False
         for rounds in range(1, MAX_MESHES + 1):
             leaves, _ = refinement.run(domain, asked, self.depth, MAX_TRIANGLES)
             surface = builder.build(leaves, domain, 0)
@@ -102,16 +100,15 @@ class Fitter:
                 self._measure(m, surface)
                 beyond = work.beyond()
                 if not beyond.any():
-                    return self._judged(surface, buffers, error_m, rounds, beyond_plain)
+                    return self._judged(surface, buffers, error_m, rounds)
             work.link(surface)
             if rounds > 1 and beyond.sum() > FEW * work.triangles:
                 work.look_again(beyond)
             elif rounds > 1:
                 found = work.refine(0.0)
-                beyond_plain |= found["forced"] > 0
                 if not found["splits"] and not found["pins"]:
-                    return self._judged(surface, buffers, error_m, rounds, beyond_plain, found["deepest"] > 0)
-            beyond_plain |= work.settle()
+                    return self._judged(surface, buffers, error_m, rounds, found["deepest"] > 0)
+            work.settle()
             self.spread(binding.keep, work.vertices, [m, *known])
         return None
 
@@ -122,7 +119,7 @@ class Fitter:
         buffers, m = Buffers(), self._mesh(error_m)
         Sweeps(self, m, buffers, None).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
-        mesh = self._judged(update.surface, buffers, error_m, 0, False)
+        mesh = self._judged(update.surface, buffers, error_m, 0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
@@ -153,9 +150,7 @@ class Fitter:
         triangles = len(surface.level)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
-    def _judged(
-        self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, beyond_plain: bool, deepest: bool = False
-    ) -> Mesh:
+    def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
         """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds.
 
         A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
@@ -177,7 +172,7 @@ class Fitter:
         else:
             limited = "max_depth" if deepest else "resampling" if parts[0] + shift <= error_m else "precision"
         terms = Terms.shares(bound, *parts)
-        return Mesh(surface, bound, float(worst.max()), terms, limited, rounds, beyond_plain)
+        return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)
 
     def _rounded(self) -> float:
         """Metres by which a distance may be off that is computed in float64."""

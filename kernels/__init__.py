@@ -12,15 +12,23 @@ def _initialise_quietly() -> None:
     try:
         sink, kept = os.open(os.devnull, os.O_WRONLY), os.dup(2)
     except OSError:  # a window without a console has no stderr
-        wp.init()
+        _initialise()
         return
     try:
         os.dup2(sink, 2)
-        wp.init()
+        _initialise()
     finally:
         os.dup2(kept, 2)
         os.close(sink)
         os.close(kept)
+
+
+def _initialise() -> None:
+    try:
+        wp.init()
+    except OSError as reason:
+        advice = f"compiled kernels cannot be kept there ({reason.strerror}): set WARP_CACHE_PATH to a folder that can"
+        raise OSError(reason.errno, f"{advice} be written", reason.filename) from None
 
 
 _initialise_quietly()

@@ -5,7 +5,7 @@ import bpy
 
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.fit import fit
+from ..cbt_terrain.fit import check_interpolation, fit
 from . import session
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .request import gather
@@ -26,6 +26,8 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
     )
     request = gather(obj, depsgraph, criterion=criterion)
+    if fitted:
+        check_interpolation(request.interpolation)
     with session.engine_lock:
         if fitted:
             update = fit(

@@ -93,6 +93,7 @@ class SceneFrames:
     ):
         bpy = need_bpy("A .blend file")
         from . import session
+        from .request import Overrides
 
         if not Path(blend).is_file():
             raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
@@ -103,6 +104,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(
@@ -115,12 +117,7 @@ class SceneFrames:
             if self.camera is None or self.camera.type != "CAMERA":
                 cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
                 raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
-        for obj in self.objects:
-            _override(obj.adaptive_terrain.render, pixel_error, budget, meshlet)
-            if interpolation is not None:
-                obj.adaptive_terrain.interpolation = interpolation
-        asked = {"camera": camera, "resolution": resolution, "pixel": pixel_error, "budget": budget, "meshlet": meshlet}
-        asked["interpolation"] = interpolation
+        asked = {"camera": camera, "resolution": resolution, **asdict(self.overrides)}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
         # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
@@ -135,16 +132,17 @@ class SceneFrames:
             self.scene.frame_set(frame)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         for obj in self.objects:
-            yield scene_piece(obj, depsgraph, frame, camera=self.camera, resolution=self.resolution)
+            asked = {"camera": self.camera, "resolution": self.resolution, "overrides": self.overrides}
+            yield scene_piece(obj, depsgraph, frame, **asked)
 
 
-def scene_piece(obj, depsgraph, frame: int, *, camera=None, resolution: tuple[int, int] | None = None) -> Piece:
-    """The terrain `obj` at the render's detail, its mesh written; `camera`, `resolution` replace the scene's."""
+def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
+    """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
     from . import session
     from .request import RENDER, gather
 
-    update = session.update_object(obj, depsgraph, RENDER, camera=camera, resolution=resolution)
-    request = gather(obj, depsgraph, RENDER, camera=camera, resolution=resolution)
+    update = session.update_object(obj, depsgraph, RENDER, **asked)
+    request = gather(obj, depsgraph, RENDER, **asked)
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement) | {"frame": frame}
     surface = _surface_of(obj.data) if request.cleanup.active else update.surface
@@ -165,8 +163,10 @@ def baked_piece(
     `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
     says so, and the measured maximum.
     """
-    from ..cbt_terrain.fit import fit
+    from ..cbt_terrain.fit import check_interpolation, fit
 
+    if fitted:
+        check_interpolation(interpolation)
     field = open_store(store).interpolated(interpolation)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     more = {}
@@ -316,15 +316,6 @@ def _linked_digest(library) -> str:
         return file_digest(bpy.path.abspath(library.filepath))
     except OSError:
         return ""
-
-
-def _override(detail, pixel_error: float | None, budget: int | None, meshlet: int | None) -> None:
-    if pixel_error is not None:
-        detail.error_px, detail.limit_time = pixel_error, False
-    if budget is not None:
-        detail.limit_triangles, detail.max_triangles = True, budget
-    if meshlet is not None:
-        detail.meshlet = meshlet
 
 
 @contextmanager

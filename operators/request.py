@@ -11,12 +11,26 @@ from mathutils import Matrix
 from ..cbt_terrain.cost_curve import CostCurve
 from ..cbt_terrain.criterion import Criterion, unit_asked
 from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.heightfield import INTERPOLATIONS
 from ..cbt_terrain.view import View
 from . import camera as cameras
 from .mesh_cleanup import Cleanup, boundary_triangles
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
+
+    `error_px`: pixels; it replaces a time budget too. `max_triangles`, `meshlet`, `interpolation`: as in the settings.
+    """
+
+    error_px: float | None = None
+    max_triangles: int | None = None
+    meshlet: int | None = None
+    interpolation: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +77,20 @@ def gather(
     criterion: Criterion | None = None,
     camera=None,
     resolution: tuple[int, int] | None = None,
+    overrides: Overrides = Overrides(),
 ) -> Request:
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
-    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object) and `resolution`
-    (pixels) replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
+    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
+    and `overrides` replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
     if not settings.store:
         raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+    interpolation = overrides.interpolation or settings.interpolation
+    if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
+        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
     placement = np.array(evaluated.matrix_world, np.float64)
     if not np.isfinite(placement).all():
         raise TerrainError(
@@ -83,14 +101,16 @@ def gather(
     max_ms, note = None, ""
     if criterion is None:
         detail = settings.render if mode == RENDER else settings.viewport
-        criterion, note = within_time(criterion_from(detail), detail)
-        max_ms = detail.max_ms if detail.limit_time else None
+        criterion = criterion_from(detail, overrides)
+        if overrides.error_px is None:
+            criterion, note = within_time(criterion, detail)
+            max_ms = detail.max_ms if detail.limit_time else None
     views = []
     if criterion.needs_view:
         views = _views(settings, depsgraph, mode, camera, resolution)
     return Request(
         store=bpy.path.abspath(settings.store),
-        interpolation=settings.interpolation,
+        interpolation=interpolation,
         criterion=criterion,
         views=views,
         placement=placement,
@@ -104,18 +124,19 @@ def gather(
     )
 
 
-def criterion_from(detail) -> Criterion:
+def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
     """The criterion that a DetailSettings asks for."""
+    limit = detail.max_triangles if detail.limit_triangles else None
     return Criterion(
-        error_px=detail.error_px,
+        error_px=detail.error_px if overrides.error_px is None else overrides.error_px,
         edge_px=detail.edge_px,
         area_px=detail.area_px,
         error_m=detail.error_m,
         guard_deg=detail.guard_deg,
         off_screen_factor=detail.off_screen_factor,
         max_depth=detail.max_depth if detail.limit_depth else None,
-        max_triangles=detail.max_triangles if detail.limit_triangles else None,
-        meshlet=detail.meshlet,
+        max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
+        meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,
     )
 
 

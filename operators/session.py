@@ -103,18 +103,16 @@ def record_of(obj) -> Record:
     return _records.setdefault(obj.session_uid, Record())
 
 
-def update_object(obj, depsgraph=None, mode: str = VIEWPORT, *, camera=None, resolution=None):
+def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
     """Refine the terrain `obj` for its camera and write its mesh where it changed; returns the engine's Update.
 
-    `depsgraph`: the evaluated dependency graph (the context's own by default). `camera` and `resolution` as in
+    `depsgraph`: the evaluated dependency graph (the context's own by default). `asked`: further arguments of
     `request.gather`. Raises TerrainError, which the panel shows too; the mesh then stays as it was.
     """
     record = record_of(obj)
     record.generation += 1
     try:
-        request = gather(
-            obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, camera=camera, resolution=resolution
-        )
+        request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **asked)
         with engine_lock:
             update = solve(record, request)
             paint(record, request, update)

@@ -40,7 +40,6 @@ def refine(
     splits = wp.int32(0)
     pins = wp.int32(0)
     later = wp.int32(0)
-    forced = wp.int32(0)
     deepest = wp.int32(0)
     for k in range(count):
         t = m.active[k]
@@ -92,8 +91,6 @@ def refine(
                         raise_cells(d, x >> bits, y >> bits, (finer + 1) >> 1, raised, errors, climbing)
                         later += 1
                     splits += 1
-                    if not too_coarse:
-                        forced += 1
                 else:
                     if too_coarse:
                         deepest += 1
@@ -119,5 +116,4 @@ def refine(
     found[3] = splits
     found[4] = pins
     found[5] = later
-    found[6] = forced
-    found[7] = deepest
+    found[6] = deepest

@@ -177,6 +177,23 @@ def test_a_budget_is_kept_and_never_worse_than_interpolation(budget):
     assert measured(field, fitted.surface) <= fitted.bound_m <= base.bound_m
 
 
+@pytest.mark.parametrize("error_m", [0.1, 0.01, 0.003])
+def test_a_budget_is_used_well_also_for_errors_that_nothing_reaches(error_m):
+    field = rough(33, 33)
+    fitted, base = fit(field, error_m, max_triangles=200), plain(field, error_m, max_triangles=200)
+    assert fitted.rounds > 0 and fitted.triangles <= 200
+    assert measured(field, fitted.surface) <= fitted.bound_m < 0.9 * base.bound_m
+
+
+@pytest.mark.parametrize("times", [1.5, 1.8, 2.0])
+def test_a_resampled_spike_needs_no_more_triangles_than_interpolation(times):
+    heights = np.zeros((18, 18), np.float32)
+    heights[3, 3] = 100.0
+    field = from_array(heights)
+    fitted, base = fit(field, times * field.resample_max), plain(field, times * field.resample_max)
+    assert fitted.triangles <= base.triangles and fitted.bound_m <= times * field.resample_max
+
+
 def test_a_budget_that_only_the_fit_keeps_does_not_limit():
     field = rough(129, 129, seed=7)
     free = fit(field, 2.0)

@@ -201,6 +201,28 @@ def test_import_info_and_export_by_words(tmp_path, flight, capsys):
     assert "bound_m: " in capsys.readouterr().out
 
 
+def test_what_a_command_asks_replaces_animated_settings(scene, add_terrain, tmp_path, capsys):
+    import bpy
+
+    settings = add_terrain("Hills").adaptive_terrain
+    for frame, (error, interpolation) in ((1, (6.0, "bilinear")), (3, (3.0, "bicubic"))):
+        settings.render.error_px, settings.interpolation = error, interpolation
+        settings.render.keyframe_insert("error_px", frame=frame)
+        settings.keyframe_insert("interpolation", frame=frame)
+    blend, out = tmp_path / "scene.blend", tmp_path / "out"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    argv = ["export", "--scene", str(blend), "--frames", "1-3:2", "--format", "npz", "--out", str(out)]
+    for more, errors, interpolations in (
+        ((), [6.0, 3.0], ["bilinear", "bicubic"]),
+        (("--pixel-error", "4"), [4.0, 4.0], ["bilinear", "bicubic"]),
+        (("--interpolation", "bicubic", "--meshlet", "1"), [6.0, 3.0], ["bicubic", "bicubic"]),
+    ):
+        assert command_line.main([*argv, *more]) == 0, capsys.readouterr().err
+        infos = [read_npz(out / f"Hills_{frame:04d}.npz")["info"] for frame in (1, 3)]
+        assert [info["asked"]["error_px"] for info in infos] == errors
+        assert [info["interpolation"] for info in infos] == interpolations
+
+
 def test_a_scene_is_exported_as_its_camera_sees_it(scene, add_terrain, tmp_path, capsys):
     import bpy
 

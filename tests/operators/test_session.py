@@ -50,6 +50,13 @@ def test_another_interpolation_is_another_mesh(scene, add_terrain):
     assert positions(terrain) == flat[1] and session.record_of(terrain).status.digest != digest
 
 
+def test_an_interpolation_that_no_one_knows_is_named(scene, add_terrain):
+    terrain = add_terrain("Hills")
+    terrain.adaptive_terrain["interpolation"] = 9
+    with pytest.raises(TerrainError, match="'Hills' has an unknown interpolation; choose one on its panel"):
+        session.update_object(terrain)
+
+
 def test_a_criterion_in_metres_needs_no_camera(scene, add_terrain):
     terrain = add_terrain()
     scene.camera = None

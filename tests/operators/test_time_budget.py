@@ -10,7 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.operators import live, session
 from adaptive_terrain.operators.panels import ViewportPanel
-from adaptive_terrain.operators.request import RENDER, VIEWPORT, gather
+from adaptive_terrain.operators.request import RENDER, VIEWPORT, Overrides, gather
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
 
@@ -96,11 +96,10 @@ def test_what_is_asked_is_used_and_told_where_the_budget_cannot_be(terrain, curv
 
 
 def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
-    from adaptive_terrain.operators import frame_sources
-
-    frame_sources._override(terrain.adaptive_terrain.render, 3.0, None, None)
-    bpy.context.view_layer.update()
-    assert request_of(terrain, RENDER).criterion.error_px == 3.0
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert gather(terrain, depsgraph, RENDER, overrides=Overrides(error_px=3.0)).criterion.error_px == 3.0
+    unlike = gather(terrain, depsgraph, RENDER, overrides=Overrides(meshlet=2)).criterion
+    assert unlike.meshlet == 2 and unlike.error_px == request_of(terrain, RENDER).criterion.error_px != 3.0
 
 
 def draw(terrain):

@@ -42,7 +42,6 @@ from .profiles import (
     WELD,
     in_words,
 )
-from .report import write_text
 from .sampling import Sample
 
 SECONDS = 4.0
@@ -191,6 +190,8 @@ def shares(samples: Counter[Sample], kernels: tuple[str, ...]) -> tuple[int, dic
 
 
 def main() -> None:
+    from .report import write_text  # imports kernels, which must wait for `with_lines`
+
     sampling.need_tools()
     walk_lines()
     profiles = []

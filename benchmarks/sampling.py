@@ -13,6 +13,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -47,6 +48,8 @@ def with_lines() -> None:
     Into a cache of this process alone: where a kept one has the same instructions, it may still name the lines and the
     folder of a file that has changed or moved since.
     """
+    if any(name.endswith(".kernels") for name in sys.modules):
+        raise RuntimeError("kernels were imported before their line tables were asked for")
     cache = tempfile.TemporaryDirectory(prefix="adaptive-terrain-kernels-")
     atexit.register(cache.cleanup)
     wp.config.kernel_cache_dir = cache.name

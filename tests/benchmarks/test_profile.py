@@ -19,7 +19,7 @@ from adaptive_terrain.kernels import refine
 # Loads the small module of the tree's kernels with line tables and names what its first instructions come from.
 RESOLVE = """
 import json
-from adaptive_terrain.benchmarks import sampling
+from adaptive_terrain.benchmarks import profile, sampling
 sampling.with_lines()
 from adaptive_terrain.cbt_terrain import warmup
 from adaptive_terrain.kernels import tree

@@ -40,13 +40,13 @@ GOALS: dict[tuple[str, int], float] = {
 # than SLACK times that ratio; docs/performance.md names them.
 FEW_LEAVES = (
     "at so few leaves nearly every diamond lies where depths meet and is measured, once for its two triangles, in "
-    "float64: by its profile half of the time and more (boxes, pixels, bands); blocks of even depth, which make the rest "
-    "cheap, hardly form."
+    "float64: by its profile half of the time and more (boxes, pixels, bands); blocks of even depth, which make the "
+    "rest cheap, hardly form."
 )
 EDGES = (
     "three leaves in four are copied from a table; what is left is one diamond for four leaves, measured once for its "
-    "two triangles, by its profile two fifths of the time (boxes, pixels, bands), and for every other leaf a branch that "
-    "no predictor foresees."
+    "two triangles, by its profile two fifths of the time (boxes, pixels, bands), and for every other leaf a branch "
+    "that no predictor foresees."
 )
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_1t", 5_500): (2.8, FEW_LEAVES),

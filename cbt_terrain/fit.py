@@ -107,10 +107,10 @@ def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: 
     found = None
     while high - low > 1:
         step = (low + high) // 2
-        relaxed = 2.0 ** (step / STEPS_PER_OCTAVE)
-        mesh = fitter.run(error_m * relaxed)
+        factor = 2.0 ** (step / STEPS_PER_OCTAVE)
+        mesh = fitter.run(error_m * factor)
         if mesh is not None and mesh.triangles <= most:
-            found, high = replace(mesh, relaxed=relaxed), step
+            found, high = replace(mesh, relaxed=factor), step
         else:
             low = step
     return found

@@ -14,21 +14,14 @@ from .accuracy import Errors, Measured, Sight, look, measure, popping
 from .cost_curve import CostCurve
 from .criterion import Criterion
 from .fit import fit
-from .heightfield import INTERPOLATIONS, HeightField
+from .heightfield import HeightField
 from .surface import Surface
+from .sweep_settings import Setting
 from .terms import Terms
 from .terrain import Terrain
 from .timed_runs import RUNS, Frame, median_by_step, timed_runs
 from .view import View
 
-PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
-# Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
-METRE_STEPS, COARSEST_PART = 7, 1 / 32
-MESHLETS = (1, 2, 3, 4)
-# Bisections that a limit of depth stops short of the raster's cells.
-SHORT_OF_CELLS = (6, 4, 2, 0)
-# Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
-MAX_TRIANGLES = 1 << 23
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
 KEPT_SIGHTS = 16
 # Errors that differ by less than this part are the same for the Pareto front.
@@ -38,30 +31,6 @@ LONG_FIT_MS = 1000.0
 STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
 TERMS = tuple(Terms.__dataclass_fields__)
 PARTS = ("count", "max", "p95", "mean", "rms")
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
-    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field."""
-
-    unit: str
-    error: float
-    max_depth: int | None = None
-    meshlet: int = 0
-    fitted: bool = False
-    interpolation: str = INTERPOLATIONS[0]
-
-    @property
-    def plain(self) -> bool:
-        """Whether the error is all that is asked, of whichever surface."""
-        return self.max_depth is None and self.meshlet == 0 and not self.fitted
-
-    def criterion(self, base: Criterion) -> Criterion:
-        """`base` with this setting in place of its errors, lengths, areas and limits."""
-        asked = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
-        limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
-        return dataclasses.replace(base, **asked, **limits)
 
 
 @dataclass(frozen=True)
@@ -120,30 +89,6 @@ class Row:
         return figures
 
 
-def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
-    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
-    every other error with the other interpolation. A fit has a bilinear surface under it."""
-    own = {"interpolation": heights.interpolation}
-    other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
-    settings = []
-    if frame.views:
-        settings += [Setting("px", error, **own) for error in PIXELS]
-        depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
-        settings += [Setting("px", 1.0, max_depth=depth, **own) for depth in depths if depth >= 1]
-        settings += [Setting("px", 1.0, meshlet=meshlet, **own) for meshlet in MESHLETS]
-        settings += [Setting("px", error, **other) for error in PIXELS[::2]]
-    metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
-    settings += [Setting("m", error, **own) for error in metres]
-    settings += [Setting("m", error, **other) for error in metres[::2]]
-    return settings + [Setting("m", error, fitted=True) for error in metres]
-
-
-def metre_steps(relief_m: float) -> list[float]:
-    """Errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
-    coarsest = 2.0 ** math.floor(math.log2(relief_m * COARSEST_PART)) if relief_m > 0 else 1.0
-    return [coarsest / 2**i for i in range(METRE_STEPS)]
-
-
 def sweep(
     heights: HeightField,
     settings: Sequence[Setting],
@@ -151,14 +96,14 @@ def sweep(
     *,
     base: Criterion | None = None,
     threads: int | None = None,
-    write: Callable[[Surface], None] | None = None,
+    write: Callable[[Surface], float] | None = None,
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
     """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
 
-    `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh; its time is
-    the step "ingest". `on_progress` gets 0 .. 1. Both callbacks may raise: that ends the sweep, and nothing is left.
+    `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh, and returns
+    the milliseconds of that step, "ingest". `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
     """
     rows, sights = [], {}
 

@@ -4,20 +4,16 @@
 import csv
 import io
 import json
-import math
 
 from ..cbt_terrain.accuracy import interpolation
 from ..cbt_terrain.criterion import LARGEST
 from ..cbt_terrain.heightfield import INTERPOLATIONS
-from ..cbt_terrain.sweep import STEPS, TERMS, Row, Setting, curve_of, pareto
-from .log_plot import CROSS, RING, Curve, draw
+from ..cbt_terrain.sweep import STEPS, TERMS, Row, curve_of
+from ..cbt_terrain.sweep_settings import Setting
+from .accuracy_plots import label, pareto_rows, plots
 from .page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
 from .shown_bounds import bound_text, limit_text
 
-GREY, TEAL, RED, GREEN, BLUE, BROWN, PURPLE, INK = (
-    *("#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#8a4f9e", "#1c1f26"),
-)
-UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
 NOISE = 0.05
@@ -38,14 +34,15 @@ WORDS = (
     " it is followed by rays a pixel apart, so it alone may pass the bound where outlines are finer than that. "
     "*Popping*: how far points jump from one frame's mesh to the next frame's; no figure where no frame follows. "
     "*Rounding*: what float32 has changed of the measured error. *Facets*: angles of triangles to the surface's "
-    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): no other setting has an error and "
-    "a cost that are both smaller, by a fiftieth at least. Steps: *refine* decides and lists the leaves, *mark* "
-    "writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* Blender's mesh."
+    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): no other setting with the same "
+    "interpolation has an error and a cost that are both smaller, by a fiftieth at least. Steps: *refine* decides and "
+    "lists the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, "
+    "*ingest* Blender's mesh."
 )
 
 
 def files(subjects, machine: dict[str, str]) -> dict[str, str]:
-    """Every file of a report by its name. `subjects`: accuracy_command.Subject, measured."""
+    """Every file of a report by its name. `subjects`: accuracy_subject.Subject, measured."""
     blocks = page(subjects, machine)
     plots = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
     return plots | {
@@ -104,7 +101,8 @@ def section(subject, prefix: str) -> list:
     across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     made = heights.provenance
     source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
-    frames = f", frames {', '.join(map(str, subject.numbers))}" if subject.numbers else ""
+    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
+    frames = frames if subject.numbers else ""
     several = (
         " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
     )
@@ -189,65 +187,13 @@ def current_figures(row: Row) -> list[tuple[str, str]]:
     ]
 
 
-def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
-    """Error against time and against triangles; a fit is made once, so its time is in no plot."""
-    rows = [row for row in subject.rows if row.setting.unit == unit]
-    found = []
-    for cost, axis in (("ms", "ms to the finished mesh"), ("triangles", "triangles")):
-        shown = [row for row in rows if cost == "triangles" or not row.setting.fitted]
-        drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
-        caption = f"{subject.name}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
-        found.append(Plot(f"{prefix}{subject.name}_{unit}_{cost}.svg", caption, drawing))
-    return found
-
-
-def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
-    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles". The first row has the interpolation that
-    most have."""
-
-    def points(kept: list[Row], error) -> list[tuple[float, float]]:
-        coarse_first = sorted(kept, key=lambda row: -row.setting.error)
-        return [(cost_of(row, cost), error(row)) for row in coarse_first]
-
-    def measured(row: Row) -> float:
-        return row.error
-
-    def bound(row: Row) -> float:
-        return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
-
-    own = rows[0].setting.interpolation
-    plain, other = ([r for r in rows if r.setting.plain and (r.setting.interpolation == own) == is_] for is_ in (1, 0))
-    fitted = [row for row in rows if row.setting.fitted]
-    other_name = other[0].setting.interpolation if other else ""
-    front = [rows[i] for i in pareto([(row.error, cost_of(row, cost)) for row in rows])]
-    found = [
-        Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
-        Curve("bound", TEAL, points(plain, bound)),
-        Curve("measured", RED, points(plain, measured)),
-        Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
-        Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
-        Curve("fitted, measured", GREEN, points(fitted, measured)),
-        Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
-        Curve("less depth, measured", BROWN, points([r for r in rows if r.setting.max_depth], measured), "", False),
-        Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
-    ]
-    if current in rows:
-        found.append(Curve(f"current, {label(current.setting)}", INK, points([current], measured), "", False, CROSS))
-    return found
-
-
-def cost_of(row: Row, cost: str) -> float:
-    return row.whole_ms if cost == "ms" else float(row.triangles)
-
-
 def overview(rows: list[Row], current: Setting | None) -> Table:
     """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
     fronts = {}
     for unit in dict.fromkeys(row.setting.unit for row in rows):
         for cost in ("ms", "triangles"):
-            kept = [row for row in rows if row.setting.unit == unit and (cost == "triangles" or not row.setting.fitted)]
-            front = pareto([(row.error, cost_of(row, cost)) for row in kept])
-            fronts[cost] = fronts.get(cost, []) + [kept[i].setting for i in front]
+            front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
+            fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
     head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
     lines = []
     for row in rows:
@@ -299,15 +245,6 @@ def steps_table(rows: list[Row]) -> Table:
     steps = [step for step in ("total", *STEPS) if any(row.ms.get(step) for row in rows)]
     lines = [[label(row.setting), *(number(row.ms.get(step)) for step in steps)] for row in rows]
     return Table(["ms", *steps], lines)
-
-
-def label(setting: Setting) -> str:
-    """`1 px, depth 15` or `4 m, fitted`."""
-    parts = [f"{setting.error:g} {setting.unit}"]
-    parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
-    parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []
-    parts += [setting.interpolation] if setting.interpolation != INTERPOLATIONS[0] else []
-    return ", ".join([*parts, "fitted"] if setting.fitted else parts)
 
 
 def row_line(row: Row) -> str:

@@ -276,18 +276,18 @@ def _export_source(arguments):
 
 
 def run_accuracy(arguments) -> None:
-    from . import accuracy_command
+    from . import accuracy_command, accuracy_subject
 
     _check_source(arguments)
     if arguments.scene:
-        subjects = accuracy_command.scene_subjects(
+        subjects = accuracy_subject.scene_subjects(
             arguments.scene, arguments.camera, arguments.frames, arguments.resolution
         )
     else:
         if arguments.frames and not arguments.path:
             raise UsageError("--frames are those of a --path FILE.json, or of a scene")
         resolution = arguments.resolution or DEFAULT_RESOLUTION
-        subjects = [accuracy_command.store_subject(arguments.store, arguments.path, arguments.frames, resolution)]
+        subjects = [accuracy_subject.store_subject(arguments.store, arguments.path, arguments.frames, resolution)]
     accuracy_command.run(subjects, arguments.out, arguments.progress)
 
 

@@ -12,7 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
-from . import live, measure_accuracy, session
+from . import live, measuring, session
 from .request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
@@ -92,7 +92,7 @@ def on_load_post(_path, _unused=None) -> None:
 @persistent
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
-    measure_accuracy.stop_all()
+    measuring.stop_all()
     live.mark_dirty()
 
 

@@ -198,6 +198,7 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
 CLASSES = (
     TerrainPanel,
     statistics_panel.StatisticsPanel,
+    statistics_panel.AccuracyReportPanel,
     SourcePanel,
     CameraPanel,
     ViewportPanel,

@@ -235,6 +235,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Move vertices off the surface, within the bake error: fewer triangles, but a slower bake",
         default=False,
     )  # fmt: skip
+    reports: StringProperty(
+        name="Reports",
+        description="Folder of accuracy reports; each terrain's is in a folder of its own name in it",
+        default="//accuracy/", subtype="DIR_PATH", options=PATH_OPTIONS,
+    )  # fmt: skip
 
 
 CLASSES = (DetailSettings, CleanupSettings, TerrainSettings)

@@ -14,10 +14,12 @@ from . import (
     import_terrain,
     live,
     measure_accuracy,
+    measuring,
     overlay_panel,
     panels,
     properties,
     session,
+    sweep_accuracy,
     update_terrain,
 )
 
@@ -29,7 +31,9 @@ MODULES = (
     update_terrain,
     bake_terrain,
     export_terrain,
+    measuring,
     measure_accuracy,
+    sweep_accuracy,
     overlay_panel,
     panels,
     handlers,

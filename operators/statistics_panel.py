@@ -6,7 +6,8 @@ import bpy
 from ..cbt_terrain.cost_curve import CostCurve
 from ..cbt_terrain.criterion import LARGEST, unit_asked
 from ..cbt_terrain.errors import TerrainError
-from . import measure_accuracy, session
+from . import measure_accuracy, measuring, session, sweep_accuracy
+from .accuracy_report import PAGE
 from .panel_parts import TerrainSubpanel, figures, message
 from .shown_bounds import NO_BOUND, bound_text, limit_text
 
@@ -29,13 +30,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         if status.mode:
             detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
             self._draw_measured(column, status, detail)
-        progress = measure_accuracy.progress_of(obj)
-        if progress is None:
-            column.operator("adaptive_terrain.measure_accuracy", icon="DRIVER_DISTANCE")
-        else:
-            row = column.row(align=True)
-            row.progress(factor=progress[0], text=progress[1])
-            row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
+        _draw_measuring(column, obj, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
 
     def _draw_measured(self, column, status, detail):
         measured = measure_accuracy.read_measured(detail)
@@ -53,6 +48,37 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
             column.separator()
         for line in predicted:
             column.label(text=line)
+
+
+class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_accuracy_report"
+    bl_label = "Accuracy Report"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        column.prop(obj.adaptive_terrain, "reports")
+        _draw_measuring(column, obj, "adaptive_terrain.sweep_accuracy", "GRAPH")
+        try:
+            page = sweep_accuracy.report_folder(obj) / PAGE
+        except TerrainError as error:
+            message(column, str(error), "INFO")
+            return
+        if page.is_file():
+            column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
+
+
+def _draw_measuring(column, obj, operator: str, icon: str) -> None:
+    """The button of an operator that measures; while one does, how far it is and what stops it."""
+    progress = measuring.progress_of(obj)
+    if progress is None:
+        column.operator(operator, icon=icon)
+        return
+    row = column.row(align=True)
+    row.progress(factor=progress[0], text=progress[1])
+    row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
 
 
 def statistics_lines(status) -> list[tuple[str, str]]:

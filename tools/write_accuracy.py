@@ -14,7 +14,8 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source
 from adaptive_terrain.cbt_terrain.sources import ISLAND
-from adaptive_terrain.operators import accuracy_command, accuracy_page
+from adaptive_terrain.operators import accuracy_command, accuracy_page, accuracy_report
+from adaptive_terrain.operators.accuracy_subject import Subject, store_subject
 from adaptive_terrain.operators.console import Progress
 from adaptive_terrain.operators.demo import FLIGHT
 from adaptive_terrain.operators.exporting import write_text
@@ -64,28 +65,28 @@ def sources(folder: Path) -> dict[str, ImportSettings]:
     }
 
 
-def subject_of(name: str, settings: ImportSettings, folder: Path) -> accuracy_command.Subject:
+def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
     bar = Progress(1.0, f"import {name}")
     try:
         import_source(settings, folder / f"{name}.store", on_progress=lambda fraction, message: bar.to(fraction))
     finally:
         bar.close()
     if name != ISLAND:
-        return accuracy_command.store_subject(folder / f"{name}.store", None, None, RESOLUTION)
+        return store_subject(folder / f"{name}.store", None, None, RESOLUTION)
     flight = folder / "flight.json"
     flight.write_text(json.dumps(FLIGHT), encoding="utf-8")
-    subject = accuracy_command.store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
+    subject = store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
     subject.seen = f"along the demo's flight, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
     return subject
 
 
-def write(subjects: list[accuracy_command.Subject]) -> None:
+def write(subjects: list[Subject]) -> None:
     blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
     for block in blocks:
         if isinstance(block, Plot):
             write_text(DOCS / block.name, block.svg)
     write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))
-    accuracy_command.check_bounds(subjects)
+    accuracy_report.check_bounds(subjects)
 
 
 if __name__ == "__main__":

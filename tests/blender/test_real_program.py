@@ -136,16 +136,10 @@ def test_clicks_on_the_panel(program, tmp_path):
     arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
     with window(program, arguments, tmp_path) as blender:
         try:
-            wait_for(tmp_path / "updated", blender, 300)
-            picture = read_screen(tmp_path)
-            picture.save(pictures / "panel.png")
-            (tmp_path / "pictured").touch()
-            wait_for(tmp_path / "budget", blender, 300)
-            read_screen(tmp_path).save(pictures / "budget.png")
-            (tmp_path / "budget_pictured").touch()
-            wait_for(tmp_path / "measured", blender, 300)
-            read_screen(tmp_path).save(pictures / "measured.png")
-            (tmp_path / "measured_pictured").touch()
+            for moment in ("updated", "sweeping", "reported", "budget", "measured"):
+                wait_for(tmp_path / moment, blender, 300)
+                read_screen(tmp_path).save(pictures / f"{moment}.png")
+                (tmp_path / f"{moment}_pictured").touch()
             wait_for(tmp_path / "done.json", blender, 300)
         finally:
             read_screen(tmp_path).save(pictures / "end.png")
@@ -162,6 +156,9 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert said["turns_while_measuring"] > 10, "the window lives while errors are measured"
     assert said["could_cancel_measuring"] and said["curve_after_cancel"] == ""
     assert all(len(curve["error"]) > 2 for curve in said["curves"])
+    assert not said["report_after_cancel"] and said["meshes_left_by_sweep"] == 0
+    assert said["turns_while_sweeping"] > 50, "the window lives while everything is swept"
+    assert said["report"] == [".csv", ".html", ".json", ".md", *[".svg"] * 4]
     budget = said["budget"]
     assert budget["mesh"][0] == pytest.approx(budget["measured"], rel=0.02), "the error of the measured curve"
     assert budget["mesh"][1] == budget["mesh"][0], "with a budget the error asked for does not count"
@@ -173,4 +170,5 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert said["could_cancel"] and said["can_import_again"] and said["store_after_cancel"] == said["store"]
     assert min(said["rendered_triangles"]) > said["before_render_triangles"]
     assert len(set(said["drawn_triangles"][:4])) == 4, "a viewport render waits for each frame's mesh"
-    assert np.asarray(picture.convert("L")).std() > 5, "the screen is not blank"
+    shown = Image.open(pictures / "updated.png").convert("L")
+    assert np.asarray(shown).std() > 5, "the screen is not blank"

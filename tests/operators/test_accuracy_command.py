@@ -18,9 +18,17 @@ from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.criterion import LARGEST, Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.store import open_store
-from adaptive_terrain.cbt_terrain.sweep import Row, Setting
+from adaptive_terrain.cbt_terrain.sweep import Row
+from adaptive_terrain.cbt_terrain.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.terms import Terms
-from adaptive_terrain.operators import accuracy_command, accuracy_page, command_line
+from adaptive_terrain.operators import (
+    accuracy_command,
+    accuracy_page,
+    accuracy_plots,
+    accuracy_report,
+    accuracy_subject,
+    command_line,
+)
 from adaptive_terrain.operators.exporting import write_texts
 from adaptive_terrain.operators.log_plot import Curve, draw
 from adaptive_terrain.operators.shown_bounds import NO_BOUND
@@ -50,7 +58,7 @@ def hills(tmp_path_factory):
 @pytest.fixture
 def few(monkeypatch):
     """A sweep of few settings."""
-    monkeypatch.setattr(accuracy_command, "settings_for", lambda heights, frame: list(FEW))
+    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame: list(FEW))
 
 
 @pytest.fixture
@@ -113,7 +121,7 @@ def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy):
     curves = [CostCurve.from_json(json.dumps(curve)) for curve in terrain["curves"]]
     assert [curve.unit for curve in curves] == ["px", "m"] and terrain["current"] == "1 px"
     assert {"Processor", "Python", "Warp", "numpy"} <= set(content["machine"])
-    assert not list(folder.glob(".partial*")) and not (folder / accuracy_command.PROBE).exists()
+    assert not list(folder.glob(".partial*")) and not (folder / accuracy_report.PROBE).exists()
 
 
 def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
@@ -124,7 +132,7 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
     assert set(re.findall(r"https?://[^\"' ]+", page)) == {"http://www.w3.org/2000/svg"}
     text = (folder / "accuracy.md").read_text()
     for row in known_rows():
-        name = accuracy_page.label(row.setting)
+        name = accuracy_plots.label(row.setting)
         assert f"<td>{name}" in page and f"| {name}" in text
     assert "1 px (current)" in page and "1 px (current)" in text
     for said in (page, text):
@@ -149,16 +157,16 @@ def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight
 
 
 def test_frames_of_a_path_are_spread_over_it(hills, flight):
-    subject = accuracy_command.store_subject(hills, flight, None, (320, 180))
+    subject = accuracy_subject.store_subject(hills, flight, None, (320, 180))
     assert subject.numbers == [1, 4, 6, 9]
     assert [frame.after is None for frame in subject.frames] == [False] * 3 + [True]
-    assert accuracy_command.spread(3, 3) == [3] and len(accuracy_command.spread(1, 1000)) == accuracy_command.SPREAD
+    assert accuracy_subject.spread(3, 3) == [3] and len(accuracy_subject.spread(1, 1000)) == accuracy_subject.SPREAD
 
 
 @pytest.mark.parametrize("resolution", [(1920, 1080), (200, 900), (500, 500)])
 def test_the_overview_has_the_whole_terrain_in_the_picture(hills, resolution):
     heights = open_store(hills)
-    view = accuracy_command.overview(heights, resolution)
+    view = accuracy_subject.overview(heights, resolution)
     corners = np.array([(x, y, z, 1) for x in (-160, 160) for y in (-160, 160) for z in (-30, 30)])
     clip = corners @ (view.projection @ view.world_to_camera).T
     assert np.abs(clip[:, :2] / clip[:, 3:]).max() < 1
@@ -191,15 +199,15 @@ def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNames
 
 def test_what_a_sweep_leaves_out_is_said():
     plain = Criterion(error_px=2.0, meshlet=1)
-    assert accuracy_command.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
+    assert accuracy_subject.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
     smooth = Setting("px", 2.0, meshlet=1, interpolation="bicubic")
-    assert accuracy_command.current_setting(asking(plain, "bicubic")) == smooth
-    assert accuracy_command.notes_on(plain) == []
+    assert accuracy_subject.current_setting(asking(plain, "bicubic")) == smooth
+    assert accuracy_subject.notes_on(plain) == []
     metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
-    assert accuracy_command.current_setting(asking(metres)) == Setting("m", 0.5, max_depth=9)
-    assert len(accuracy_command.notes_on(metres)) == 1 and "limits of triangles" in accuracy_command.notes_on(metres)[0]
+    assert accuracy_subject.current_setting(asking(metres)) == Setting("m", 0.5, max_depth=9)
+    assert len(accuracy_subject.notes_on(metres)) == 1 and "limits of triangles" in accuracy_subject.notes_on(metres)[0]
     edges = Criterion(error_px=0, edge_px=4)
-    assert accuracy_command.current_setting(asking(edges)) is None and len(accuracy_command.notes_on(edges)) == 2
+    assert accuracy_subject.current_setting(asking(edges)) is None and len(accuracy_subject.notes_on(edges)) == 2
 
 
 @pytest.mark.parametrize(
@@ -317,17 +325,26 @@ def known_rows() -> list[Row]:
 )
 def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, front):
     rows = [row for row in known_rows() if row.setting.unit == unit]
-    curves = {curve.label: curve for curve in accuracy_page.plot_curves(rows, cost, rows[0])}
+    curves = {curve.label: curve for curve in accuracy_plots.plot_curves(rows, cost, rows[0])}
     assert curves["Pareto front"].points == front
-    assert curves[f"current, {accuracy_page.label(rows[0].setting)}"].points[0][1] == rows[0].error
+    assert curves[f"current, {accuracy_plots.label(rows[0].setting)}"].points[0][1] == rows[0].error
     assert "bicubic, measured" not in curves or curves["bicubic, measured"].points == []
     smooth = dataclasses.replace(rows[0], setting=dataclasses.replace(rows[0].setting, interpolation="bicubic"))
-    curves = {curve.label: curve for curve in accuracy_page.plot_curves([*rows, smooth], cost, rows[0])}
+    curves = {curve.label: curve for curve in accuracy_plots.plot_curves([*rows, smooth], cost, rows[0])}
     assert [y for _, y in curves["bicubic, measured"].points] == [smooth.error]
-    assert accuracy_page.label(smooth.setting).endswith(", bicubic")
+    assert accuracy_plots.label(smooth.setting).endswith(", bicubic")
     plain = curves["measured"].points
     assert [y for _, y in plain] == [row.error for row in rows if row.setting.plain]
     assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]
+
+
+def test_each_interpolation_has_a_pareto_front_of_its_own():
+    """Errors against another surface do not compare, however small."""
+    rows = [row for row in known_rows() if row.setting.unit == "px"]
+    smooth = dataclasses.replace(rows[0].setting, interpolation="bicubic")
+    better = dataclasses.replace(rows[0], setting=smooth, triangles=1, ms={"total": 0.1})
+    front = accuracy_plots.pareto_rows([*rows, better], "triangles")
+    assert front == [*accuracy_plots.pareto_rows(rows, "triangles"), better]
 
 
 def test_the_table_says_which_rows_are_on_the_pareto_fronts():
@@ -352,7 +369,7 @@ def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the
     assert accuracy_page.overview(rows, None).rows[0][1] == NO_BOUND
     assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", ""]
     assert f"bound {NO_BOUND}, measured 3 px" in accuracy_page.row_line(rows[0])
-    bound = next(curve for curve in accuracy_page.plot_curves(rows, "ms", None) if curve.label == "bound")
+    bound = next(curve for curve in accuracy_plots.plot_curves(rows, "ms", None) if curve.label == "bound")
     assert [y for _, y in bound.points] == [math.inf, 2.0, 1.0], "infinity is what `draw` leaves out"
 
 

@@ -3,15 +3,14 @@
 
 import json
 import threading
-import time
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
-from adaptive_terrain.cbt_terrain.sweep import PIXELS
-from adaptive_terrain.operators import handlers, measure_accuracy, session
+from adaptive_terrain.cbt_terrain.sweep_settings import PIXELS
+from adaptive_terrain.operators import handlers, measure_accuracy, measuring, session
 from adaptive_terrain.operators.measure_accuracy import MeasureAccuracy, read_measured
 from adaptive_terrain.operators.request import gather
 from adaptive_terrain.operators.statistics_panel import (
@@ -20,6 +19,7 @@ from adaptive_terrain.operators.statistics_panel import (
     prediction_lines,
     statistics_lines,
 )
+from modal_runs import running, to_the_end
 
 OLD = CostCurve("px", (4.0, 1.0), (1000.0, 8000.0), (1.0, 5.0))
 
@@ -43,33 +43,6 @@ def curves(obj):
     return obj.adaptive_terrain.viewport.curve, obj.adaptive_terrain.render.curve
 
 
-def running(terrain):
-    """The operator as Blender runs it beside the window, begun."""
-    manager = Mock()
-    operator = SimpleNamespace(report=Mock())
-    for name in ("_job", "_end", "_finish", "_failed", "modal", "cancel", "invoke"):
-        setattr(operator, name, getattr(MeasureAccuracy, name).__get__(operator))
-    operator.context = SimpleNamespace(
-        window_manager=manager,
-        window=None,
-        object=terrain,
-        evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
-    )
-    operator.began = operator.invoke(operator.context, None)
-    return operator
-
-
-def to_the_end(operator):
-    """Turns of the timer until the operator has ended."""
-    for _ in range(2000):
-        ended = operator.modal(operator.context, SimpleNamespace(type="TIMER"))
-        if ended != {"PASS_THROUGH"}:
-            operator.context.window_manager.event_timer_remove.assert_called_once()
-            return ended
-        time.sleep(0.01)
-    raise AssertionError("measuring never ended")
-
-
 @pytest.fixture
 def held(monkeypatch):
     """A measurement that waits, at its first report, until `go` is set; `reached` says that it is there."""
@@ -85,7 +58,7 @@ def held(monkeypatch):
     monkeypatch.setattr(measure_accuracy, "measure_request", measure_request)
     yield gate
     gate.go.set()
-    measure_accuracy._jobs.clear()
+    measuring._jobs.clear()
 
 
 def some_errors():
@@ -157,12 +130,12 @@ def test_one_mode_is_measured_where_the_other_cannot_be(terrain, short):
 
 
 def test_the_thread_beside_the_window_measures_the_same(terrain, short):
-    operator = running(terrain)
+    operator = running(MeasureAccuracy, terrain)
     assert operator.began == {"RUNNING_MODAL"}
     assert not MeasureAccuracy.poll(SimpleNamespace(object=terrain)), "one at a time"
     assert to_the_end(operator) == {"FINISHED"}
     curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
-    assert curve.error == (8.0, 2.0, 1.0) and measure_accuracy.progress_of(terrain) is None
+    assert curve.error == (8.0, 2.0, 1.0) and measuring.progress_of(terrain) is None
     [viewport, render] = [call.args for call in operator.report.call_args_list]
     largest = read_measured(terrain.adaptive_terrain.viewport)["screen_px"]["max"]
     assert viewport[0] == {"INFO"} and f"Viewport: measured at most {largest:.3g} px" in viewport[1]
@@ -170,7 +143,7 @@ def test_the_thread_beside_the_window_measures_the_same(terrain, short):
 
 
 def test_the_panel_shows_progress_and_cancel_leaves_the_old_curve(terrain, held):
-    operator = running(terrain)
+    operator = running(MeasureAccuracy, terrain)
     assert held.reached.wait(20)
     layout = draw(terrain)
     layout.row().progress.assert_called_once_with(factor=0.125, text="Viewport: waiting")
@@ -182,7 +155,7 @@ def test_the_panel_shows_progress_and_cancel_leaves_the_old_curve(terrain, held)
 
 
 def test_undo_stops_it_and_leaves_the_old_curve(terrain, held):
-    operator = running(terrain)
+    operator = running(MeasureAccuracy, terrain)
     assert held.reached.wait(20)
     handlers.on_undo(None)
     held.go.set()
@@ -198,15 +171,15 @@ def test_cancel_waits_for_one_update_at_most(terrain):
     def on_progress(fraction, message):
         reports.append(message)
         if len(reports) == 3:
-            raise measure_accuracy.Stopped
+            raise measuring.Stopped
 
-    with pytest.raises(measure_accuracy.Stopped):
+    with pytest.raises(measuring.Stopped):
         measure_accuracy.measure_request(field, request, on_progress)
     assert reports == ["time at 16 px"] * 3
 
 
 def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
-    operator = running(terrain)
+    operator = running(MeasureAccuracy, terrain)
     assert held.reached.wait(20)
     bpy.data.objects.remove(terrain)
     held.go.set()
@@ -214,12 +187,12 @@ def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
 
 
 def test_an_opened_file_ends_it(terrain, held):
-    operator = running(terrain)
-    [job] = measure_accuracy._jobs.values()
+    operator = running(MeasureAccuracy, terrain)
+    [job] = measuring._jobs.values()
     operator.cancel(operator.context)
     held.go.set()
     job.wait()
-    assert job.results == {} and measure_accuracy._jobs == {}
+    assert job.result is None and measuring._jobs == {}
 
 
 def test_what_is_wrong_is_told(terrain, store, monkeypatch):

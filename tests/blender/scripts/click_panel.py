@@ -91,8 +91,9 @@ def steps():
     result["updated_triangles"] = len(terrain().data.polygons)
     yield 1.0
     (folder / "updated").touch()
-    yield from until((folder / "pictured").exists)
+    yield from until((folder / "updated_pictured").exists)
     yield from measure_accuracy()
+    yield from write_a_report()
     yield from keep_to_a_time()
     yield from smooth_between_samples()
     yield from bake_with_fit()
@@ -123,6 +124,47 @@ def measure_accuracy():
         result["turns_while_measuring"] += 1
         yield 0.02
     result["curves"] = [json.loads(detail.curve) for detail in (settings.viewport, settings.render)]
+
+
+def write_a_report():
+    """The whole sweep runs beside the window, meshes written in between; stopped it leaves no report."""
+    settings, operators = terrain().adaptive_terrain, bpy.ops.adaptive_terrain
+    settings.reports = str(folder / "reports")
+    bpy.context.scene.render.resolution_percentage = 20
+    before, settings.island_size = settings.island_size, 257
+    operators.import_source()
+    scroll_panel(10_000)
+    report = folder / "reports" / terrain().name / "index.html"
+    meshes = len(bpy.data.meshes)
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        operators.sweep_accuracy("INVOKE_DEFAULT")
+    yield 4.0
+    (folder / "sweeping").touch()
+    yield from until((folder / "sweeping_pictured").exists)
+    operators.cancel_measure()
+    yield from until(operators.sweep_accuracy.poll)
+    result["report_after_cancel"] = report.exists()
+    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
+        operators.sweep_accuracy("INVOKE_DEFAULT")
+    result["turns_while_sweeping"] = 0
+    while not operators.sweep_accuracy.poll():
+        result["turns_while_sweeping"] += 1
+        yield 0.02
+    result["report"] = sorted(path.suffix for path in report.parent.iterdir())
+    result["meshes_left_by_sweep"] = len(bpy.data.meshes) - meshes
+    yield 1.0
+    (folder / "reported").touch()
+    yield from until((folder / "reported_pictured").exists)
+    scroll_panel(-10_000)
+    bpy.context.scene.render.resolution_percentage, settings.island_size = 100, before
+    operators.import_source()
+    yield from until(lambda: len(terrain().data.polygons) == result["updated_triangles"])
+
+
+def scroll_panel(pixels: int):
+    window, area, region = parts()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.view2d.scroll_down(deltay=pixels)
 
 
 def keep_to_a_time():

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A report about accuracy: whether it can be written, the files that it is, and whether every bound in it holds."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..cbt_terrain.errors import TerrainError
+from . import accuracy_page
+from .accuracy_plots import label
+from .accuracy_subject import Subject
+from .exporting import check_target, make_folder, write_text, write_texts
+from .machine import machine
+
+PAGE = "index.html"
+FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", PAGE)
+PROBE = "accuracy.tmp"
+_scratch: int | None = None  # session_uid of the mesh that is written into
+
+
+def prepare(out: Path) -> None:
+    """Make the folder; raises TerrainError where a report cannot be written: better now than after measuring."""
+    make_folder(out)
+    for name in FILES:
+        check_target(out / name)
+    write_text(out / PROBE, "")
+    (out / PROBE).unlink()
+
+
+def write(subjects: Sequence[Subject], out: Path) -> None:
+    """Write FILES and the plots of measured subjects into the folder `out`, all or none; raises TerrainError."""
+    write_texts(out, accuracy_page.files(subjects, machine()))
+
+
+def check_bounds(subjects: Sequence[Subject]) -> None:
+    """Raise TerrainError where a measured error passes its bound."""
+    if broken := [(subject, row) for subject in subjects for row in subject.rows if not row.error <= row.bound]:
+        subject, row = broken[0]
+        raise TerrainError(
+            f"The bound does not hold in {len(broken)} row{'s' * (len(broken) > 1)}, first of {subject.name} at "
+            f"{label(row.setting)}: bounded by {row.bound:.9g} {row.setting.unit}, measured "
+            f"{row.error:.9g}; please report it with accuracy.json."
+        )
+
+
+def ingest_ms(surface) -> float:
+    """Milliseconds that writing a surface into a Blender mesh takes: into the same one each time, until `ingest_end`.
+
+    As a terrain's own mesh it has memory from before; a million triangles take a new one twice as long.
+    """
+    global _scratch
+    import bpy
+
+    from .mesh_writer import write_mesh
+
+    mesh = _scratch_mesh() or bpy.data.meshes.new("accuracy")
+    _scratch = mesh.session_uid
+    start = time.perf_counter()
+    write_mesh(mesh, surface)
+    return (time.perf_counter() - start) * 1e3
+
+
+def ingest_end() -> None:
+    """Remove the mesh that was written into, if there is one."""
+    global _scratch
+    if _scratch is not None:
+        import bpy
+
+        mesh, _scratch = _scratch_mesh(), None
+        if mesh is not None:
+            bpy.data.meshes.remove(mesh)
+
+
+def _scratch_mesh():
+    """Looked up each time: an undo may have removed it."""
+    import bpy
+
+    return next((mesh for mesh in bpy.data.meshes if mesh.session_uid == _scratch), None)

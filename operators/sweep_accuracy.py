@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sweep everything that an error can be asked with, and write the report that `adaptive-terrain accuracy` writes."""
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.sweep import sweep
+from . import accuracy_report, session
+from .accuracy_plots import label
+from .accuracy_subject import Look, Subject, looks_at
+from .frame_sources import file_name
+from .measuring import Job, MeasuringOperator
+
+
+def report_folder(obj) -> Path:
+    """Where the report of a terrain is written: a folder of its own in the one that its settings name."""
+    folder = obj.adaptive_terrain.reports
+    if folder.startswith("//") and not bpy.data.filepath:
+        raise TerrainError(
+            f"The folder of reports, {folder!r}, is one beside the .blend file, which has none yet; save the file, or "
+            "choose another folder."
+        )
+    return Path(bpy.path.abspath(folder)) / file_name(obj)
+
+
+@contextmanager
+def beside(scene, view_layer):
+    """A copy of the scene, and its view layer, that may go to other frames: the scene's own stays at its frame, with
+    what was moved there without a keyframe."""
+    copy = scene.copy()
+    try:
+        yield copy, copy.view_layers[view_layer.name]
+    finally:
+        bpy.data.scenes.remove(copy)
+
+
+def measured(look: Look, through: str, job: Job) -> Subject:
+    """The terrain with every row of a whole sweep; only the writing of meshes is done on the main thread."""
+    with session.engine_lock:
+        subject = look.subject(through)
+    settings = subject.settings
+
+    def on_progress(fraction: float) -> None:
+        at = min(int(fraction * len(settings)), len(settings) - 1)
+        job.progress(fraction, f"Report: {label(settings[at])}")
+
+    subject.rows = sweep(
+        subject.heights,
+        settings,
+        subject.frames,
+        base=subject.base,
+        write=lambda surface: job.on_main(lambda: accuracy_report.ingest_ms(surface)),
+        on_progress=on_progress,
+    )
+    return subject
+
+
+class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
+    """Measure this terrain at the detail of the render for every kind of setting: errors in pixels and metres, depth,
+    meshlets, interpolation and fit. Writes a page with plots and tables, and the same as CSV; takes a minute or more"""
+
+    bl_idname = "adaptive_terrain.sweep_accuracy"
+    bl_label = "Write Accuracy Report"
+    bl_options = {"REGISTER"}
+
+    def work(self, context):
+        obj, scene = context.object, context.scene
+        if bpy.app.is_job_running("RENDER"):
+            raise TerrainError("Blender is rendering, which would be in every time; wait until it is done.")
+        with beside(scene, context.view_layer) as (copy, view_layer):
+            [look] = looks_at(copy, view_layer, [obj], [scene.frame_current])
+        folder = report_folder(obj)
+        accuracy_report.prepare(folder)
+        through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
+
+        def work(job: Job) -> tuple[Path, Subject]:
+            subject = measured(look, through, job)
+            accuracy_report.write([subject], folder)
+            accuracy_report.check_bounds([subject])
+            return folder, subject
+
+        return work
+
+    def clean_up(self):
+        accuracy_report.ingest_end()
+
+    def finish(self, obj, result: tuple[Path, Subject]):
+        folder, subject = result
+        self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
+
+
+register, unregister = bpy.utils.register_classes_factory((SweepAccuracy,))

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write Accuracy Report: the panel's whole sweep, beside the window, and what it leaves of the scene."""
+
+import csv
+import dataclasses
+import threading
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import bpy
+import pytest
+from adaptive_terrain.cbt_terrain.sweep_settings import Setting
+from adaptive_terrain.operators import accuracy_report, accuracy_subject, handlers, measuring, session, sweep_accuracy
+from adaptive_terrain.operators.statistics_panel import AccuracyReportPanel
+from adaptive_terrain.operators.sweep_accuracy import SweepAccuracy
+from modal_runs import running, to_the_end
+
+FEW = [
+    Setting("px", 8.0),
+    Setting("px", 2.0),
+    Setting("px", 2.0, max_depth=9),
+    Setting("px", 2.0, meshlet=2),
+    Setting("px", 8.0, interpolation="bicubic"),
+    Setting("m", 4.0),
+    Setting("m", 4.0, fitted=True),
+]
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, tmp_path, monkeypatch):
+    """A terrain that asks for 2 px, a report folder, a sweep of few settings."""
+    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame: list(FEW))
+    obj = add_terrain()
+    obj.adaptive_terrain.render.error_px = 2.0
+    obj.adaptive_terrain.reports = str(tmp_path / "reports")
+    return obj
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """A sweep that waits before its first row until `go` is set; `reached` says that it is there."""
+    gate = SimpleNamespace(go=threading.Event(), reached=threading.Event())
+    sweep = sweep_accuracy.sweep
+
+    def waiting(*arguments, **options):
+        options["on_progress"](0.25)
+        gate.reached.set()
+        gate.go.wait(20)
+        return sweep(*arguments, **options)
+
+    monkeypatch.setattr(sweep_accuracy, "sweep", waiting)
+    yield gate
+    gate.go.set()
+    measuring._jobs.clear()
+
+
+def rows_of(terrain):
+    folder = sweep_accuracy.report_folder(terrain)
+    with (folder / "accuracy.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def data_blocks():
+    return [[block.name for block in blocks] for blocks in (bpy.data.scenes, bpy.data.meshes, bpy.data.objects)]
+
+
+def animate(scene):
+    for frame, x in ((1, 0.0), (10, 900.0)):
+        scene.camera.location.x = x
+        scene.camera.keyframe_insert("location", frame=frame)
+    scene.frame_set(4)
+
+
+def test_it_sweeps_every_kind_of_setting_and_writes_page_plots_and_table(terrain, scene):
+    animate(scene)
+    assert bpy.ops.adaptive_terrain.sweep_accuracy() == {"FINISHED"}
+    rows = rows_of(terrain)
+    assert [(row["unit"], row["max_depth"], row["meshlet"], row["fitted"], row["interpolation"]) for row in rows] == [
+        (setting.unit, str(setting.max_depth or ""), str(setting.meshlet), str(setting.fitted), setting.interpolation)
+        for setting in FEW
+    ]
+    assert all(0.0 < float(row["measured"]) <= float(row["bound"]) for row in rows)
+    assert all(float(row["ms_ingest"]) > 0.0 for row in rows if row["fitted"] == "False")
+    popping = [float(row["popping_px_max"]) for row in rows if row["unit"] == "px"]
+    assert max(popping) > 0.0, "the camera moves to the next frame"
+    folder = sweep_accuracy.report_folder(terrain)
+    assert {path.suffix for path in folder.iterdir()} == {".html", ".md", ".csv", ".json", ".svg"}
+    page = (folder / "index.html").read_text()
+    assert "2 px (current)" in page and "through the camera of the scene, 640 x 360 pixels, frame 4." in page
+
+
+def test_it_measures_what_the_command_measures(terrain, tmp_path):
+    """The same triangles and errors; only times differ."""
+    from adaptive_terrain.operators import command_line
+
+    bpy.ops.adaptive_terrain.sweep_accuracy()
+    here = rows_of(terrain)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    argv = ["accuracy", "--scene", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "command")]
+    assert command_line.main(argv) == 0
+    with (tmp_path / "command" / "accuracy.csv").open(newline="") as file:
+        there = list(csv.DictReader(file))
+    names = [name for name in here[0] if not name.startswith("ms_")]
+    assert [[row[name] for name in names] for row in here] == [[row[name] for name in names] for row in there]
+
+
+def test_the_scene_stays_as_it_is_also_what_has_no_keyframe(terrain, scene):
+    animate(scene)
+    scene.camera.location.x = 33.0
+    before = data_blocks()
+    bpy.ops.adaptive_terrain.sweep_accuracy()
+    assert (scene.frame_current, scene.camera.location.x, data_blocks()) == (4, 33.0, before)
+    assert handlers.on_frame_change in bpy.app.handlers.frame_change_post
+
+
+def test_beside_the_window_only_meshes_are_written_on_the_main_thread(terrain, monkeypatch):
+    writers, before = set(), data_blocks()
+    write = accuracy_report.ingest_ms
+
+    def noted(surface):
+        writers.add(threading.current_thread())
+        return write(surface)
+
+    monkeypatch.setattr(accuracy_report, "ingest_ms", noted)
+    operator = running(SweepAccuracy, terrain)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert not bpy.ops.adaptive_terrain.measure_accuracy.poll(), "one measurement at a time"
+    assert to_the_end(operator) == {"FINISHED"}
+    assert writers == {threading.main_thread()} and data_blocks() == before
+    assert len(rows_of(terrain)) == len(FEW)
+    kind, said = operator.report.call_args.args
+    assert kind == {"INFO"} and said.endswith(f"index.html: {len(FEW)} settings measured")
+
+
+def draw(terrain):
+    layout = Mock()
+    AccuracyReportPanel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), SimpleNamespace(object=terrain))
+    return layout
+
+
+def test_the_panel_shows_progress_and_cancel_leaves_the_last_report(terrain, held):
+    folder = sweep_accuracy.report_folder(terrain)
+    folder.mkdir(parents=True)
+    (folder / "accuracy.csv").write_text("the last one")
+    operator = running(SweepAccuracy, terrain)
+    assert held.reached.wait(20)
+    draw(terrain).row().progress.assert_called_once_with(factor=0.25, text="Report: 2 px")
+    assert bpy.ops.adaptive_terrain.cancel_measure() == {"FINISHED"}
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert [path.name for path in folder.iterdir()] == ["accuracy.csv"]
+    assert (folder / "accuracy.csv").read_text() == "the last one"
+
+
+def test_cancel_does_not_wait_for_the_main_thread(terrain, monkeypatch):
+    """The job asks for a mesh to be written and is stopped before it gets a turn: nothing is written any more."""
+    before = data_blocks()
+    monkeypatch.setattr(accuracy_report, "ingest_ms", lambda surface: pytest.fail("written after it was stopped"))
+    operator = running(SweepAccuracy, terrain)
+    [job] = measuring._jobs.values()
+    while job._asked.empty():
+        assert not job.done
+    job.stop()
+    job.wait()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert data_blocks() == before and session.record_of(terrain).status.error == ""
+
+
+def test_undo_and_an_opened_file_end_it(terrain, held):
+    operator = running(SweepAccuracy, terrain)
+    assert held.reached.wait(20)
+    handlers.on_undo(None)
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+    operator = running(SweepAccuracy, terrain)
+    [job] = measuring._jobs.values()
+    operator.cancel(operator.context)
+    job.wait()
+    assert job.result is None and measuring._jobs == {}
+
+
+def test_a_terrain_without_a_view_is_told(terrain, scene):
+    scene.camera = None
+    with pytest.raises(RuntimeError, match="no camera to refine for"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    assert "no camera" in session.record_of(terrain).status.error and len(bpy.data.scenes) == 1
+    assert handlers.on_frame_change in bpy.app.handlers.frame_change_post
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_measured(terrain, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_accuracy, "sweep", lambda *arguments, **options: pytest.fail("measured for nothing"))
+    terrain.adaptive_terrain.reports = "//accuracy/"
+    with pytest.raises(RuntimeError, match="save the file, or choose another folder"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    (tmp_path / "file").write_text("")
+    terrain.adaptive_terrain.reports = str(tmp_path / "file")
+    with pytest.raises(RuntimeError, match="expected a folder"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    (tmp_path / "taken" / "Terrain" / "index.html").mkdir(parents=True)
+    terrain.adaptive_terrain.reports = str(tmp_path / "taken")
+    with pytest.raises(RuntimeError, match="index.html is a folder"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+
+
+def test_a_bound_that_does_not_hold_is_an_error_and_is_in_the_report(terrain, monkeypatch):
+    sweep = sweep_accuracy.sweep
+
+    def too_proud(*arguments, **options):
+        first, *rest = sweep(*arguments, **options)
+        return [dataclasses.replace(first, bound_px=first.error / 2), *rest]
+
+    monkeypatch.setattr(sweep_accuracy, "sweep", too_proud)
+    with pytest.raises(RuntimeError, match="The bound does not hold in 1 row, first of Terrain at 8 px"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    assert len(rows_of(terrain)) == len(FEW)
+
+
+def test_the_panel_opens_a_report_that_is_there(terrain):
+    layout = draw(terrain)
+    layout.operator.assert_called_once_with("adaptive_terrain.sweep_accuracy", icon="GRAPH")
+    bpy.ops.adaptive_terrain.sweep_accuracy()
+    layout = draw(terrain)
+    assert layout.operator.call_args.args == ("wm.path_open",)
+    assert layout.operator.return_value.filepath == str(sweep_accuracy.report_folder(terrain) / "index.html")
+    terrain.adaptive_terrain.reports = "//accuracy/"
+    draw(terrain).box.assert_called_once()

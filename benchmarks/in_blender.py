@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,10 +40,10 @@ def ingest_row(rough: HeightField) -> Row:
     return Row("ingest", MILLION, timed.ms["total"], PLAIN, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
 
 
-def frame_row(rough: HeightField, store: Path, size: int) -> Row:
-    timed = alternate(*frames(rough, store, size))
-    first_ms = timed.first_ms["total"]
-    return Row("frame", size, timed.ms["total"], PLAIN, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
+def frame_row(rough: HeightField, store: Path, size: int, meshlet: int = 0) -> Row:
+    timed = alternate(*frames(rough, store, size, meshlet))
+    name, first_ms = "frame_meshlets" if meshlet else "frame", timed.first_ms["total"]
+    return Row(name, size, timed.ms["total"], PLAIN, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
 
 
 def writers(rough: HeightField, size: int) -> tuple[Callable, Callable]:
@@ -65,15 +66,15 @@ def writers(rough: HeightField, size: int) -> tuple[Callable, Callable]:
     return ours, lambda: plain_ingest(plain, surface)
 
 
-def frames(rough: HeightField, store: Path, size: int) -> tuple[Callable, Callable]:
+def frames(rough: HeightField, store: Path, size: int, meshlet: int = 0) -> tuple[Callable, Callable]:
     """The next frame of an animated camera, all that Blender does until the new mesh is evaluated; and the plain
     ingest of a mesh of that size alone."""
     import bpy
 
     from ..operators import session
 
-    surface, px = surface_of(rough, size)
-    terrain = _terrain_scene(store, px)
+    surface, px = surface_of(rough, size, meshlet)
+    terrain = _terrain_scene(store, px, meshlet)
     plain, scene = new_object("Plain"), bpy.context.scene
 
     def ours() -> dict[str, float]:
@@ -112,11 +113,12 @@ def still_frame_row(rough: HeightField, store: Path) -> Row:
     return Row("still_frame", MILLION, timed.ms["total"], first_ms=timed.first_ms["total"])
 
 
-def surface_of(rough: HeightField, size: int):
+def surface_of(rough: HeightField, size: int, meshlet: int = 0):
     """Copies of the arrays of about `size` triangles, and the pixels that give so many."""
     view = seen_from(scenes.eye_over(0))
-    px = scenes.pixels_for(rough, lambda _px: view, scenes.errors, size)
-    surface = Terrain(rough).update(scenes.errors(px), [view]).surface
+    asked = partial(scenes.errors, meshlet=meshlet)
+    px = scenes.pixels_for(rough, lambda _px: view, asked, size)
+    surface = Terrain(rough).update(asked(px), [view]).surface
     return SimpleNamespace(**{name: getattr(surface, name).copy() for name in ARRAYS}), px
 
 
@@ -157,13 +159,13 @@ def new_object(name: str):
     return obj
 
 
-def _terrain_scene(store: Path, px: float):
+def _terrain_scene(store: Path, px: float, meshlet: int):
     """The flight with one live terrain of `px` pixels of error, at frame 0."""
     scene = flight_scene()
     obj = new_object("Terrain")
     settings = obj.adaptive_terrain
     for detail in (settings.viewport, settings.render):
-        detail.error_px = px
+        detail.error_px, detail.meshlet = px, meshlet
     settings.store = str(store)
     settings.enabled = settings.live = True
     scene.frame_set(0)

@@ -24,6 +24,7 @@ MEANING = {
     "meshlets": "As many triangles, 4⁴ for each leaf.",
     "ingest": "The arrays to an evaluated Blender mesh, with normals and two attributes.",
     "frame": "Camera moves to evaluated mesh, all that Blender does in between.",
+    "frame_meshlets": "The same with 4⁴ triangles for each leaf.",
     "still_frame": "A frame change in Blender while the camera stands still; no mesh is written.",
     "depth": "refine_1t of the same leaves in trees of depth 20, 24, 28, 32: slowest beside fastest.",
     "depth_reached": "The same, each camera so low that its finest leaves reach that depth: other leaves, as many.",

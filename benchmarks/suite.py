@@ -106,6 +106,7 @@ def everything(
         yield partial(in_blender.ingest_row, rough)
         for size in in_blender.FRAME_SIZES:
             yield partial(in_blender.frame_row, rough, store, size)
+        yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
         yield partial(in_blender.still_frame_row, rough, store)
     sizes = scale.QUICK_SIZES if quick else scale.SIZES
     yield partial(scale.refine_row, flat, sizes)

@@ -213,7 +213,15 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     notes = []
     rows = suite.measured(suite.everything(tmp_path, True, False, None, notes.append), attempts=1)
     scales = ["scale_refine", "scale_surface", "scale_ingest", "scale_frame"]
-    assert [row.name for row in rows] == [*ENGINE_ROWS, "ingest", "frame", "frame", "still_frame", *scales]
+    assert [row.name for row in rows] == [
+        *ENGINE_ROWS,
+        "ingest",
+        "frame",
+        "frame",
+        "frame_meshlets",
+        "still_frame",
+        *scales,
+    ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
     assert notes[-1] == "The rows cycles are measured with --with-cycles only."
 

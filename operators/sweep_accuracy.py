@@ -76,13 +76,13 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         accuracy_report.prepare(folder)
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
-        def work(job: Job) -> tuple[Path, Subject]:
+        def carry_out(job: Job) -> tuple[Path, Subject]:
             subject = measured(look, through, job)
             accuracy_report.write([subject], folder)
             accuracy_report.check_bounds([subject])
             return folder, subject
 
-        return work
+        return carry_out
 
     def clean_up(self):
         accuracy_report.ingest_end()

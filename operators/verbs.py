@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs of the command line: arguments in, work done, lines on stdout."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+from ..cbt_terrain.errors import TerrainError
+from .console import Progress, duration
+
+DEFAULT_RESOLUTION = (1920, 1080)
+
+
+class UsageError(Exception):
+    """Arguments that contradict each other."""
+
+
+def run_import(arguments) -> None:
+    from ..cbt_terrain.importing import ImportSettings, import_source
+
+    settings = ImportSettings(
+        source=arguments.source,
+        raw_size=arguments.raw_size,
+        raw_dtype=arguments.raw_type,
+        raw_little_endian=not arguments.big_endian,
+        extent=arguments.extent,
+        height_scale=arguments.height_scale,
+        height_offset=arguments.height_offset,
+        no_data=arguments.no_data,
+        band=arguments.band,
+        channel=arguments.channel,
+        first_row_south=arguments.first_row_south,
+        size=arguments.size,
+        seed=arguments.seed,
+    )
+    start = time.monotonic()
+    bar = Progress(1.0, "import", arguments.progress)
+    try:
+        report = import_source(settings, arguments.store, on_progress=lambda fraction, message: bar.to(fraction))
+    finally:
+        bar.close()
+    print_fields(report)
+    print(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def run_info(arguments) -> None:
+    if arguments.path.suffix == ".npz":
+        from ..cbt_terrain.archive import read_npz
+
+        print_fields(read_npz(arguments.path)["info"])
+        return
+    from ..cbt_terrain.importing import describe
+
+    print_fields(describe(arguments.path) if os.path.isdir(arguments.path) else describe_source(arguments.path))
+
+
+def describe_source(path: Path) -> dict:
+    """What a height map's header says."""
+    from ..cbt_terrain.sources import ImportSettings, open_source
+
+    bpy = sys.modules.get("bpy")
+    if path.suffix.lower() == ".exr" and bpy is not None and bpy.app.binary_path:
+        # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
+        raise TerrainError(f"{path} is an EXR file, which is not opened inside Blender; import it first.")
+    raster = open_source(ImportSettings(source=str(path)))
+    try:
+        place = raster.georeference
+        fields = {"path": str(path), "format": raster.format, "stored": raster.stored}
+        fields["raster"] = [raster.width, raster.height]
+        if place is not None:
+            fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}
+        return fields | {"warnings": [*raster.warnings, *(place.warnings if place else ())]}
+    finally:
+        raster.close()
+
+
+def run_bake(arguments) -> None:
+    from .exporting import FORMATS, check_target, figures, needs_blender, write_piece
+    from .frame_sources import baked_piece
+
+    form = arguments.out.suffix[1:].lower()
+    if form not in FORMATS:
+        raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
+    check_target(arguments.out)
+    bar = Progress(1.0, "bake", arguments.progress)
+    try:
+        piece = baked_piece(
+            arguments.store,
+            arguments.max_error,
+            arguments.budget,
+            needs_blender([form]),
+            arguments.interpolation,
+            arguments.fit,
+            bar.to,
+        )
+    finally:
+        bar.close()
+    write_piece(piece, arguments.out)
+    print(summary_line(arguments.out.name, [figures(piece)]))
+    if arguments.fit and not piece.update.rounds:
+        print("the fit saved no triangles: this is the mesh without it")
+
+
+def run_export(arguments) -> None:
+    from .exporting import export_frames
+
+    source = _export_source(arguments)
+    bar = Progress(len(arguments.frames), "export", arguments.progress)
+    counter = iter(range(1, len(arguments.frames) + 1))
+
+    def on_frame(frame: int, summary: dict, skipped: bool) -> None:
+        line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
+        bar.to(next(counter), worked=not skipped)
+        bar.say(f"{line}, complete before" if skipped else line)
+
+    try:
+        export_frames(
+            source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
+        )
+    finally:
+        bar.close()
+
+
+def _export_source(arguments):
+    from ..cbt_terrain.criterion import Criterion
+    from ..cbt_terrain.heightfield import INTERPOLATIONS
+    from .exporting import needs_blender
+    from .frame_sources import SceneFrames, StoreFrames
+
+    _check_source(arguments)
+    if arguments.scene:
+        return SceneFrames(
+            arguments.scene,
+            arguments.camera,
+            arguments.resolution,
+            arguments.pixel_error,
+            arguments.budget,
+            arguments.meshlet,
+            arguments.interpolation,
+        )
+    if not arguments.path:
+        raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
+    criterion = Criterion(
+        error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
+        max_triangles=arguments.budget,
+        meshlet=arguments.meshlet or 0,
+    )
+    resolution = arguments.resolution or DEFAULT_RESOLUTION
+    interpolation = arguments.interpolation or INTERPOLATIONS[0]
+    in_blender = needs_blender(arguments.format)
+    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation)
+
+
+def run_accuracy(arguments) -> None:
+    from . import accuracy_command, accuracy_subject
+
+    _check_source(arguments)
+    if arguments.scene:
+        subjects = accuracy_subject.scene_subjects(
+            arguments.scene, arguments.camera, arguments.frames, arguments.resolution
+        )
+    else:
+        if arguments.frames and not arguments.path:
+            raise UsageError("--frames are those of a --path FILE.json, or of a scene")
+        resolution = arguments.resolution or DEFAULT_RESOLUTION
+        subjects = [accuracy_subject.store_subject(arguments.store, arguments.path, arguments.frames, resolution)]
+    accuracy_command.run(subjects, arguments.out, arguments.progress)
+
+
+def _check_source(arguments) -> None:
+    """A scene has cameras, a store a camera path."""
+    if arguments.scene and arguments.path:
+        raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
+    if arguments.store and arguments.camera:
+        raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
+
+
+def run_demo(arguments) -> None:
+    from .demo import run
+
+    run(arguments.out, arguments.progress)
+
+
+def run_bench(arguments) -> None:
+    if arguments.quick and (arguments.docs or arguments.with_cycles):
+        raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
+    try:
+        from ..benchmarks import suite
+    except ModuleNotFoundError as error:
+        if not error.name.endswith("benchmarks"):
+            raise
+        raise TerrainError(
+            "The benchmarks are not part of the extension; install the Python package adaptive-terrain for them."
+        ) from None
+    suite.run(arguments.quick, arguments.with_cycles, arguments.json, arguments.docs)
+
+
+def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
+    """`frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum, the largest bound."""
+    from .shown_bounds import limit_text
+
+    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {_largest_bound(terrains)}"]
+    if empty := [t["name"] for t in terrains if not t["triangles"]]:
+        parts.append(f"the clean-up leaves nothing of {' and '.join(empty)}")
+    if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
+        parts.append(f"held back by {limit_text(', '.join(limited))}")
+    parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
+    if elapsed_ms is not None:
+        parts.append(f"{elapsed_ms:.0f} ms in all")
+    return f"{what}: {', '.join(parts)}"
+
+
+def _largest_bound(terrains: list[dict]) -> str:
+    """With its unit: pixels where a camera was looked through, else metres."""
+    from .shown_bounds import bound_text
+
+    pixels = [t["bound_px"] for t in terrains if t["bound_px"] is not None]
+    return bound_text(max(pixels), "px") if pixels else bound_text(max(t["bound_m"] for t in terrains), "m")
+
+
+def print_fields(fields: dict, indent: str = "") -> None:
+    """One line a field, a dict below its own name; what is empty is left out."""
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}:")
+            print_fields(value, indent + "  ")
+        elif name == "warnings":
+            for warning in value:
+                print(f"{indent}warning: {warning}")
+        elif isinstance(value, list | tuple):
+            print(f"{indent}{name}: {', '.join(str(part) for part in value)}")
+        elif value != "" and value is not None:
+            print(f"{indent}{name}: {value}")

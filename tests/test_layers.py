@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "operators": {"operators", "cbt_terrain", "kernels"},
     "benchmarks": {"benchmarks", "operators", "cbt_terrain", "kernels"},
 }
-MAY_ASK_FOR_BENCHMARKS = "operators/command_line.py"
+MAY_ASK_FOR_BENCHMARKS = "operators/verbs.py"
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bpy_extras", "addon_utils", "bl_ui", "idprop", "blf"}
 HOUSES = {house: sorted((ROOT / house).rglob("*.py")) for house in MAY_IMPORT}
 FILES = [path for paths in HOUSES.values() for path in paths]

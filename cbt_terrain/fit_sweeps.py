@@ -73,7 +73,7 @@ class Sweeps:
 
     def beyond(self) -> np.ndarray:
         """bool [T]: whether a triangle is farther from the surface than it may be."""
-        moved = self.buffers.numpy("fit_moved")[: self.triangles] * np.float64(self.fitter.scale)
+        moved = self.fitter.moved(self.buffers, self.triangles)
         return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound - moved
 
     def look_again(self, which: np.ndarray) -> None:

@@ -150,6 +150,11 @@ class Fitter:
         triangles = len(surface.level)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
+    def moved(self, buffers: Buffers, triangles: int) -> np.ndarray:
+        """float64 [T]: metres that resampling moved the raster below each triangle. Of a float32 array and a float64
+        number numpy 1 makes float32, numpy 2 float64; the mesh must not depend on it."""
+        return buffers.numpy("fit_moved")[:triangles].astype(np.float64) * self.scale
+
     def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
         """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds.
 
@@ -159,7 +164,7 @@ class Fitter:
         """
         lattice, triangles = self.field.lattice, len(surface.level)
         worst = buffers.numpy("fit_worst")[:triangles]
-        moved = buffers.numpy("fit_moved")[:triangles] * np.float64(self.scale)
+        moved = self.moved(buffers, triangles)
         of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell

@@ -33,11 +33,13 @@ WORDS = (
     "are off. *Hidden* points lie in the picture behind other ground. *Silhouette*: how far the outline is displaced;"
     " it is followed by rays a pixel apart, so it alone may pass the bound where outlines are finer than that. "
     "*Popping*: how far points jump from one frame's mesh to the next frame's; no figure where no frame follows. "
-    "*Rounding*: what float32 has changed of the measured error. *Facets*: angles of triangles to the surface's "
-    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): no other setting with the same "
-    "interpolation has an error and a cost that are both smaller, by a fiftieth at least. Steps: *refine* decides and "
-    "lists the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, "
-    "*ingest* Blender's mesh."
+    "*Rounding*: what float32 has changed of the measured error. *Faces*: angles of triangles to the surface's "
+    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): every setting that costs less, "
+    "with the same interpolation, has an error that is larger by a fiftieth at least; fits, which are made once, take "
+    "part for triangles only. A sweep makes no mesh of more than 8 million triangles: beyond it rows are held back by "
+    "the triangle limit. Steps: *refine* decides and lists the leaves, *mark* writes the tree, *weld* makes vertices "
+    "and edges, *displace* positions and normals, *ingest* Blender's mesh; *engine* is all but ingest, with what lies "
+    "between its steps."
 )
 
 
@@ -142,7 +144,7 @@ def resampled_text(heights) -> str:
         return ""
     return (
         f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
-        f"({heights.resample_rms:.3g} m rms)."
+        f"({heights.resample_rms:.3g} m rms) from the bilinear surface; a bicubic one misses them by more."
     )
 
 
@@ -163,17 +165,17 @@ def sentences(subject) -> list[str]:
         (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         said.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
-            f"{time_text('+', slower - ms, ms)} and +{more - triangles:,.0f} triangles; doubling it "
-            f"to {error * 2:g} {unit} saves {time_text('', ms - faster, ms)} and {triangles - less:,.0f} triangles."
+            f"{time_text(slower - ms, ms)} and {more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} and {triangles - less:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
             said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
     return said
 
 
-def time_text(sign: str, difference_ms: float, whole_ms: float) -> str:
+def time_text(difference_ms: float, whole_ms: float) -> str:
     """A difference of times; one within the noise of a measurement is not given as a figure."""
-    return f"{sign}{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
+    return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 
 def current_figures(row: Row) -> list[tuple[str, str]]:
@@ -231,7 +233,7 @@ def error_tables(rows: list[Row]) -> list[Table]:
 
 def bound_table(rows: list[Row]) -> Table:
     """What the bound is made of at the leaf that decides it."""
-    head = ["bound", "in all", *TERMS, "measured, of the bound"]
+    head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
     lines = []
     for row in rows:
         bounded = row.bound < LARGEST
@@ -242,9 +244,12 @@ def bound_table(rows: list[Row]) -> Table:
 
 
 def steps_table(rows: list[Row]) -> Table:
-    steps = [step for step in ("total", *STEPS) if any(row.ms.get(step) for row in rows)]
-    lines = [[label(row.setting), *(number(row.ms.get(step)) for step in steps)] for row in rows]
-    return Table(["ms", *steps], lines)
+    steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
+    lines = [
+        [label(row.setting), number(row.whole_ms), number(row.ms["total"]), *(number(row.ms.get(s)) for s in steps)]
+        for row in rows
+    ]
+    return Table(["ms", "finished mesh", "engine", *steps], lines)
 
 
 def row_line(row: Row) -> str:

@@ -9,7 +9,7 @@ from ..cbt_terrain.fit import check_interpolation, fit
 from . import session
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .request import gather
-from .shown_bounds import bound_text
+from .shown_bounds import bound_text, limit_text
 
 
 def bake(obj, depsgraph, error_m: float, fitted: bool = False):
@@ -68,11 +68,15 @@ class BakeTerrain(bpy.types.Operator):
         obj = context.object
         settings = obj.adaptive_terrain
         try:
-            _baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
+            baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{update.triangles:,} triangles, at most {bound_text(update.bound_m, 'm')} off")
+        said = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
+        if update.limited:
+            self.report({"WARNING"}, f"{said}: held back by {limit_text(update.limited)}")
+        else:
+            self.report({"INFO"}, said)
         return {"FINISHED"}
 
 

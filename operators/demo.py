@@ -7,6 +7,7 @@ import platform
 import time
 from pathlib import Path
 
+from ..cbt_terrain import warmup
 from ..cbt_terrain.camera_path import read_camera_path
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.importing import ImportSettings, import_source
@@ -51,9 +52,11 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         bar.say(f"{line} ({steps[step]:.1f} s)")
 
     started = time.perf_counter()
+    warmup.start()  # what is compiled now is in no frame's time
     try:
         store = out / "store"
         import_source(ImportSettings(source="island", size=SIZE), store)
+        warmup.wait()
         done("Import", f"store: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
         summaries, criterion = _export(out, store)
         triangles = [summary["terrains"][0]["triangles"] for summary in summaries]

@@ -82,7 +82,7 @@ def _figure(name: str, title: str, caption: str) -> str:
 def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
     return (
         f"Frame {frame['frame']}: {frame['triangles']:,} triangles, error at most "
-        f"{bound_text(frame['bound_px'], 'pixels')} of {resolution[0]} x {resolution[1]}, updated in "
+        f"{bound_text(frame['bound_px'], 'px')} in a picture of {resolution[0]} x {resolution[1]}, updated in "
         f"{frame['ms']['total']:.0f} ms."
     )
 
@@ -101,7 +101,7 @@ def _table(frames: list[dict]) -> str:
 
 def _chart(frames: list[dict]) -> str:
     """Triangles as bars and milliseconds as a line, each from 0 to its own maximum, as one SVG."""
-    width, height, left, right, top, bottom = 1040, 240, 64, 48, 16, 28
+    width, height, left, right, top, bottom = 1040, 240, 64, 72, 16, 28
     plot_w, plot_h = width - left - right, height - top - bottom
     most, slowest = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)
     pitch = plot_w / len(frames)

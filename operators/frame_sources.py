@@ -144,8 +144,9 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     update = session.update_object(obj, depsgraph, RENDER, **asked)
     request = gather(obj, depsgraph, RENDER, **asked)
     field = session.record_of(obj).field
-    info = describe(update, request.criterion, request.views, field, request.placement) | {"frame": frame}
     surface = _surface_of(obj.data) if request.cleanup.active else update.surface
+    info = describe(update, request.criterion, request.views, field, request.placement)
+    info |= {"frame": frame, **counts(surface)}
     return Piece(file_name(obj), surface, field.origin, update, info, obj)
 
 
@@ -186,22 +187,24 @@ def baked_piece(
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
     """What a piece is, as JSON holds it: a function of the frame alone, so no times."""
-    surface = update.surface
     return {
         "generator": "Adaptive Terrain",
         "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
         "asked": asdict(criterion),
         **bounds_of(update),
         "leaves": update.leaves,
-        "vertices": len(surface.positions),
-        "edges": len(surface.edges),
-        "triangles": len(surface.level),
+        **counts(update.surface),
         "views": [_view(view) for view in views],
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
         "height_field": field.key,
         "interpolation": field.interpolation,
     }
+
+
+def counts(surface: Surface) -> dict:
+    """What a mesh has of each, as JSON holds it."""
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.level)}
 
 
 def bounds_of(update: Update) -> dict:

@@ -41,7 +41,7 @@ pre { font: 14px/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; padding
   border-left: 3px solid var(--bar); background: color-mix(in srgb, var(--bar) 8%, transparent); }
 """
 
-EMPHASIS = re.compile(r"\*(\w+)\*")
+EMPHASIS = re.compile(r"\*(\w[\w ]*)\*")
 
 
 @dataclass(frozen=True)

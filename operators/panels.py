@@ -4,12 +4,15 @@
 import bpy
 
 from ..cbt_terrain import warmup
+from ..cbt_terrain.cost_curve import CostCurve
 from ..cbt_terrain.criterion import unit_asked
 from ..cbt_terrain.errors import TerrainError
 from . import import_terrain, overlay_panel, session, statistics_panel
 from .panel_parts import TerrainSubpanel, message, switched
 from .properties import CHOSEN_CAMERA, FILE
 from .request import criterion_from, within_time
+
+ROUNDED = 1e-3  # part by which an error, rounded up to four digits, may cost less than its budget
 
 
 class TerrainPanel(bpy.types.Panel):
@@ -139,9 +142,13 @@ def _draw_budget(column, detail) -> None:
         note = str(error)
     if note:
         message(column, note, "INFO")
-    else:
-        unit = unit_asked(criterion)
-        column.label(text=f"Finest error that fits: {getattr(criterion, f'error_{unit}'):.4g} {unit}")
+        return
+    unit, curve = unit_asked(criterion), CostCurve.from_json(detail.curve)
+    error = getattr(criterion, f"error_{unit}")
+    fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDED)
+    column.label(text=f"{'Finest error that fits' if fits else 'None fits; coarsest error'}: {error:.4g} {unit}")
+    if not curve.error[-1] <= error <= curve.error[0]:
+        column.label(text="Beyond what was measured", icon="INFO")
 
 
 class ViewportPanel(TerrainSubpanel, bpy.types.Panel):

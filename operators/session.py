@@ -26,7 +26,8 @@ from .request import VIEWPORT, Request, gather
 @dataclasses.dataclass
 class Status:
     """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
-    `request`: what was asked, of the height field with the key `field_key`; None before the first update."""
+    `left`: triangles that the clean-up has left. `request`: what was asked, of the height field with the key
+    `field_key`; None before the first update."""
 
     mode: str = ""
     request: Request | None = None
@@ -42,6 +43,7 @@ class Status:
     terms_m: Terms | None = None
     limited: str = ""
     relaxed: float = 1.0
+    left: int = 0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
     error: str = ""
 
@@ -51,7 +53,7 @@ class Status:
         return self.request.digest(self.field_key) if self.request else ""
 
 
-_OWN = ("mode", "request", "field_key", "ms", "error")
+_OWN = ("mode", "request", "field_key", "left", "ms", "error")
 FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
 
 
@@ -201,6 +203,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         mode=mode,
         request=request,
         field_key=record.field.key,
+        left=len(obj.data.polygons),
         ms=ms,
         **{name: getattr(update, name) for name in FIGURES},
     )

@@ -102,6 +102,8 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     if status.relaxed != 1.0:
         lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
+    if status.left != status.triangles:
+        lines.append(("Left by clean-up", f"{status.left:,}"))
     return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
 
 

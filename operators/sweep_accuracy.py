@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 
+from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.sweep import sweep
 from . import accuracy_report, session
@@ -13,6 +14,7 @@ from .accuracy_plots import label
 from .accuracy_subject import Look, Subject, looks_at
 from .frame_sources import file_name
 from .measuring import Job, MeasuringOperator
+from .request import RENDER, gather
 
 
 def report_folder(obj) -> Path:
@@ -70,6 +72,9 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         obj, scene = context.object, context.scene
         if bpy.app.is_job_running("RENDER"):
             raise TerrainError("Blender is rendering, which would be in every time; wait until it is done.")
+        gather(
+            obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion()
+        )  # says what is wrong of this scene
         with beside(scene, context.view_layer) as (copy, view_layer):
             [look] = looks_at(copy, view_layer, [obj], [scene.frame_current])
         folder = report_folder(obj)

@@ -40,11 +40,11 @@ class UpdateTerrain(bpy.types.Operator):
 
     def execute(self, context):
         try:
-            update = session.update_object(context.object)
+            session.update_object(context.object)
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{update.triangles:,} triangles")
+        self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
         return {"FINISHED"}
 
 

@@ -3,10 +3,13 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.buffers import Buffers
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.fit import fit
+from adaptive_terrain.cbt_terrain.fitting import Fitter
 from adaptive_terrain.cbt_terrain.heightfield import HeightField, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import mesh_heights, reference_heights, rough, scattered
@@ -157,6 +160,16 @@ def test_what_resampling_moved_counts_where_it_did(times):
     assert fitted.worst_m < fitted.bound_m
     assert error_m - field.resample_max < fitted.worst_m, "it does not count where it moved nothing"
     assert fitted.triangles <= 0.9 * base.triangles
+
+
+def test_what_resampling_moved_is_summed_in_float64():
+    """A float32 array times a float64 number is float32 in numpy 1: the mesh would depend on the version."""
+    field, _, _ = resampled()
+    fitter, buffers = Fitter(field, 0.1, 0.0, 1, lambda fraction: None), Buffers()
+    buffers.get("fit_moved", 3, wp.float32)
+    buffers.numpy("fit_moved")[:3] = np.float32([0.1, 0.2, 0.3])
+    moved = fitter.moved(buffers, 3)
+    assert moved.dtype == np.float64 and list(moved) == [0.1 * float(np.float32(x)) for x in (0.1, 0.2, 0.3)]
 
 
 def test_where_resampling_alone_passes_the_error_interpolation_is_kept():

@@ -3,12 +3,17 @@
 
 import threading
 import time
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import session
+from adaptive_terrain.operators.bake_terrain import BakeTerrain
+from adaptive_terrain.operators.frame_sources import scene_piece
+from adaptive_terrain.operators.statistics_panel import statistics_lines
 
 
 def positions(obj):
@@ -148,6 +153,12 @@ def test_clean_up_follows_the_settings(scene, add_terrain):
     session.update_object(terrain)
     assert 0 < len(terrain.data.polygons) < whole
     assert terrain.data.validate(verbose=True) is False
+    status = session.record_of(terrain).status
+    assert (status.triangles, status.left) == (whole, len(terrain.data.polygons))
+    assert dict(statistics_lines(status))["Left by clean-up"] == f"{status.left:,}"
+    piece = scene_piece(terrain, bpy.context.evaluated_depsgraph_get(), 1)
+    assert piece.info["triangles"] == len(piece.surface.level) == len(terrain.data.polygons)
+    assert piece.info["vertices"] == len(piece.surface.positions)
     terrain.adaptive_terrain.cleanup.use_below = False
     session.update_object(terrain)
     assert len(terrain.data.polygons) == whole
@@ -168,6 +179,18 @@ def test_bake_makes_an_ordinary_object(scene, add_terrain):
     assert [material.name for material in baked.data.materials] == ["Rock"]
     assert len(baked.data.polygons) > 100
     assert positions(terrain) == before
+
+
+def test_a_bake_says_what_held_it_back(scene, add_terrain):
+    terrain, operator = add_terrain(), SimpleNamespace(report=Mock())
+    settings = terrain.adaptive_terrain
+    settings.bake_error_m, settings.render.limit_triangles, settings.render.max_triangles = 0.5, True, 500
+    settings.cleanup.use_below, settings.cleanup.below = True, 0.0
+    assert BakeTerrain.execute(operator, bpy.context) == {"FINISHED"}
+    [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
+    kind, said = operator.report.call_args.args
+    assert kind == {"WARNING"} and said.startswith(f"{len(baked.data.polygons):,} triangles, at most ")
+    assert said.endswith("held back by the triangle limit") and len(baked.data.polygons) < 500
 
 
 def test_a_fitted_bake_has_fewer_triangles(scene, add_terrain):

@@ -22,8 +22,8 @@ def report_folder(obj) -> Path:
     folder = obj.adaptive_terrain.reports
     if folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
-            f"The folder of reports, {folder!r}, is one beside the .blend file, which has none yet; save the file, or "
-            "choose another folder."
+            f"Reports go into {folder!r}, beside the .blend file, which is not saved yet; save the file, or choose "
+            "another folder."
         )
     return Path(bpy.path.abspath(folder)) / file_name(obj)
 

@@ -51,10 +51,10 @@ LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
 # A function that the walk calls, to its part.
 CALLED = {
     **dict.fromkeys(("error_at", "fetch_ahead", "leaves_tile"), ERRORS),
-    "metres2_of": BAND_TEST,
+    **dict.fromkeys(("metres2_of", "moved_at"), BAND_TEST),
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
-    **dict.fromkeys(("coarsest", "band_below", "remembered_at", "not_split"), BAND),
+    **dict.fromkeys(("coarsest", "leaves_below", "splits_below", "own_for", "remembered_at", "not_split"), BAND),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
     **dict.fromkeys(("touches_border", "leaf_word"), LEAF),
@@ -65,7 +65,7 @@ LINES = (
     ("x = (left_x + right_x) >> 1", BAND_TEST),
     ("memory = wp.int32(0)", BAND),
     ("diamond = diamond_at(", PIXEL),
-    ("coarse2, inside_all = coarsest(", BAND),
+    ("band = Band()", BAND),
     ("near2 = pixel2 * BELOW", PIXEL),
     ("levels = below - depth", BLOCK),
     ("near_error = wp.float32(0.0)", DESCENT),

@@ -269,6 +269,12 @@ def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
 
 
 @wp.func
+def own_for(metres: wp.float64, rest: wp.float64) -> wp.float64:
+    """The own error, metres, that `metres2_of` weighs as so many metres; `rest`: what moved and what rounding adds."""
+    return larger(metres - rest, wp.float64(0.25) * metres)
+
+
+@wp.func
 def pixel2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
     """Squared metres that a pixel spans, (dx, dy, dz) metres from the eye of a view that is not orthographic.
 

@@ -28,6 +28,9 @@ LAST = wp.constant(15)  # the square's last leaf
 LEG_LEG = wp.constant(0)
 HYP_LEG = wp.constant(2)
 LEG_HYP = wp.constant(4)
+# States of the children, four bits for each state of the parent, that of state 0 lowest.
+LEFT_STATES = wp.constant(0x221032)
+RIGHT_STATES = wp.constant(0x105554)
 
 # Roles of a third edge on the border of its square.
 INNER = wp.constant(0)  # not on a side that is shared with another square
@@ -41,26 +44,15 @@ TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has m
 @wp.func
 def left_state(state: wp.int32) -> wp.int32:
     """State of child 0."""
-    old = state & 1
-    s = HYP_LEG + old
-    if state >= LEG_HYP:
-        s = HYP_LEG
-    elif state >= HYP_LEG:
-        s = LEG_LEG + old
-    return s
+    return (LEFT_STATES >> (4 * state)) & 7
 
 
 @wp.func
 def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
     """State of child 1 of the triangle whose first deepest cell is `cell`."""
-    old = state & 1
-    s = LEG_HYP + old
-    if state >= LEG_HYP:
-        s = LEG_LEG + old
-    elif state >= HYP_LEG:
-        s = LEG_HYP + 1
-        if cell == wp.uint64(0):
-            s = LEG_HYP  # the curve starts on the border: the other half of its entry edge was never passed
+    s = (RIGHT_STATES >> (4 * state)) & 7
+    if cell == wp.uint64(0):
+        s = s & 6  # the curve starts on the border: the other half of its entry edge was never passed
     return s
 
 

@@ -13,7 +13,7 @@ the leaves' bits of the tree.
 
 import warp as wp
 
-from .band import NOT_SPLIT, REMEMBERED, band_below, not_split, nothing_certain, remembered_at
+from .band import NOT_SPLIT, REMEMBERED, Band, leaves_below, not_split, nothing_certain, remembered_at, splits_below
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import (
     Asked,
@@ -27,6 +27,7 @@ from .criterion import (
     leaves_tile,
     metres2_of,
     moved_at,
+    own_for,
     sizes,
     smaller,
     too_coarse,
@@ -82,14 +83,20 @@ def walk(domain: Domain, asked: Asked, w: Walk):
     bits = wp.uint64(0)
     # Maxima over the leaves.
     worst_px2 = wp.float64(0.0)
+    worst_px = wp.float64(0.0)
     worst_total_px2 = wp.float64(0.0)
+    worst_total_px = wp.float64(0.0)
     worst_long_px2 = wp.float64(0.0)
     worst_legs_px2 = wp.float64(0.0)
+    worst_error = wp.float32(-1.0)  # metres before scaling
     worst_metres2 = wp.float64(0.0)
     worst_total2 = wp.float64(0.0)
     # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
     in_metres = wp.vec2f()
     in_pixels = wp.vec2f()
+    error_px = wp.sqrt(asked.limit * asked.error_px2)
+    metres_below = wp.sqrt(asked.limit * asked.metres2 * BELOW)
+    metres_above = wp.sqrt(asked.limit * asked.metres2 * ABOVE)
     place = w.slot * STACK
     for k in range(REMEMBERED):
         w.remembered[w.slot * REMEMBERED + k].x = -1
@@ -114,51 +121,31 @@ def walk(domain: Domain, asked: Asked, w: Walk):
         right_y = y0
         top = wp.int32(1)
         w.stack[place] = wp.vec4i(x0 + side, y0 + side, x0, y0 + side)
-        w.aside[place] = HYP_LEG | (1 << 3)
+        w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
         error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
         w.errors[place] = error
-        band_at = wp.int32(0)
-        held = wp.int32(0)  # the band at hand
-        root = nothing_certain()
-        w.bands[place] = root
-        finest2 = root.finest2
-        split_above2 = root.split_above2
-        leaf_up_to2 = root.leaf_up_to2
-        split_depth = root.split_depth
-        leaf_depth = root.leaf_depth
-        even_depth = root.even_depth
-        clear = root.clear
+        held = place  # the band that holds here
+        w.bands[place] = nothing_certain()
         inside = wp.int32(1)
         while inside == 1 and leaves <= w.leaf_limit:
             size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
-            if held != band_at:
-                held = band_at
-                above = w.bands[place + band_at]
-                finest2 = above.finest2
-                split_above2 = above.split_above2
-                leaf_up_to2 = above.leaf_up_to2
-                split_depth = above.split_depth
-                leaf_depth = above.leaf_depth
-                even_depth = above.even_depth
-                clear = above.clear
+            above = w.bands[held]
             x = (left_x + right_x) >> 1
             y = (left_y + right_y) >> 1
-            moved = moved_at(domain, x, y, depth)
-            metres2, total2 = metres2_of(domain, error, moved)
+            own = wp.float64(error) * domain.error_scale
             split = wp.int32(0)
             known = wp.int32(1)
             if depth < w.max_depth:
-                if depth < split_depth or metres2 > split_above2:
+                if depth < above.split_depth or own > above.split_above:
                     split = 1
-                    if even_depth < 0 and leaf_depth - depth > 3:
+                    if above.even_depth < 0 and above.leaf_depth - depth > 3:
                         known = 0  # a narrower band may leave the depth in no doubt
-                elif metres2 > leaf_up_to2:
+                elif own > above.leaf_up_to:
                     known = 0
-            if split == 0:
-                if depth < leaf_depth or not (metres2 <= worst_px2 * finest2 and total2 <= worst_total_px2 * finest2):
-                    known = 0
+            if split == 0 and (depth < above.leaf_depth or not own <= above.quiet_up_to):
+                known = 0
             memory = wp.int32(0)
-            below = even_depth  # of the band for what is below
+            below = above.even_depth  # of the band for what is below
             if known == 0:
                 # The diamond may have been measured from its other triangle: behind an edge that the curve has passed.
                 memory = w.slot * REMEMBERED + remembered_at(x, y)
@@ -170,40 +157,48 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         if met.split_depth != NOT_SPLIT:
                             split = 1
                             w.bands[place + top] = met
-                            band_at = top
-                            held = -1
+                            held = place + top
                             below = met.even_depth
             if known == 0:
                 diamond = diamond_at(domain, x, y, depth)
-                pixel2 = finest(asked, diamond, clear)
+                pixel2 = finest(asked, diamond, above.clear)
+                moved = moved_at(domain, x, y, depth)
+                metres2, total2 = metres2_of(domain, error, moved)
                 long2, legs2 = sizes(asked, domain.unit_bits, depth)
                 climb2 = diamond.rise * diamond.rise
                 if depth < w.max_depth and too_coarse(asked, pixel2, metres2, long2 + climb2, legs2 + climb2):
                     split = 1
-                    coarse2, inside_all = coarsest(asked, diamond, clear)
-                    band = band_below(
-                        asked,
-                        domain.unit_bits,
-                        depth,
-                        w.max_depth,
-                        pixel2 * BELOW,
-                        coarse2 * ABOVE,
-                        climb2,
-                        worst_long_px2,
-                        worst_legs_px2,
-                    )
-                    band.clear = inside_all
+                    band = Band()
                     band.x = x
                     band.y = y
+                    # Errors that never ask for a split: by the finest pixel below, with all that moved here.
+                    fine2 = pixel2 * BELOW
+                    fine = wp.sqrt(fine2)
+                    rest = wp.float64(moved) * domain.error_scale + domain.rounding
+                    band.leaf_up_to = own_for(smaller(error_px * fine, metres_below), rest)
+                    band.quiet_up_to = smaller(own_for(worst_px * fine, rest), worst_total_px * fine - rest)
+                    band.leaf_depth = leaves_below(
+                        asked, depth, w.max_depth, long2, legs2, climb2, fine2, worst_long_px2, worst_legs_px2
+                    )
                     # No error below asks for a split or is a new maximum: depths alone decide.
-                    largest2 = smaller(worst_px2 * band.finest2, worst_metres2)
-                    if asked.measures_edges == 1 and metres2 <= smaller(band.leaf_up_to2, largest2):
-                        if total2 <= smaller(worst_total_px2 * band.finest2, worst_total2):
+                    calm = asked.measures_edges == 1 and own <= smaller(band.leaf_up_to, band.quiet_up_to)
+                    calm = calm and metres2 <= worst_metres2 and total2 <= worst_total2
+                    if calm and band.leaf_depth == depth + 1:  # whatever the coarsest pixel is
+                        band.split_above = wp.float64(wp.inf)
+                        band.split_depth = depth + 1
+                        band.even_depth = depth + 1
+                        band.clear = above.clear
+                    else:
+                        coarse2, inside_all = coarsest(asked, diamond, above.clear)
+                        coarse2 = coarse2 * ABOVE
+                        band.split_above = own_for(smaller(error_px * wp.sqrt(coarse2), metres_above), domain.rounding)
+                        band.split_depth = splits_below(asked, depth, w.max_depth, long2, legs2, coarse2)
+                        band.clear = inside_all
+                        if calm:
                             band.even_depth = wp.where(band.split_depth == band.leaf_depth, band.leaf_depth, -1)
                     w.remembered[memory] = band
                     w.bands[place + top] = band
-                    band_at = top
-                    held = -1
+                    held = place + top
                     below = band.even_depth
                 else:
                     w.remembered[memory] = not_split(x, y)
@@ -211,10 +206,12 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     near2 = pixel2 * BELOW
                     if metres2 > worst_px2 * near2:
                         worst_px2 = larger(worst_px2, metres2 / pixel2)
+                        worst_px = wp.sqrt(worst_px2)
                     if total2 > worst_total_px2 * near2:
                         total_px2 = total2 / pixel2
                         if total_px2 > worst_total_px2:
                             worst_total_px2 = total_px2
+                            worst_total_px = wp.sqrt(worst_total_px2)
                             in_pixels = wp.vec2f(error, moved)
                     if long2 + climb2 > worst_long_px2 * near2:
                         worst_long_px2 = larger(worst_long_px2, (long2 + climb2) / pixel2)
@@ -225,9 +222,8 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 left = wp.vec2i(left_x, left_y)
                 apex = wp.vec2i(apex_x, apex_y)
                 right = wp.vec2i(right_x, right_y)
-                bordering = touches_border(left, apex, right, wp.vec2i(x0, y0), side)
-                ends = cell + size == cells or square_cell + cell + size > w.end_cell
-                if size >= wp.uint64(64) and not (ends or (w.grid == 1 and bordering)):
+                whole = size >= wp.uint64(64) and cell + size < cells and square_cell + cell + size <= w.end_cell
+                if whole and (w.grid == 0 or not touches_border(left, apex, right, wp.vec2i(x0, y0), side)):
                     count = 1 << levels
                     created = new_vertices(w.blocks, state, levels)
                     if leaves + wp.int64(count) <= w.leaf_capacity:
@@ -269,7 +265,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                         fetch_ahead(domain, (right_x + x) >> 1, (right_y + y) >> 1, depth + 1)
                 if cell + (size >> wp.uint64(1)) > start:
                     put_corners(w.stack, place + top, wp.vec4i(x, y, right_x, right_y))
-                    put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (band_at << 9))
+                    put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (held << 9))
                     put_height(w.errors, place + top, next_error)
                     error = near_error
                     top += 1
@@ -286,10 +282,14 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 apex_y = y
             else:
                 if split == 0 and cell >= start:
-                    worst_metres2 = larger(worst_metres2, metres2)
-                    if total2 > worst_total2:
-                        worst_total2 = total2
-                        in_metres = wp.vec2f(error, moved)
+                    if error > worst_error or domain.resampled == 1:
+                        worst_error = error
+                        moved = moved_at(domain, x, y, depth)
+                        metres2, total2 = metres2_of(domain, error, moved)
+                        worst_metres2 = larger(worst_metres2, metres2)
+                        if total2 > worst_total2:
+                            worst_total2 = total2
+                            in_metres = wp.vec2f(error, moved)
                     room = wp.where(leaves < w.leaf_capacity, 1, 0)
                     code = leaf_word(state, depth)
                     passage = state & 6
@@ -374,7 +374,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     error = height_at(w.errors, wp.int64(place + top))
                     state = kept & 7
                     depth = (kept >> 3) & 63
-                    band_at = kept >> 9
+                    held = kept >> 9
         square += 1
         start = wp.uint64(0)
     if word >= wp.int64(0) and leaves <= w.leaf_capacity:

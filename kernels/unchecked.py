@@ -51,8 +51,8 @@ def put_vec3(a: wp.array(dtype=wp.vec3f), i: wp.int32, value: wp.vec3f): ...
 def put_vec2(a: wp.array(dtype=wp.vec2f), i: wp.int32, value: wp.vec2f): ...
 
 
-# The walk's stacks and leaves, and where the arrays hold a diamond: milliseconds for 1 M leaves of one error 53.0, in
-# Warp 59.6; of one edge length 17.5 and 19.3.
+# The walk's stacks and leaves, and where the arrays hold a diamond: milliseconds for 1 M leaves of one error 49.7, in
+# Warp 59.2; of one edge length 15.2 and 16.5.
 
 
 @wp.func_native("a.data[i] = value;")
@@ -131,8 +131,8 @@ def look_up_pairs(
 ): ...
 
 
-# Rows of an even block (kernels/block.py): milliseconds for 1 M leaves of one edge length 17.5, in Warp 21.7; for
-# 500,000 in a tree of depth 32 3.4 and 5.7.
+# Rows of an even block (kernels/block.py): milliseconds for 1 M leaves of one edge length 15.3, in Warp 19.2; for
+# 500,000 in a tree of depth 32 3.6 and 6.1.
 
 
 @wp.func_native(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A report about accuracy: whether it can be written, the files that it is, and whether every bound in it holds."""
 
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +15,8 @@ from .machine import machine
 
 PAGE = "index.html"
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", PAGE)
-PROBE = "accuracy.tmp"
-_scratch: int | None = None  # session_uid of the mesh that is written into
+PROBE, PROBE_BYTES = "accuracy.tmp", 1 << 19  # more than a report is
+SCRATCH = "adaptive_terrain_scratch"  # property of the mesh that is written into
 
 
 def prepare(out: Path) -> None:
@@ -23,12 +24,13 @@ def prepare(out: Path) -> None:
     make_folder(out)
     for name in FILES:
         check_target(out / name)
-    write_text(out / PROBE, "")
+    write_text(out / PROBE, " " * PROBE_BYTES)
     (out / PROBE).unlink()
 
 
 def write(subjects: Sequence[Subject], out: Path) -> None:
     """Write FILES and the plots of measured subjects into the folder `out`, all or none; raises TerrainError."""
+    make_folder(out)  # which may be gone since `prepare`
     write_texts(out, accuracy_page.files(subjects, machine()))
 
 
@@ -48,31 +50,29 @@ def ingest_ms(surface) -> float:
 
     As a terrain's own mesh it has memory from before; a million triangles take a new one twice as long.
     """
-    global _scratch
     import bpy
 
     from .mesh_writer import write_mesh
 
-    mesh = _scratch_mesh() or bpy.data.meshes.new("accuracy")
-    _scratch = mesh.session_uid
+    mesh = next(_scratch_meshes(), None)
+    if mesh is None:
+        mesh = bpy.data.meshes.new("accuracy")
+        mesh[SCRATCH] = True
     start = time.perf_counter()
     write_mesh(mesh, surface)
     return (time.perf_counter() - start) * 1e3
 
 
 def ingest_end() -> None:
-    """Remove the mesh that was written into, if there is one."""
-    global _scratch
-    if _scratch is not None:
-        import bpy
-
-        mesh, _scratch = _scratch_mesh(), None
-        if mesh is not None:
+    """Remove what was written into, also what an undo has brought back."""
+    bpy = sys.modules.get("bpy")
+    if bpy is not None:
+        for mesh in list(_scratch_meshes()):
             bpy.data.meshes.remove(mesh)
 
 
-def _scratch_mesh():
-    """Looked up each time: an undo may have removed it."""
+def _scratch_meshes():
+    """Meshes that were made here; looked up each time, because an undo replaces them. One that is used is a user's."""
     import bpy
 
-    return next((mesh for mesh in bpy.data.meshes if mesh.session_uid == _scratch), None)
+    return (mesh for mesh in bpy.data.meshes if mesh.users == 0 and SCRATCH in mesh)

@@ -146,6 +146,8 @@ def notes_on(criterion: Criterion) -> list[str]:
     notes = []
     if not unit_asked(criterion):
         notes.append("The terrain asks for no error, so no setting is marked as the current one.")
+    if criterion.error_px and criterion.error_m:
+        notes.append("The terrain asks for metres too; the setting marked as current is its error in pixels alone.")
     if criterion.edge_px or criterion.area_px or criterion.max_triangles is not None:
         notes.append("Edge lengths, areas and limits of triangles that the terrain asks for are left out here.")
     return notes

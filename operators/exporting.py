@@ -98,9 +98,9 @@ def make_folder(path: Path) -> None:
 
 def check_target(path: Path) -> None:
     """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
-    if path.is_dir():
+    if os.path.isdir(path):  # which raises for no name
         raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
 
 

@@ -20,6 +20,8 @@ from ..cbt_terrain.terrain import Terrain, Update
 from ..cbt_terrain.view import View
 from .console import interruption_held, quiet
 
+MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -293,10 +295,10 @@ def field_identity(field) -> list:
 
 
 def file_name(obj) -> str:
-    """The object's name, without what a file name cannot hold."""
+    """The object's name, without what a file name cannot hold, nor more of it."""
     import bpy
 
-    return bpy.path.clean_name(obj.name)
+    return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
 
 
 def _need_distinct_names(objects) -> None:

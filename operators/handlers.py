@@ -12,7 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
-from . import live, measuring, session
+from . import accuracy_report, live, measuring, session
 from .request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
@@ -93,6 +93,7 @@ def on_load_post(_path, _unused=None) -> None:
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
     measuring.stop_all()
+    accuracy_report.ingest_end()
     live.mark_dirty()
 
 

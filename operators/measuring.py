@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measuring takes long: it runs on a thread beside the window, one measurement at a time for each terrain."""
+"""Measuring takes long: it runs on a thread beside the window, one measurement at a time, because it takes times."""
 
 import queue
 import threading
@@ -14,7 +14,8 @@ from ..cbt_terrain.errors import TerrainError
 from . import live, session
 
 POLL_S = 0.02  # what a job asks of the main thread waits as long
-_jobs: dict[int, "Job"] = {}  # by the object's session_uid
+RENDERING = "Blender is rendering, which would be in every time; measure again when it is done."
+_jobs: dict[int, "Job"] = {}  # by the object's session_uid; one at most
 
 
 class Stopped(Exception):
@@ -25,13 +26,15 @@ class Job:
     """Carries out `work(job)`, on a thread after `start` or on this one by `run`; it touches nothing of Blender's but
     through `on_main`.
 
-    `fraction`, `message`: how far it is. `result`: what `work` has returned, or None and in `error` why, "" if stopped.
+    `fraction`, `message`: how far it is. `result`: what `work` has returned, or None and in `error` why, "" if it was
+    merely stopped.
     """
 
     def __init__(self, work: Callable[["Job"], object]):
         self._work = work
         self.fraction, self.message = 0.0, "Starting"
         self.result, self.error = None, ""
+        self.timer = None  # of the window, while it runs beside one
         self._stopping = threading.Event()
         self._asked: queue.SimpleQueue[tuple[Future, Callable]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self.run, name="adaptive_terrain_measure", daemon=True)
@@ -82,6 +85,8 @@ class Job:
             try:
                 return answer.result(timeout=POLL_S)
             except TimeoutError:
+                if answer.done():  # the function's own
+                    raise
                 if self.stopped:
                     answer.cancel()
                     raise Stopped from None
@@ -95,6 +100,10 @@ class Job:
                     answer.set_result(function())
                 except Exception as error:
                     answer.set_exception(error)
+
+
+def rendering() -> bool:
+    return bpy.app.is_job_running("RENDER")
 
 
 def progress_of(obj) -> tuple[float, str] | None:
@@ -118,8 +127,10 @@ class MeasuringOperator:
 
     @classmethod
     def poll(cls, context):
-        obj = context.object
-        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+        if _jobs:
+            cls.poll_message_set("A measurement is under way: two at once would be in each other's times")
+            return False
+        return context.object is not None and session.is_terrain(context.object)
 
     def invoke(self, context, event):
         job = self._job(context)
@@ -128,7 +139,7 @@ class MeasuringOperator:
         self.uid, self.shown = context.object.session_uid, None
         _jobs[self.uid] = job
         job.start()
-        self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
+        job.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
@@ -136,16 +147,24 @@ class MeasuringOperator:
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         job = _jobs[self.uid]
+        if rendering() and not job.done:
+            job.error = RENDERING
+            job.stop()
         job.serve()
         shown = round(job.fraction, 2), job.message
         if shown != self.shown:
             self.shown = shown
             live.redraw_panels()
+            if self._object() is None:
+                job.stop()
         if not job.done:
             return {"PASS_THROUGH"}
         self._end(context)
-        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-        return {"CANCELLED"} if obj is None else self._finish(obj, job)
+        obj = self._object()
+        if obj is None:
+            self.report({"INFO"}, "The terrain is gone; what was measured of it is not kept")
+            return {"CANCELLED"}
+        return self._finish(obj, job)
 
     def execute(self, context):
         job = self._job(context)
@@ -163,8 +182,13 @@ class MeasuringOperator:
     def clean_up(self) -> None:
         pass
 
+    def _object(self):
+        return next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+
     def _job(self, context) -> Job | None:
         try:
+            if rendering():
+                raise TerrainError(RENDERING)
             work = self.work(context)
         except TerrainError as error:
             self._failed(context.object, str(error))
@@ -173,19 +197,19 @@ class MeasuringOperator:
         return Job(work)
 
     def _end(self, context):
-        context.window_manager.event_timer_remove(self.timer)
+        context.window_manager.event_timer_remove(_jobs[self.uid].timer)
         del _jobs[self.uid]
         self.clean_up()
         live.redraw_panels()
 
     def _finish(self, obj, job: Job):
-        if job.stopped:
-            self.report({"INFO"}, "Measuring was stopped; what was measured before stays")
-            return {"CANCELLED"}
+        if job.result is not None:
+            self.finish(obj, job.result)
+            return {"FINISHED"}
         if job.error:
             return self._failed(obj, job.error)
-        self.finish(obj, job.result)
-        return {"FINISHED"}
+        self.report({"INFO"}, "Measuring was stopped; what was measured before stays")
+        return {"CANCELLED"}
 
     def _failed(self, obj, message: str):
         session.record_of(obj).status.error = message
@@ -216,5 +240,7 @@ def unregister() -> None:
     for job in _jobs.values():
         job.stop()
         job.wait()
+        if job.timer is not None:
+            bpy.context.window_manager.event_timer_remove(job.timer)
     _jobs.clear()
     bpy.utils.unregister_class(CancelMeasure)

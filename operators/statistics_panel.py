@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the last update gave and took, how large its errors were measured to be, and what other errors would cost."""
 
+import os
+
 import bpy
 
 from ..cbt_terrain.cost_curve import CostCurve
@@ -66,7 +68,7 @@ class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
         except TerrainError as error:
             message(column, str(error), "INFO")
             return
-        if page.is_file():
+        if os.path.isfile(page):  # which raises for no folder
             column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sweep everything that an error can be asked with, and write the report that `adaptive-terrain accuracy` writes."""
 
+import os
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,9 +13,15 @@ from ..cbt_terrain.sweep import sweep
 from . import accuracy_report, session
 from .accuracy_plots import label
 from .accuracy_subject import Look, Subject, looks_at
-from .frame_sources import file_name
+from .frame_sources import file_name, handlers_off
 from .measuring import Job, MeasuringOperator
 from .request import RENDER, gather
+
+BESIDE = "//accuracy/"
+NOT_FOLLOWED = (
+    "the scene by a driver that looks at the scene itself; then popping here is that of a next frame in which that "
+    "stands still. The command measures it."
+)
 
 
 def report_folder(obj) -> Path:
@@ -25,7 +32,21 @@ def report_folder(obj) -> Path:
             f"Reports go into {folder!r}, beside the .blend file, which is not saved yet; save the file, or choose "
             "another folder."
         )
-    return Path(bpy.path.abspath(folder)) / file_name(obj)
+    path = Path(os.path.expanduser(bpy.path.abspath(folder)))
+    if not path.is_absolute():
+        raise TerrainError(f"Reports go into {folder!r}, which is not a whole path; choose a folder, or {BESIDE!r}.")
+    return path / file_name(obj)
+
+
+def need_folder_of_its_own(obj) -> None:
+    """Raise TerrainError where another terrain's report would be written over this one's."""
+    place = obj.adaptive_terrain.reports, file_name(obj).casefold()
+    for other in session.all_terrains():
+        if other != obj and (other.adaptive_terrain.reports, file_name(other).casefold()) == place:
+            raise TerrainError(
+                f"The reports of {obj.name!r} and {other.name!r} would both be written to {file_name(obj)!r}; rename "
+                "one of the terrains, or choose another folder."
+            )
 
 
 @contextmanager
@@ -36,7 +57,15 @@ def beside(scene, view_layer):
     try:
         yield copy, copy.view_layers[view_layer.name]
     finally:
+        with handlers_off():  # objects are shared: handlers of other extensions may have moved them
+            copy.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         bpy.data.scenes.remove(copy)
+
+
+def readers_of(scene) -> list[str]:
+    """Names of what looks at the scene itself, as some drivers do: in a copy they see the frame of the original."""
+    users = bpy.data.user_map(subset=[scene])[scene]
+    return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
 
 
 def measured(look: Look, through: str, job: Job) -> Subject:
@@ -70,19 +99,21 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
 
     def work(self, context):
         obj, scene = context.object, context.scene
-        if bpy.app.is_job_running("RENDER"):
-            raise TerrainError("Blender is rendering, which would be in every time; wait until it is done.")
-        gather(
-            obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion()
-        )  # says what is wrong of this scene
+        folder = report_folder(obj)
+        need_folder_of_its_own(obj)
+        # Says what is wrong while it can name this scene.
+        gather(obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion())
         with beside(scene, context.view_layer) as (copy, view_layer):
             [look] = looks_at(copy, view_layer, [obj], [scene.frame_current])
-        folder = report_folder(obj)
         accuracy_report.prepare(folder)
+        readers = readers_of(scene)
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
         def carry_out(job: Job) -> tuple[Path, Subject]:
             subject = measured(look, through, job)
+            if readers:
+                subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")
+            job.progress(1.0, "Report: writing")
             accuracy_report.write([subject], folder)
             accuracy_report.check_bounds([subject])
             return folder, subject

@@ -3,6 +3,7 @@
 
 import csv
 import dataclasses
+import shutil
 import threading
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -132,6 +133,81 @@ def test_beside_the_window_only_meshes_are_written_on_the_main_thread(terrain, m
     assert kind == {"INFO"} and said.endswith(f"index.html: {len(FEW)} settings measured")
 
 
+def test_what_handlers_of_others_move_comes_back(terrain, scene):
+    def follow(of, _depsgraph=None):
+        of.camera.location.x = 10.0 * of.frame_current
+
+    scene.frame_set(5)
+    bpy.app.handlers.frame_change_post.append(follow)
+    scene.frame_set(5)
+    try:
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    finally:
+        bpy.app.handlers.frame_change_post.remove(follow)
+    assert (scene.frame_current, scene.camera.location.x) == (5, 50.0)
+
+
+def test_what_looks_at_the_scene_itself_is_named_in_the_report(terrain, scene):
+    bpy.ops.adaptive_terrain.sweep_accuracy()
+    page = sweep_accuracy.report_folder(terrain) / "index.html"
+    assert "driver" not in page.read_text()
+    variable = scene.camera.driver_add("location", 0).driver.variables.new()
+    variable.targets[0].id_type, variable.targets[0].id, variable.targets[0].data_path = "SCENE", scene, "frame_current"
+    bpy.ops.adaptive_terrain.sweep_accuracy()
+    assert "Camera may follow the scene by a driver" in page.read_text()
+
+
+def test_one_measurement_at_a_time_whatever_the_terrain(terrain, add_terrain, held):
+    operator = running(SweepAccuracy, terrain)
+    assert held.reached.wait(20)
+    add_terrain("Other")
+    assert not bpy.ops.adaptive_terrain.measure_accuracy.poll() and not bpy.ops.adaptive_terrain.sweep_accuracy.poll()
+    held.go.set()
+    assert to_the_end(operator) == {"FINISHED"} and bpy.ops.adaptive_terrain.sweep_accuracy.poll()
+
+
+def test_a_render_ends_it_with_the_reason(terrain, held, monkeypatch):
+    operator = running(SweepAccuracy, terrain)
+    assert held.reached.wait(20)
+    monkeypatch.setattr(measuring, "rendering", lambda: True)
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert operator.report.call_args.args == ({"ERROR"}, measuring.RENDERING)
+    assert running(SweepAccuracy, terrain).began == {"CANCELLED"}
+
+
+def test_a_mesh_that_an_undo_brings_back_is_removed(terrain):
+    users = bpy.data.meshes.new("accuracy")
+    accuracy_report.ingest_ms(session.update_object(terrain).surface)
+    assert len(bpy.data.meshes) == 3
+    handlers.on_undo(None)
+    assert {mesh.name for mesh in bpy.data.meshes} == {terrain.data.name, users.name}
+
+
+def test_reports_of_two_terrains_never_share_a_folder(terrain, add_terrain):
+    other = add_terrain("a/b")
+    terrain.name = "A_b"
+    other.adaptive_terrain.reports = terrain.adaptive_terrain.reports
+    with pytest.raises(RuntimeError, match="would both be written to 'a_b'; rename one"):
+        bpy.ops.adaptive_terrain.sweep_accuracy()
+    other.name = "c"
+    assert bpy.ops.adaptive_terrain.sweep_accuracy() == {"FINISHED"}
+
+
+def test_a_long_name_fits_into_those_of_files(terrain):
+    terrain.name = "é" * 255
+    assert bpy.ops.adaptive_terrain.sweep_accuracy() == {"FINISHED"}
+    assert len(rows_of(terrain)) == len(FEW)
+
+
+def test_a_folder_that_vanishes_meanwhile_is_made_again(terrain, tmp_path, held):
+    operator = running(SweepAccuracy, terrain)
+    assert held.reached.wait(20)
+    shutil.rmtree(tmp_path / "reports")
+    held.go.set()
+    assert to_the_end(operator) == {"FINISHED"} and len(rows_of(terrain)) == len(FEW)
+
+
 def draw(terrain):
     layout = Mock()
     AccuracyReportPanel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), SimpleNamespace(object=terrain))
@@ -192,6 +268,10 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_measured(ter
     terrain.adaptive_terrain.reports = "//accuracy/"
     with pytest.raises(RuntimeError, match="save the file, or choose another folder"):
         bpy.ops.adaptive_terrain.sweep_accuracy()
+    for folder in ("", "reports"):
+        terrain.adaptive_terrain.reports = folder
+        with pytest.raises(RuntimeError, match="which is not a whole path"):
+            bpy.ops.adaptive_terrain.sweep_accuracy()
     (tmp_path / "file").write_text("")
     terrain.adaptive_terrain.reports = str(tmp_path / "file")
     with pytest.raises(RuntimeError, match="expected a folder"):

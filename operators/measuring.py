@@ -5,7 +5,7 @@ import queue
 import threading
 import traceback
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 
 import bpy
 
@@ -81,15 +81,11 @@ class Job:
             return function()
         answer = Future()
         self._asked.put((answer, function))
-        while True:
-            try:
-                return answer.result(timeout=POLL_S)
-            except TimeoutError:
-                if answer.done():  # the function's own
-                    raise
-                if self.stopped:
-                    answer.cancel()
-                    raise Stopped from None
+        while not wait([answer], timeout=POLL_S).done:
+            if self.stopped:
+                answer.cancel()
+                raise Stopped
+        return answer.result()
 
     def serve(self) -> None:
         """Do what `on_main` waits for; on the main thread, often."""
@@ -150,7 +146,8 @@ class MeasuringOperator:
         if rendering() and not job.done:
             job.error = RENDERING
             job.stop()
-        job.serve()
+        if not job.stopped:
+            job.serve()
         shown = round(job.fraction, 2), job.message
         if shown != self.shown:
             self.shown = shown

@@ -31,6 +31,7 @@ FEW = [
 def terrain(scene, add_terrain, tmp_path, monkeypatch):
     """A terrain that asks for 2 px, a report folder, a sweep of few settings."""
     monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame: list(FEW))
+    scene.render.resolution_percentage = 25  # looking takes longest
     obj = add_terrain()
     obj.adaptive_terrain.render.error_px = 2.0
     obj.adaptive_terrain.reports = str(tmp_path / "reports")
@@ -87,7 +88,7 @@ def test_it_sweeps_every_kind_of_setting_and_writes_page_plots_and_table(terrain
     folder = sweep_accuracy.report_folder(terrain)
     assert {path.suffix for path in folder.iterdir()} == {".html", ".md", ".csv", ".json", ".svg"}
     page = (folder / "index.html").read_text()
-    assert "2 px (current)" in page and "through the camera of the scene, 640 x 360 pixels, frame 4." in page
+    assert "2 px (current)" in page and "through the camera of the scene, 160 x 90 pixels, frame 4." in page
 
 
 def test_it_measures_what_the_command_measures(terrain, tmp_path):

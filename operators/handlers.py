@@ -92,7 +92,7 @@ def on_load_post(_path, _unused=None) -> None:
 @persistent
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
-    measuring.stop_all()
+    measuring.stop()
     accuracy_report.ingest_end()
     live.mark_dirty()
 

@@ -15,7 +15,7 @@ from . import live, session
 
 POLL_S = 0.02  # what a job asks of the main thread waits as long
 RENDERING = "Blender is rendering, which would be in every time; measure again when it is done."
-_jobs: dict[int, "Job"] = {}  # by the object's session_uid; one at most
+_job: "Job | None" = None  # under way beside a window
 
 
 class Stopped(Exception):
@@ -26,12 +26,12 @@ class Job:
     """Carries out `work(job)`, on a thread after `start` or on this one by `run`; it touches nothing of Blender's but
     through `on_main`.
 
-    `fraction`, `message`: how far it is. `result`: what `work` has returned, or None and in `error` why, "" if it was
-    merely stopped.
+    `uid`: session_uid of the object that is measured. `fraction`, `message`: how far it is. `result`: what `work` has
+    returned, or None and in `error` why, "" if it was merely stopped.
     """
 
-    def __init__(self, work: Callable[["Job"], object]):
-        self._work = work
+    def __init__(self, uid: int, work: Callable[["Job"], object]):
+        self.uid, self._work = uid, work
         self.fraction, self.message = 0.0, "Starting"
         self.result, self.error = None, ""
         self.timer = None  # of the window, while it runs beside one
@@ -104,14 +104,18 @@ def rendering() -> bool:
 
 def progress_of(obj) -> tuple[float, str] | None:
     """Fraction done (0 .. 1) and what is being measured, or None when nothing is measured for the object."""
-    job = _jobs.get(obj.session_uid)
-    return None if job is None else (job.fraction, job.message)
+    return (_job.fraction, _job.message) if _job is not None and _job.uid == obj.session_uid else None
 
 
-def stop_all() -> None:
-    """Undo may have changed what is being measured: end every measurement."""
-    for job in _jobs.values():
-        job.stop()
+def stop() -> None:
+    """Undo may have changed what is being measured: end it."""
+    if _job is not None:
+        _job.stop()
+
+
+def _object_of(job: Job):
+    """None where it is gone."""
+    return next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
 
 
 class MeasuringOperator:
@@ -123,17 +127,18 @@ class MeasuringOperator:
 
     @classmethod
     def poll(cls, context):
-        if _jobs:
+        if _job is not None:
             cls.poll_message_set("A measurement is under way: two at once would be in each other's times")
             return False
         return context.object is not None and session.is_terrain(context.object)
 
     def invoke(self, context, event):
-        job = self._job(context)
+        global _job
+        job = self._new_job(context)
         if job is None:
             return {"CANCELLED"}
-        self.uid, self.shown = context.object.session_uid, None
-        _jobs[self.uid] = job
+        self.shown = None
+        _job = job
         job.start()
         job.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -142,7 +147,7 @@ class MeasuringOperator:
     def modal(self, context, event):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        job = _jobs[self.uid]
+        job = _job
         if rendering() and not job.done:
             job.error = RENDERING
             job.stop()
@@ -152,19 +157,19 @@ class MeasuringOperator:
         if shown != self.shown:
             self.shown = shown
             live.redraw_panels()
-            if self._object() is None:
+            if _object_of(job) is None:
                 job.stop()
         if not job.done:
             return {"PASS_THROUGH"}
         self._end(context)
-        obj = self._object()
+        obj = _object_of(job)
         if obj is None:
             self.report({"INFO"}, "The terrain is gone; what was measured of it is not kept")
             return {"CANCELLED"}
         return self._finish(obj, job)
 
     def execute(self, context):
-        job = self._job(context)
+        job = self._new_job(context)
         if job is None:
             return {"CANCELLED"}
         job.run()
@@ -173,16 +178,13 @@ class MeasuringOperator:
 
     def cancel(self, context):
         """Another file is loaded, or Blender quits."""
-        _jobs[self.uid].stop()
+        _job.stop()
         self._end(context)
 
     def clean_up(self) -> None:
         pass
 
-    def _object(self):
-        return next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-
-    def _job(self, context) -> Job | None:
+    def _new_job(self, context) -> Job | None:
         try:
             if rendering():
                 raise TerrainError(RENDERING)
@@ -191,11 +193,12 @@ class MeasuringOperator:
             self._failed(context.object, str(error))
             return None
         session.record_of(context.object).status.error = ""
-        return Job(work)
+        return Job(context.object.session_uid, work)
 
     def _end(self, context):
-        context.window_manager.event_timer_remove(_jobs[self.uid].timer)
-        del _jobs[self.uid]
+        global _job
+        context.window_manager.event_timer_remove(_job.timer)
+        _job = None
         self.clean_up()
         live.redraw_panels()
 
@@ -222,10 +225,10 @@ class CancelMeasure(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and context.object.session_uid in _jobs
+        return _job is not None
 
     def execute(self, context):
-        _jobs[context.object.session_uid].stop()
+        stop()
         return {"FINISHED"}
 
 
@@ -234,10 +237,10 @@ def register() -> None:
 
 
 def unregister() -> None:
-    for job in _jobs.values():
-        job.stop()
-        job.wait()
-        if job.timer is not None:
-            bpy.context.window_manager.event_timer_remove(job.timer)
-    _jobs.clear()
+    global _job
+    if _job is not None:
+        _job.stop()
+        _job.wait()
+        bpy.context.window_manager.event_timer_remove(_job.timer)
+        _job = None
     bpy.utils.unregister_class(CancelMeasure)

@@ -128,4 +128,10 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
 
 
-register, unregister = bpy.utils.register_classes_factory((SweepAccuracy,))
+def register() -> None:
+    bpy.utils.register_class(SweepAccuracy)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(SweepAccuracy)
+    accuracy_report.ingest_end()  # of a sweep that is under way

@@ -5,7 +5,7 @@ import time
 from types import SimpleNamespace
 from unittest.mock import Mock
 
-NAMES = ("work", "finish", "clean_up", "_object", "_job", "_end", "_finish", "_failed", "modal", "cancel", "invoke")
+NAMES = ("work", "finish", "clean_up", "_new_job", "_end", "_finish", "_failed", "modal", "cancel", "invoke")
 
 
 def running(operator_class, obj):

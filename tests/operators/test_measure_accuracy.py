@@ -58,7 +58,7 @@ def held(monkeypatch):
     monkeypatch.setattr(measure_accuracy, "measure_request", measure_request)
     yield gate
     gate.go.set()
-    measuring._jobs.clear()
+    measuring._job = None
 
 
 def some_errors():
@@ -188,11 +188,11 @@ def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
 
 def test_an_opened_file_ends_it(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    [job] = measuring._jobs.values()
+    job = measuring._job
     operator.cancel(operator.context)
     held.go.set()
     job.wait()
-    assert job.result is None and measuring._jobs == {}
+    assert job.result is None and measuring._job is None
 
 
 def test_what_is_wrong_is_told(terrain, store, monkeypatch):

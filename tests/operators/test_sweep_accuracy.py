@@ -11,7 +11,15 @@ from unittest.mock import Mock
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.sweep_settings import Setting
-from adaptive_terrain.operators import accuracy_report, accuracy_subject, handlers, measuring, session, sweep_accuracy
+from adaptive_terrain.operators import (
+    accuracy_report,
+    accuracy_subject,
+    handlers,
+    measuring,
+    registration,
+    session,
+    sweep_accuracy,
+)
 from adaptive_terrain.operators.statistics_panel import AccuracyReportPanel
 from adaptive_terrain.operators.sweep_accuracy import SweepAccuracy
 from modal_runs import running, to_the_end
@@ -53,7 +61,7 @@ def held(monkeypatch):
     monkeypatch.setattr(sweep_accuracy, "sweep", waiting)
     yield gate
     gate.go.set()
-    measuring._jobs.clear()
+    measuring._job = None
 
 
 def rows_of(terrain):
@@ -185,6 +193,17 @@ def test_a_mesh_that_an_undo_brings_back_is_removed(terrain):
     assert {mesh.name for mesh in bpy.data.meshes} == {terrain.data.name, users.name}
 
 
+def test_switching_the_extension_off_leaves_no_mesh(terrain):
+    before = data_blocks()
+    operator = running(SweepAccuracy, terrain)
+    while len(bpy.data.meshes) == len(before[1]):
+        operator.modal(operator.context, SimpleNamespace(type="TIMER"))
+    measuring._job.timer = bpy.context.window_manager.event_timer_add(1.0)
+    registration.unregister()
+    registration.register()
+    assert measuring._job is None and [mesh.name for mesh in bpy.data.meshes] == before[1]
+
+
 def test_reports_of_two_terrains_never_share_a_folder(terrain, add_terrain):
     other = add_terrain("a/b")
     terrain.name = "A_b"
@@ -234,7 +253,7 @@ def test_cancel_does_not_wait_for_the_main_thread(terrain, monkeypatch):
     before = data_blocks()
     monkeypatch.setattr(accuracy_report, "ingest_ms", lambda surface: pytest.fail("written after it was stopped"))
     operator = running(SweepAccuracy, terrain)
-    [job] = measuring._jobs.values()
+    job = measuring._job
     while job._asked.empty():
         assert not job.done
     job.stop()
@@ -250,10 +269,10 @@ def test_undo_and_an_opened_file_end_it(terrain, held):
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
     operator = running(SweepAccuracy, terrain)
-    [job] = measuring._jobs.values()
+    job = measuring._job
     operator.cancel(operator.context)
     job.wait()
-    assert job.result is None and measuring._jobs == {}
+    assert job.result is None and measuring._job is None
 
 
 def test_a_terrain_without_a_view_is_told(terrain, scene):

@@ -29,6 +29,7 @@ from .profiles import (
     DISPLACE,
     ERRORS,
     FILE,
+    KEPT,
     LEAF,
     MERGED,
     OTHER,
@@ -51,26 +52,33 @@ LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
 # A function that the walk calls, to its part.
 CALLED = {
     **dict.fromkeys(("error_at", "fetch_ahead", "leaves_tile"), ERRORS),
-    **dict.fromkeys(("metres2_of", "moved_at"), BAND_TEST),
+    **dict.fromkeys(("metres2_of", "moved_at", "quiet"), BAND_TEST),
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
-    **dict.fromkeys(("coarsest", "leaves_below", "splits_below", "own_for", "remembered_at", "not_split"), BAND),
+    **dict.fromkeys(("band_below", "remembered_at", "not_split"), BAND),
+    **dict.fromkeys(("next_kept", "carried", "within", "joined", "take", "keep_taken"), KEPT),
+    **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
-    **dict.fromkeys(("touches_border", "leaf_word"), LEAF),
+    **dict.fromkeys(("is_apart", "leaf_word", "flush"), LEAF),
     "border_role": LEAF,
 }
 # The walk's own lines, from each of these on, in their order.
 LINES = (
+    ("if kept_cell <= at:", KEPT),
     ("x = (left_x + right_x) >> 1", BAND_TEST),
     ("memory = wp.int32(0)", BAND),
-    ("diamond = diamond_at(", PIXEL),
-    ("band = Band()", BAND),
-    ("near2 = pixel2 * BELOW", PIXEL),
+    ("m = measured_at(", PIXEL),
+    ("band = band_below(", BAND),
+    ("span = wp.sqrt(m.pixel2)", KEPT),
+    ("band.x = x", BAND),
+    ("near2 = m.pixel2 * limits.below", PIXEL),
     ("levels = below - depth", BLOCK),
     ("near_error = wp.float32(0.0)", DESCENT),
     ("room = wp.where(leaves", LEAF),
     ("# On along the curve", DESCENT),
+    ("if end > wp.uint64(0) and square_cell", KEPT),
+    ("if top == 0 or", DESCENT),
 )
 # Kernels by their module, where it is not the walk's.
 MODULES = {"tree": COUNTERS, "weld": WELD, "weld_border": WELD, "displace": DISPLACE, "ingest": OUR_WRITER}
@@ -85,7 +93,8 @@ def part_of(sample: Sample) -> str:
         if not sample.frames:
             return MERGED
         if len(sample.frames) > 1:
-            return CALLED.get(sample.frames[1][1], DESCENT)
+            called = [CALLED[name] for _, name, _ in sample.frames[1:] if name in CALLED]
+            return called[0] if called else PIXEL if sample.frames[1][1] == "measured_at" else DESCENT
         return walk_part(sample.frames[0][2])
     if module:
         return MODULES.get(module, OTHER)

@@ -8,6 +8,7 @@ FILE = Path(__file__).with_name("profiles.json")
 DESCENT, BAND_TEST, BAND = "walk: stack and branches", "walk: errors against bands", "walk: bands made"
 ERRORS, BOX, PIXEL = "walk: errors read", "walk: boxes of diamonds", "walk: pixels on a box"
 LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not attributed"
+KEPT = "walk: subtrees kept and taken"
 COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"
 SYSTEM, COPY, PYTHON = "the system: memory's pages", "memory copied or cleared", "Python and numpy"
 OUR_WRITER, BLENDER = "our mesh writer's kernels", "Blender"
@@ -23,6 +24,7 @@ MEANING = {
     BAND: "the coarsest pixel on the box and the depths that are certain below it",
     LEAF: "codes, points and the tree's words of single leaves",
     BLOCK: "leaves of even depth copied from a table",
+    KEPT: "what the last frame has found copied, what the next one may copy noted",
     MERGED: "instructions that the compiler made of several lines",
     COUNTERS: "the tree's words compared with the last ones, counters above changed ones",
     WELD: "vertex numbers of corners, edges",

@@ -47,6 +47,11 @@ class Buffers:
             self._arrays[name] = held = (array, shared(array, dtype))
         return held[1]
 
+    def swap(self, a: str, b: str) -> None:
+        """What was called one is called the other; a name that nothing has yet stays free."""
+        held = {a: self._arrays.pop(b, None), b: self._arrays.pop(a, None)}
+        self._arrays |= {name: array for name, array in held.items() if array is not None}
+
     def numpy(self, name: str) -> np.ndarray:
         """The memory of a buffer that `get` has made."""
         return self._arrays[name][0]

@@ -12,7 +12,8 @@ from ..kernels import curve
 from ..kernels import refine as kernels
 from ..kernels.band import REMEMBERED, Band
 from ..kernels.block import MAX_BISECTIONS, Blocks
-from ..kernels.criterion import Asked, Domain
+from ..kernels.coherence import Motion, Subtree
+from ..kernels.criterion import Asked, Domain, LocalView
 from ..kernels.walk_state import STACK, Walk
 from . import launch
 from .buffers import Buffers, bind, shared
@@ -33,6 +34,12 @@ STEPS_PER_OCTAVE = 32
 MAX_STEP = 160 * STEPS_PER_OCTAVE
 # Octaves of leaves for an octave of error, on most ground: only how soon a budget is found depends on it.
 LEAVES_PER_ERROR = 1.2
+# By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
+SLACK = 0.05
+# Relative; what rounding makes of lengths in a camera's space when it turns.
+ROUNDED = 1e-10
+# What a walk writes that the next one may copy.
+WRITTEN = ("code", "point", "word_index", "word_bits", "kept", "kept_counts")
 
 
 @dataclass
@@ -114,6 +121,8 @@ class Refinement:
         self._step = 0
         self._walk_structs: list[Walk] = []
         self._recorded: dict = {}
+        self._motion = Motion()
+        self._last: _Walked | None = None
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -137,14 +146,28 @@ class Refinement:
 
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int):
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
-        cuts = self._cuts()
+        cuts, last, self._last = self._cuts(), self._last, None
+        for name in WRITTEN:
+            self.buffers.swap(name, "last_" + name)
+        # Of edges alone bands decide so fast that keeping them costs as much as it saves.
+        keeps = asked.view_count == 1 and asked.error_px2 < math.inf
+        kept = last is not None and last.fits(domain, asked, max_depth)
+        if kept:
+            _move(self._motion, last.view, asked.view)
         while True:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded)
+            for walk in walks:
+                bind(walk, last_slots=last.slots if kept else 0, last_room=last.room if kept else 1)
+                walk.slack = SLACK if keeps else 0.0
+                walk.motion = self._motion
+            kernel = kernels.keeping_walk if keeps else kernels.walk
+            launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded)
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None
             if counts[:, 0].max() <= self._capacity:
+                if keeps:
+                    self._last = _Walked(domain, asked, max_depth, len(walks), _room_for(self._capacity))
                 return walks, counts
             self._capacity = int(1.25 * counts[:, 0].max()) + 1024
 
@@ -196,6 +219,15 @@ class Refinement:
             "sides": get("sides", slices * 4 * squares, wp.int32),
             "counts": get("counts", slices * 4, wp.int64),
             "bounds": get("bounds", slices * 10, wp.float64),
+            "taken": get("taken", slices, wp.int64),
+            "kept": get("kept", slices * _room_for(capacity), Subtree),
+            "kept_counts": get("kept_counts", slices, wp.int64),
+            "last_kept": get("last_kept", 1, Subtree),
+            "last_counts": get("last_kept_counts", 1, wp.int64),
+            "last_code": get("last_code", 1, wp.uint16),
+            "last_point": get("last_point", 1, wp.vec2i),
+            "last_word_index": get("last_word_index", 1, wp.int64),
+            "last_word_bits": get("last_word_bits", 1, wp.uint64),
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
         while len(self._walk_structs) < slices:
@@ -213,6 +245,9 @@ class Refinement:
                 leaf_base=k * stride,
                 slot=k,
                 grid=int(squares > 1),
+                last_slots=0,
+                last_room=1,
+                room=_room_for(capacity),
                 **arrays,
             )
         return walks
@@ -242,6 +277,50 @@ class Refinement:
         spare = np.arange(self.lattice.squares, 1 << self.lattice.square_bits, dtype=np.int64) << (self._cell_bits - 6)
         streams = [(index[p], bits[p]) for p in parts]
         return self.tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
+
+
+@dataclass
+class _Walked:
+    """What the last walk's subtrees were kept for."""
+
+    domain: Domain
+    asked: Asked
+    max_depth: int
+    slots: int
+    room: int  # of subtrees in a slot
+
+    def __post_init__(self):
+        self.view, self.numbers = self.asked.view, _unmoved(self.asked)
+
+    def fits(self, domain: Domain, asked: Asked, max_depth: int) -> bool:
+        """Whether only the camera has moved since."""
+        return (
+            domain is self.domain
+            and max_depth == self.max_depth
+            and asked.view_count == 1
+            and all(a == b or abs(a - b) <= ROUNDED * b for a, b in zip(_unmoved(asked), self.numbers, strict=True))
+        )
+
+
+def _unmoved(asked: Asked) -> list[float]:
+    """The numbers of what is asked that stay the same while a camera moves."""
+    view = asked.view
+    of_view = [view.kind, view.plane_count, *view.weight, view.cosine2, view.near2, view.off_screen2]
+    of_edges = [asked.measures_edges, asked.edge_px2, asked.area_px2, asked.diagonal2, asked.axis2]
+    return [float(number) for number in (*of_view, *of_edges, asked.error_px2, asked.metres2, asked.limit)]
+
+
+def _move(motion: Motion, before: LocalView, now: LocalView) -> None:
+    """Fill in how the view has moved."""
+    motion.eye, motion.depth = before.eye, before.depth
+    offsets = zip(now.weight, now.eye, before.eye, strict=True)
+    motion.step = math.sqrt(sum(float(w) * (float(a) - float(b)) ** 2 for w, a, b in offsets))
+    motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))
+
+
+def _room_for(leaves: int) -> int:
+    """Subtrees that a slot of so many leaves may keep."""
+    return leaves // 8 + 8
 
 
 def _lowest(count, most: int, start: int) -> int:

@@ -9,13 +9,60 @@ length, 14.8 and 17.9 at 1 M, 54.7 and 57.6 at 1 M of one error.
 
 import warp as wp
 
-from .criterion import Asked, smaller
+from .bounds import Bounds
+from .criterion import (
+    Asked,
+    Diamond,
+    Domain,
+    coarsest,
+    diamond_at,
+    finest,
+    larger,
+    metres2_of,
+    moved_at,
+    own_for,
+    sizes,
+    smaller,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 REMEMBER_BITS = wp.constant(10)
 REMEMBERED = wp.constant(1 << 10)  # diamonds that a walk remembers: 8 in 10 of those that it meets again
 NOT_SPLIT = wp.constant(-1)
+ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
+BELOW = wp.constant(wp.float64(1.0 - 1e-9))
+
+
+@wp.struct
+class Limits:
+    """What is asked, as bands compare it; margins are far above rounding."""
+
+    error_px: wp.float64
+    metres_below: wp.float64
+    metres_above: wp.float64
+    below: wp.float64  # 1, less what rounding may do
+    finer: wp.float64  # on squared spans of a pixel: as fine as they may become
+    coarser: wp.float64  # ... as coarse
+    per_error2: wp.float64  # squared spans of a pixel per squared metre at which a diamond is split
+    per_edge2: wp.float64
+    per_area2: wp.float64
+
+
+@wp.struct
+class Measured:
+    """A diamond as the views see it."""
+
+    diamond: Diamond
+    pixel2: wp.float64  # squared metres that a pixel spans at least
+    own: wp.float64  # metres of its own error
+    rest: wp.float64  # metres of error that cannot be refined away
+    moved: wp.float32
+    metres2: wp.float64  # see `metres2_of`
+    total2: wp.float64
+    long2: wp.float64  # level edges and areas, see `sizes`
+    legs2: wp.float64
+    climb2: wp.float64  # how far edges climb, squared metres
 
 
 @wp.struct
@@ -24,13 +71,60 @@ class Band:
 
     split_above: wp.float64  # metres of own error: above, a diamond is split
     leaf_up_to: wp.float64  # ... up to these no error asks for a split
-    quiet_up_to: wp.float64  # ... and up to these none is a new maximum in pixels
+    fine2: wp.float64  # squared metres that a pixel spans at least
+    rest: wp.float64  # metres of error that cannot be refined away, at most
     split_depth: wp.int32  # above it edges ask for a split; or NOT_SPLIT
     leaf_depth: wp.int32  # from it on they do not
     even_depth: wp.int32  # where only depths decide and in no doubt: the leaves'; -1: in doubt; 0: errors count
     clear: wp.int32  # the frustum holds the box
+    mark: wp.int32  # in which subtree it was measured (kernels/coherence.py)
     x: wp.int32  # the diamond's split vertex
     y: wp.int32
+
+
+@wp.func
+def limits_of(asked: Asked, slack: wp.float64) -> Limits:
+    """slack: the part by which spans of a pixel may change without any doubt of what a band says."""
+    one = wp.float64(1.0)
+    limits = Limits()
+    limits.error_px = wp.sqrt(asked.limit * asked.error_px2)
+    limits.metres_below = wp.sqrt(asked.limit * asked.metres2 * BELOW)
+    limits.metres_above = wp.sqrt(asked.limit * asked.metres2 * ABOVE)
+    limits.below = BELOW
+    limits.finer = (one - slack) * (one - slack) * BELOW
+    limits.coarser = (one + slack) * (one + slack) * ABOVE
+    limits.per_error2 = one / (asked.limit * asked.error_px2)
+    limits.per_edge2 = one / (asked.limit * asked.edge_px2)
+    limits.per_area2 = one / (asked.limit * asked.area_px2)
+    return limits
+
+
+@wp.func
+def measured_at(
+    domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32, error: wp.float32, clear: wp.int32
+) -> Measured:
+    """Measure the diamond split at (x, y); clear: the frustum is known to hold it."""
+    m = Measured()
+    m.diamond = diamond_at(domain, x, y, depth)
+    m.pixel2 = finest(asked, m.diamond, clear)
+    m.moved = moved_at(domain, x, y, depth)
+    m.own = wp.float64(error) * domain.error_scale
+    m.rest = wp.float64(m.moved) * domain.error_scale + domain.rounding
+    metres2, total2 = metres2_of(domain, error, m.moved)
+    m.metres2 = metres2
+    m.total2 = total2
+    long2, legs2 = sizes(asked, domain.unit_bits, depth)
+    m.long2 = long2
+    m.legs2 = legs2
+    m.climb2 = m.diamond.rise * m.diamond.rise
+    return m
+
+
+@wp.func
+def turning_span(limits: Limits, m: Measured) -> wp.float64:
+    """Metres of a pixel at which the diamond would be decided otherwise, as far as pixels decide."""
+    edges2 = larger((m.long2 + m.climb2) * limits.per_edge2, (m.legs2 + m.climb2) * limits.per_area2)
+    return wp.sqrt(larger(m.metres2 * limits.per_error2, edges2))
 
 
 @wp.func
@@ -46,16 +140,25 @@ def nothing_certain() -> Band:
     band = Band()
     band.split_above = wp.float64(wp.inf)
     band.leaf_up_to = wp.float64(-1.0)
-    band.quiet_up_to = wp.float64(-1.0)
+    band.rest = wp.float64(wp.inf)
     band.leaf_depth = 1 << 30
     return band
 
 
 @wp.func
-def not_split(x: wp.int32, y: wp.int32) -> Band:
+def quiet(band: Band, own: wp.float64, most: Bounds) -> wp.bool:
+    """Whether a leaf below, of this own error, metres, has no more pixels of error than `most`."""
+    total = own + band.rest
+    weighed = smaller(total, wp.float64(4.0) * own)
+    return weighed * weighed <= most.px2 * band.fine2 and total * total <= most.total_px2 * band.fine2
+
+
+@wp.func
+def not_split(x: wp.int32, y: wp.int32, mark: wp.int32) -> Band:
     """What is remembered of a diamond that is not split."""
     band = Band()
     band.split_depth = NOT_SPLIT
+    band.mark = mark
     band.x = x
     band.y = y
     return band
@@ -130,3 +233,60 @@ def leaves_below(
             area2 = largest_px2 * finest2 - climb2
             leaf_depth, edge, area = first_within(leaf_depth, max_depth + 1, edge, area, edge2, area2)
     return leaf_depth
+
+
+@wp.func
+def band_below(
+    domain: Domain,
+    asked: Asked,
+    limits: Limits,
+    m: Measured,
+    depth: wp.int32,
+    max_depth: wp.int32,
+    clear: wp.int32,
+    worst: Bounds,
+) -> Band:
+    """What is certain below a diamond that is split. What may be more than `worst`, the maxima so far, is in doubt."""
+    band = Band()
+    fine2 = m.pixel2 * limits.finer
+    band.leaf_up_to = own_for(smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
+    band.fine2 = m.pixel2 * limits.below
+    band.rest = m.rest
+    band.leaf_depth = leaves_below(
+        asked, depth, max_depth, m.long2, m.legs2, m.climb2, fine2, worst.long_px2, worst.legs_px2
+    )
+    # No error below asks for a split or is a new maximum: depths alone decide.
+    calm = asked.measures_edges == 1 and m.own <= band.leaf_up_to and quiet(band, m.own, worst)
+    calm = calm and m.metres2 <= worst.metres2 and m.total2 <= worst.total2
+    if calm and band.leaf_depth == depth + 1:  # whatever the coarsest pixel is
+        band.split_above = wp.float64(wp.inf)
+        band.split_depth = depth + 1
+        band.even_depth = depth + 1
+        band.clear = clear
+    else:
+        coarse2, inside = coarsest(asked, m.diamond, clear)
+        coarse2 = coarse2 * limits.coarser
+        band.split_above = own_for(smaller(limits.error_px * wp.sqrt(coarse2), limits.metres_above), domain.rounding)
+        band.split_depth = splits_below(asked, depth, max_depth, m.long2, m.legs2, coarse2)
+        band.clear = inside
+        if calm:
+            band.even_depth = wp.where(band.split_depth == band.leaf_depth, band.leaf_depth, -1)
+    return band
+
+
+@wp.func
+def unmeasured_below(domain: Domain, asked: Asked, band: Band, m: Measured, max_depth: wp.int32) -> Bounds:
+    """What leaves below a diamond have at most that its band decides without measuring them."""
+    most = Bounds()
+    if asked.measures_edges == 1 and band.leaf_depth <= max_depth:
+        long2, legs2 = sizes(asked, domain.unit_bits, band.leaf_depth)
+        most.long_px2 = (long2 + m.climb2) / band.fine2
+        most.legs_px2 = (legs2 + m.climb2) / band.fine2
+    if band.even_depth > 0:
+        total = m.own + m.rest
+        weighed = smaller(total, wp.float64(4.0) * m.own)
+        most.px2 = weighed * weighed / band.fine2
+        most.total_px2 = total * total / band.fine2
+        most.metres2 = m.metres2
+        most.total2 = m.total2
+    return most

@@ -13,22 +13,31 @@ the leaves' bits of the tree.
 
 import warp as wp
 
-from .band import NOT_SPLIT, REMEMBERED, Band, leaves_below, not_split, nothing_certain, remembered_at, splits_below
+from .band import (
+    NOT_SPLIT,
+    REMEMBERED,
+    band_below,
+    limits_of,
+    measured_at,
+    not_split,
+    nothing_certain,
+    quiet,
+    remembered_at,
+    turning_span,
+    unmeasured_below,
+)
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
+from .bounds import Bounds, joined, within
+from .coherence import carried
 from .criterion import (
     Asked,
     Domain,
-    coarsest,
-    diamond_at,
     error_at,
     fetch_ahead,
-    finest,
     larger,
     leaves_tile,
     metres2_of,
     moved_at,
-    own_for,
-    sizes,
     smaller,
     too_coarse,
 )
@@ -50,349 +59,407 @@ from .curve import (
     right_state,
     touches_border,
 )
-from .unchecked import (
-    corners_at,
-    height_at,
-    number_at,
-    put,
-    put_code,
-    put_corners,
-    put_height,
-    put_pair,
-    put_word,
-)
+from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take
+from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
 from .walk_state import STACK, Walk
 
 wp.set_module_options({"enable_backward": False})
 
-ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
-BELOW = wp.constant(wp.float64(1.0 - 1e-9))
+# Instead of being split: leaves come from a table, or from the last frame.
+BLOCK = wp.constant(2)
+TAKEN = wp.constant(3)
+# A subtree is kept from where errors are up to so many times those of its leaves; of fewer leaves rather a larger one.
+ERRORS_KEPT = wp.constant(wp.float64(8.0))
+FEW_LEAVES = wp.constant(8)
 
 
-@wp.kernel
-def walk(domain: Domain, asked: Asked, w: Walk):
-    """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""
-    columns = domain.columns
-    side = wp.int32(1) << domain.unit_bits
-    cells = wp.uint64(1) << wp.uint64(w.cell_bits)
-    leaves = wp.int64(0)
-    vertices = wp.int64(0)
-    edges = wp.int64(0)
-    words = wp.int64(0)
-    word = wp.int64(-1)
-    bits = wp.uint64(0)
-    # Maxima over the leaves.
-    worst_px2 = wp.float64(0.0)
-    worst_px = wp.float64(0.0)
-    worst_total_px2 = wp.float64(0.0)
-    worst_total_px = wp.float64(0.0)
-    worst_long_px2 = wp.float64(0.0)
-    worst_legs_px2 = wp.float64(0.0)
-    worst_error = wp.float32(-1.0)  # metres before scaling
-    worst_metres2 = wp.float64(0.0)
-    worst_total2 = wp.float64(0.0)
-    # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
-    in_metres = wp.vec2f()
-    in_pixels = wp.vec2f()
-    error_px = wp.sqrt(asked.limit * asked.error_px2)
-    metres_below = wp.sqrt(asked.limit * asked.metres2 * BELOW)
-    metres_above = wp.sqrt(asked.limit * asked.metres2 * ABOVE)
-    place = w.slot * STACK
-    for k in range(REMEMBERED):
-        w.remembered[w.slot * REMEMBERED + k].x = -1
-    sides = 4 * w.slot * domain.columns * domain.rows
-    square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
-    start = w.first_cell & (cells - wp.uint64(1))
-    while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and leaves <= w.leaf_limit:
-        row = square / columns
-        column = square - row * columns
-        x0 = column << domain.unit_bits
-        y0 = row << domain.unit_bits
-        square_cell = wp.uint64(square) << wp.uint64(w.cell_bits)
-        # The first of the square's two halves, the other put aside; nothing is certain of either.
-        cell = wp.uint64(0)
-        depth = wp.int32(1)
-        state = wp.int32(LEG_HYP)
-        left_x = x0
-        left_y = y0 + side
-        apex_x = x0
-        apex_y = y0
-        right_x = x0 + side
-        right_y = y0
-        top = wp.int32(1)
-        w.stack[place] = wp.vec4i(x0 + side, y0 + side, x0, y0 + side)
-        w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
-        error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
-        w.errors[place] = error
-        held = place  # the band that holds here
-        w.bands[place] = nothing_certain()
-        inside = wp.int32(1)
-        while inside == 1 and leaves <= w.leaf_limit:
-            size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
-            above = w.bands[held]
-            x = (left_x + right_x) >> 1
-            y = (left_y + right_y) >> 1
-            own = wp.float64(error) * domain.error_scale
-            split = wp.int32(0)
-            known = wp.int32(1)
-            if depth < w.max_depth:
-                if depth < above.split_depth or own > above.split_above:
-                    split = 1
-                    if above.even_depth < 0 and above.leaf_depth - depth > 3:
-                        known = 0  # a narrower band may leave the depth in no doubt
-                elif own > above.leaf_up_to:
-                    known = 0
-            if split == 0 and (depth < above.leaf_depth or not own <= above.quiet_up_to):
-                known = 0
-            memory = wp.int32(0)
-            below = above.even_depth  # of the band for what is below
-            if known == 0:
-                # The diamond may have been measured from its other triangle: behind an edge that the curve has passed.
-                memory = w.slot * REMEMBERED + remembered_at(x, y)
-                if hypotenuse_passed(state):
-                    met = w.remembered[memory]
-                    if met.x == x and met.y == y:
-                        known = 1
-                        split = 0
-                        if met.split_depth != NOT_SPLIT:
-                            split = 1
-                            w.bands[place + top] = met
-                            held = place + top
-                            below = met.even_depth
-            if known == 0:
-                diamond = diamond_at(domain, x, y, depth)
-                pixel2 = finest(asked, diamond, above.clear)
-                moved = moved_at(domain, x, y, depth)
-                metres2, total2 = metres2_of(domain, error, moved)
-                long2, legs2 = sizes(asked, domain.unit_bits, depth)
-                climb2 = diamond.rise * diamond.rise
-                if depth < w.max_depth and too_coarse(asked, pixel2, metres2, long2 + climb2, legs2 + climb2):
-                    split = 1
-                    band = Band()
-                    band.x = x
-                    band.y = y
-                    # Errors that never ask for a split: by the finest pixel below, with all that moved here.
-                    fine2 = pixel2 * BELOW
-                    fine = wp.sqrt(fine2)
-                    rest = wp.float64(moved) * domain.error_scale + domain.rounding
-                    band.leaf_up_to = own_for(smaller(error_px * fine, metres_below), rest)
-                    band.quiet_up_to = smaller(own_for(worst_px * fine, rest), worst_total_px * fine - rest)
-                    band.leaf_depth = leaves_below(
-                        asked, depth, w.max_depth, long2, legs2, climb2, fine2, worst_long_px2, worst_legs_px2
-                    )
-                    # No error below asks for a split or is a new maximum: depths alone decide.
-                    calm = asked.measures_edges == 1 and own <= smaller(band.leaf_up_to, band.quiet_up_to)
-                    calm = calm and metres2 <= worst_metres2 and total2 <= worst_total2
-                    if calm and band.leaf_depth == depth + 1:  # whatever the coarsest pixel is
-                        band.split_above = wp.float64(wp.inf)
-                        band.split_depth = depth + 1
-                        band.even_depth = depth + 1
-                        band.clear = above.clear
-                    else:
-                        coarse2, inside_all = coarsest(asked, diamond, above.clear)
-                        coarse2 = coarse2 * ABOVE
-                        band.split_above = own_for(smaller(error_px * wp.sqrt(coarse2), metres_above), domain.rounding)
-                        band.split_depth = splits_below(asked, depth, w.max_depth, long2, legs2, coarse2)
-                        band.clear = inside_all
-                        if calm:
-                            band.even_depth = wp.where(band.split_depth == band.leaf_depth, band.leaf_depth, -1)
-                    w.remembered[memory] = band
-                    w.bands[place + top] = band
-                    held = place + top
-                    below = band.even_depth
-                else:
-                    w.remembered[memory] = not_split(x, y)
-                if split == 0 and cell >= start:
-                    near2 = pixel2 * BELOW
-                    if metres2 > worst_px2 * near2:
-                        worst_px2 = larger(worst_px2, metres2 / pixel2)
-                        worst_px = wp.sqrt(worst_px2)
-                    if total2 > worst_total_px2 * near2:
-                        total_px2 = total2 / pixel2
-                        if total_px2 > worst_total_px2:
-                            worst_total_px2 = total_px2
-                            worst_total_px = wp.sqrt(worst_total_px2)
-                            in_pixels = wp.vec2f(error, moved)
-                    if long2 + climb2 > worst_long_px2 * near2:
-                        worst_long_px2 = larger(worst_long_px2, (long2 + climb2) / pixel2)
-                    if legs2 + climb2 > worst_legs_px2 * near2:
-                        worst_legs_px2 = larger(worst_legs_px2, (legs2 + climb2) / pixel2)
-            levels = below - depth
-            if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and cell > wp.uint64(0) and cell >= start:
+@wp.func
+def is_apart(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32, grid: wp.int32):
+    """Whether leaves below a triangle do not depend on what is around it: in a grid, away from the square's border."""
+    return grid == 0 or not touches_border(left, apex, right, corner, side)
+
+
+def _compiled(keeps: bool) -> wp.Kernel:
+    """The walk, with coherence from frame to frame or, an eighth faster where nothing is kept, without."""
+
+    @wp.kernel
+    def walk(domain: Domain, asked: Asked, w: Walk):
+        """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""
+        columns = domain.columns
+        side = wp.int32(1) << domain.unit_bits
+        cells = wp.uint64(1) << wp.uint64(w.cell_bits)
+        limits = limits_of(asked, w.slack)
+        leaves = wp.int64(0)
+        vertices = wp.int64(0)
+        edges = wp.int64(0)
+        words = wp.int64(0)
+        word = wp.int64(-1)
+        bits = wp.uint64(0)
+        worst = Bounds()  # maxima over the leaves
+        # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
+        in_metres = wp.vec2f()
+        in_pixels = wp.vec2f()
+        # The subtree that is open: where it ends (0: none is), what there was before it, by how much spans may change
+        # in it, and what its leaves have at most: never more than the maxima so far.
+        end = wp.uint64(0)
+        first_leaf = wp.int64(0)
+        first_vertex = wp.int64(0)
+        first_edge = wp.int64(0)
+        first_word = wp.int64(0)
+        fall = wp.float64(0.0)
+        rise = wp.float64(0.0)
+        most = Bounds()
+        most_error = wp.float32(-1.0)  # metres before scaling
+        mark = wp.int32(0)  # its number: what other subtrees remember has other bounds
+        count = wp.int64(0)  # subtrees that are kept
+        taken = wp.int64(0)
+        kept, kept_cell, kept_depth, kept_leaves = next_kept(w, wp.int64(-1))
+        place = w.slot * STACK
+        for k in range(REMEMBERED):
+            w.remembered[w.slot * REMEMBERED + k].x = -1
+        sides = 4 * w.slot * domain.columns * domain.rows
+        square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
+        start = w.first_cell & (cells - wp.uint64(1))
+        while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and leaves <= w.leaf_limit:
+            row = square / columns
+            column = square - row * columns
+            x0 = column << domain.unit_bits
+            y0 = row << domain.unit_bits
+            square_cell = wp.uint64(square) << wp.uint64(w.cell_bits)
+            # The first of the square's two halves, the other put aside; nothing is certain of either.
+            cell = wp.uint64(0)
+            depth = wp.int32(1)
+            state = wp.int32(LEG_HYP)
+            left_x = x0
+            left_y = y0 + side
+            apex_x = x0
+            apex_y = y0
+            right_x = x0 + side
+            right_y = y0
+            top = wp.int32(1)
+            w.stack[place] = wp.vec4i(x0 + side, y0 + side, x0, y0 + side)
+            w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
+            error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
+            w.errors[place] = error
+            held = place  # the band that holds here
+            w.bands[place] = nothing_certain()
+            inside = wp.int32(1)
+            while inside == 1 and leaves <= w.leaf_limit:
+                size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
+                at = square_cell + cell
+                split = wp.int32(0)
+                if keeps:
+                    if kept_cell <= at:
+                        while kept_cell < at or (kept_cell == at and kept_depth < depth):
+                            kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
+                        if kept_cell == at and kept_depth == depth:
+                            subtree, holds = carried(asked, w.motion, w.last_kept[kept])
+                            # Where one of its leaves may have the most of all, that is found out anew.
+                            if holds == 1 and within(subtree.most, worst) and cell >= start and at + size <= w.end_cell:
+                                split = TAKEN
+                                words = flush(w, words, word, bits)
+                                word = wp.int64(-1)
+                                take(w, subtree, leaves, vertices, words)
+                                if end == wp.uint64(0):
+                                    count = keep_taken(w, subtree, count, leaves, vertices, words)
+                                else:
+                                    fall = smaller(fall, subtree.fall)
+                                    rise = smaller(rise, subtree.rise)
+                                    most = joined(most, subtree.most)
+                                leaves += wp.int64(subtree.leaves)
+                                vertices += wp.int64(subtree.vertices)
+                                edges += wp.int64(subtree.edges)
+                                words += wp.int64(subtree.words)
+                                taken += wp.int64(subtree.leaves)
+                            kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
+                x = (left_x + right_x) >> 1
+                y = (left_y + right_y) >> 1
                 left = wp.vec2i(left_x, left_y)
                 apex = wp.vec2i(apex_x, apex_y)
                 right = wp.vec2i(right_x, right_y)
-                whole = size >= wp.uint64(64) and cell + size < cells and square_cell + cell + size <= w.end_cell
-                if whole and (w.grid == 0 or not touches_border(left, apex, right, wp.vec2i(x0, y0), side)):
-                    count = 1 << levels
-                    created = new_vertices(w.blocks, state, levels)
-                    if leaves + wp.int64(count) <= w.leaf_capacity:
-                        if word >= wp.int64(0):
-                            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
-                            words += wp.int64(1)
-                            word = wp.int64(-1)
-                        write_block(
-                            w.blocks,
-                            state,
-                            levels,
-                            left,
-                            apex,
-                            right,
-                            wp.uint16(leaf_word(0, below)),
-                            w.code,
-                            w.leaf_base + leaves,
-                            w.point,
-                            w.leaf_base + vertices,
-                        )
-                        first = w.leaf_base + words
-                        words += wp.int64(
-                            write_words(square_cell + cell, size, levels, w.word_index, w.word_bits, first)
-                        )
-                    leaves += wp.int64(count)
-                    vertices += wp.int64(created)
-                    edges += wp.int64(count + created)
-                    split = 2
-            if split == 1:
-                depth += 1
-                near_error = wp.float32(0.0)  # where only depths decide, errors need not be read
-                next_error = wp.float32(0.0)
-                if below == 0:
-                    near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
-                    next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
-                    if leaves_tile(domain, depth):  # the children's children, a step ahead: 65 ns a leaf become 60
-                        fetch_ahead(domain, (left_x + x) >> 1, (left_y + y) >> 1, depth + 1)
-                        fetch_ahead(domain, (apex_x + x) >> 1, (apex_y + y) >> 1, depth + 1)
-                        fetch_ahead(domain, (right_x + x) >> 1, (right_y + y) >> 1, depth + 1)
-                if cell + (size >> wp.uint64(1)) > start:
-                    put_corners(w.stack, place + top, wp.vec4i(x, y, right_x, right_y))
-                    put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (held << 9))
-                    put_height(w.errors, place + top, next_error)
-                    error = near_error
-                    top += 1
-                    state = left_state(state)
-                    right_x = apex_x
-                    right_y = apex_y
-                else:  # on the way to the slice's first cell
-                    state = right_state(state, cell)
-                    left_x = apex_x
-                    left_y = apex_y
-                    error = next_error
-                    cell += size >> wp.uint64(1)
-                apex_x = x
-                apex_y = y
-            else:
-                if split == 0 and cell >= start:
-                    if error > worst_error or domain.resampled == 1:
-                        worst_error = error
-                        moved = moved_at(domain, x, y, depth)
-                        metres2, total2 = metres2_of(domain, error, moved)
-                        worst_metres2 = larger(worst_metres2, metres2)
-                        if total2 > worst_total2:
-                            worst_total2 = total2
-                            in_metres = wp.vec2f(error, moved)
-                    room = wp.where(leaves < w.leaf_capacity, 1, 0)
-                    code = leaf_word(state, depth)
-                    passage = state & 6
-                    if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
-                        code = code | (wp.uint32(1) << wp.uint32(FIRST))
-                        end = wp.vec2i(apex_x, apex_y)
-                        if passage == HYP_LEG:
-                            end = wp.vec2i(right_x, right_y)
-                        if column > 0:
-                            w.sides[sides + 4 * square] = w.sides[sides + 4 * square] + 1
-                        else:
-                            edges += wp.int64(1)
-                            if room == 1:
-                                w.point[w.leaf_base + vertices] = wp.vec2i(left_x, left_y)
-                            vertices += wp.int64(1)
-                            if row > 0 and end[1] == y0:
-                                code = code | (wp.uint32(1) << wp.uint32(CORNER))
-                            else:
-                                if room == 1:
-                                    w.point[w.leaf_base + vertices] = end
-                                vertices += wp.int64(1)
-                    # The third edge, if it is new: left - apex, apex - right or right - left, to the new vertex q.
-                    new_edge = 1 - (state & 1)
-                    new_vertex = new_edge
-                    q_x = wp.where(passage == HYP_LEG, apex_x, right_x)
-                    q_y = wp.where(passage == HYP_LEG, apex_y, right_y)
-                    if w.grid == 1 and new_edge == 1:
-                        p_x = wp.where(passage == LEG_HYP, apex_x, left_x)
-                        p_y = wp.where(passage == LEG_HYP, apex_y, left_y)
-                        role = border_role(
-                            wp.vec2i(p_x, p_y),
-                            wp.vec2i(q_x, q_y),
-                            wp.vec2i(x0, y0),
-                            side,
-                            column,
-                            row,
-                            columns,
-                            domain.rows,
-                        )
-                        code = code | (wp.uint32(role) << wp.uint32(BORDER))
-                        if role != INNER and role != TO_CORNER:
-                            w.sides[sides + 4 * square + role - 1] = w.sides[sides + 4 * square + role - 1] + 1
-                        if role == TAKE_LEFT or role == TAKE_BELOW:
-                            new_edge = 0
-                            new_vertex = 0
-                        if role == TO_CORNER:
-                            new_vertex = 0
-                    if room == 1:
-                        put_pair(w.point, w.leaf_base + vertices, wp.vec2i(q_x, q_y))  # stays only if it is new
-                    vertices += wp.int64(new_vertex)
-                    edges += wp.int64(new_edge)
-                    edges += wp.int64(1)  # the edge through which the curve leaves
-                    if cell + size == cells:
-                        code = code | (wp.uint32(1) << wp.uint32(LAST))
-                        if row < domain.rows - 1:
-                            w.sides[sides + 4 * square + 3] = w.sides[sides + 4 * square + 3] + 1
-                    at = square_cell + cell
-                    if wp.int64(at >> wp.uint64(6)) != word:
-                        if word >= wp.int64(0) and room == 1:
-                            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
-                            words += wp.int64(1)
-                        word = wp.int64(at >> wp.uint64(6))
-                        bits = wp.uint64(0)
-                    bits = bits | (wp.uint64(1) << (at & wp.uint64(63)))
-                    if room == 1:
-                        put_code(w.code, w.leaf_base + leaves, wp.uint16(code))
-                    leaves += wp.int64(1)
-                # On along the curve, to the next triangle that was put aside.
-                cell += size
-                if top == 0 or square_cell + cell >= w.end_cell:
-                    inside = 0
+                above = w.bands[held]
+                below = above.even_depth  # of the band for what is below
+                own = wp.float64(error) * domain.error_scale
+                known = wp.int32(1)
+                if split == 0:
+                    if depth < w.max_depth:
+                        if depth < above.split_depth or own > above.split_above:
+                            split = 1
+                            if above.even_depth < 0 and above.leaf_depth - depth > 3:
+                                known = 0  # a narrower band may leave the depth in no doubt
+                        elif own > above.leaf_up_to:
+                            known = 0
+                        # A subtree begins where a diamond is measured; on the way to one that is kept none does.
+                        if keeps:
+                            if end == wp.uint64(0) and size >= wp.uint64(64):
+                                if kept_cell >= at + size or kept_leaves < FEW_LEAVES:
+                                    known = 0
+                    if split == 0 and (depth < above.leaf_depth or not quiet(above, own, most)):
+                        known = 0
+                memory = wp.int32(0)
+                if known == 0:
+                    # It may have been measured from its other triangle: behind an edge that the curve has passed.
+                    memory = w.slot * REMEMBERED + remembered_at(x, y)
+                    if hypotenuse_passed(state):
+                        met = w.remembered[memory]
+                        if met.x == x and met.y == y and met.mark == mark:
+                            known = 1
+                            split = 0
+                            if met.split_depth != NOT_SPLIT:
+                                split = 1
+                                w.bands[place + top] = met
+                                held = place + top
+                                below = met.even_depth
+                if known == 0:
+                    m = measured_at(domain, asked, x, y, depth, error, above.clear)
+                    long2 = m.long2 + m.climb2
+                    legs2 = m.legs2 + m.climb2
+                    split = wp.int32(depth < w.max_depth and too_coarse(asked, m.pixel2, m.metres2, long2, legs2))
+                    if split == 1:
+                        band = band_below(domain, asked, limits, m, depth, w.max_depth, above.clear, worst)
+                        if keeps:
+                            span = wp.sqrt(m.pixel2)
+                            # A subtree is kept from where few bisections are left.
+                            few = own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - depth <= MAX_BISECTIONS
+                            few = (few or w.max_depth - depth <= 6) and end == wp.uint64(0) and size >= wp.uint64(64)
+                            if few and cell > wp.uint64(0) and cell >= start and cell + size < cells:
+                                if at + size <= w.end_cell and is_apart(
+                                    left, apex, right, wp.vec2i(x0, y0), side, w.grid
+                                ):
+                                    words = flush(w, words, word, bits)
+                                    word = wp.int64(-1)
+                                    open_subtree(asked, w, count, at, depth, m.diamond, span)
+                                    end = at + size
+                                    first_leaf = leaves
+                                    first_vertex = vertices
+                                    first_edge = edges
+                                    first_word = words
+                                    fall = w.slack * span
+                                    rise = w.slack * span
+                                    most = Bounds()
+                                    most_error = wp.float32(-1.0)
+                                    mark += 1
+                            if not m.metres2 > asked.limit * asked.metres2:
+                                rise = smaller(rise, turning_span(limits, m) - span)
+                            most = joined(most, unmeasured_below(domain, asked, band, m, w.max_depth))
+                            band.mark = mark
+                        band.x = x
+                        band.y = y
+                        w.remembered[memory] = band
+                        w.bands[place + top] = band
+                        held = place + top
+                        below = band.even_depth
+                    else:
+                        w.remembered[memory] = not_split(x, y, mark)
+                        if keeps:
+                            if depth < w.max_depth:
+                                fall = smaller(fall, wp.sqrt(m.pixel2) - turning_span(limits, m))
+                        if cell >= start:
+                            near2 = m.pixel2 * limits.below
+                            if m.metres2 > most.px2 * near2:
+                                px2 = m.metres2 / m.pixel2
+                                most.px2 = larger(most.px2, px2)
+                                worst.px2 = larger(worst.px2, px2)
+                            if m.total2 > most.total_px2 * near2:
+                                total_px2 = m.total2 / m.pixel2
+                                most.total_px2 = larger(most.total_px2, total_px2)
+                                if total_px2 > worst.total_px2:
+                                    worst.total_px2 = total_px2
+                                    in_pixels = wp.vec2f(error, m.moved)
+                            if asked.measures_edges == 1:
+                                if long2 > most.long_px2 * near2:
+                                    most.long_px2 = larger(most.long_px2, long2 / m.pixel2)
+                                    worst.long_px2 = larger(worst.long_px2, long2 / m.pixel2)
+                                if legs2 > most.legs_px2 * near2:
+                                    most.legs_px2 = larger(most.legs_px2, legs2 / m.pixel2)
+                                    worst.legs_px2 = larger(worst.legs_px2, legs2 / m.pixel2)
+                levels = below - depth
+                if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and cell > wp.uint64(0) and cell >= start:
+                    whole = size >= wp.uint64(64) and cell + size < cells and at + size <= w.end_cell
+                    if whole and is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
+                        even = 1 << levels
+                        created = new_vertices(w.blocks, state, levels)
+                        words = flush(w, words, word, bits)
+                        word = wp.int64(-1)
+                        if leaves + wp.int64(even) <= w.leaf_capacity:
+                            write_block(
+                                w.blocks,
+                                state,
+                                levels,
+                                left,
+                                apex,
+                                right,
+                                wp.uint16(leaf_word(0, below)),
+                                w.code,
+                                w.leaf_base + leaves,
+                                w.point,
+                                w.leaf_base + vertices,
+                            )
+                            first = w.leaf_base + words
+                            words += wp.int64(write_words(at, size, levels, w.word_index, w.word_bits, first))
+                        leaves += wp.int64(even)
+                        vertices += wp.int64(created)
+                        edges += wp.int64(even + created)
+                        split = BLOCK
+                if split == 1:
+                    depth += 1
+                    near_error = wp.float32(0.0)  # where only depths decide, errors need not be read
+                    next_error = wp.float32(0.0)
+                    if below == 0:
+                        near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
+                        next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
+                        if leaves_tile(domain, depth):  # the children's children, a step ahead: 65 ns a leaf become 60
+                            fetch_ahead(domain, (left_x + x) >> 1, (left_y + y) >> 1, depth + 1)
+                            fetch_ahead(domain, (apex_x + x) >> 1, (apex_y + y) >> 1, depth + 1)
+                            fetch_ahead(domain, (right_x + x) >> 1, (right_y + y) >> 1, depth + 1)
+                    if cell + (size >> wp.uint64(1)) > start:
+                        put_corners(w.stack, place + top, wp.vec4i(x, y, right_x, right_y))
+                        put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (held << 9))
+                        put_height(w.errors, place + top, next_error)
+                        error = near_error
+                        top += 1
+                        state = left_state(state)
+                        right_x = apex_x
+                        right_y = apex_y
+                    else:  # on the way to the slice's first cell
+                        state = right_state(state, cell)
+                        left_x = apex_x
+                        left_y = apex_y
+                        error = next_error
+                        cell += size >> wp.uint64(1)
+                    apex_x = x
+                    apex_y = y
                 else:
-                    top -= 1
-                    left_x = right_x
-                    left_y = right_y
-                    corners = corners_at(w.stack, place + top)
-                    apex_x = corners[0]
-                    apex_y = corners[1]
-                    right_x = corners[2]
-                    right_y = corners[3]
-                    kept = number_at(w.aside, place + top)
-                    error = height_at(w.errors, wp.int64(place + top))
-                    state = kept & 7
-                    depth = (kept >> 3) & 63
-                    held = kept >> 9
-        square += 1
-        start = wp.uint64(0)
-    if word >= wp.int64(0) and leaves <= w.leaf_capacity:
-        put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
-        words += wp.int64(1)
-    c = 4 * w.slot
-    w.counts[c] = leaves
-    w.counts[c + 1] = vertices
-    w.counts[c + 2] = edges
-    w.counts[c + 3] = words
-    b = 10 * w.slot
-    w.bounds[b] = worst_px2
-    w.bounds[b + 1] = worst_total_px2
-    w.bounds[b + 2] = worst_long_px2
-    w.bounds[b + 3] = worst_legs_px2 * wp.float64(0.5)
-    w.bounds[b + 4] = worst_metres2
-    w.bounds[b + 5] = worst_total2
-    w.bounds[b + 6] = wp.float64(in_pixels[0])
-    w.bounds[b + 7] = wp.float64(in_pixels[1])
-    w.bounds[b + 8] = wp.float64(in_metres[0])
-    w.bounds[b + 9] = wp.float64(in_metres[1])
+                    if split == 0 and cell >= start:
+                        if error > most_error or domain.resampled == 1:
+                            most_error = wp.max(most_error, error)
+                            moved = moved_at(domain, x, y, depth)
+                            metres2, total2 = metres2_of(domain, error, moved)
+                            most.metres2 = larger(most.metres2, metres2)
+                            most.total2 = larger(most.total2, total2)
+                            worst.metres2 = larger(worst.metres2, metres2)
+                            if total2 > worst.total2:
+                                worst.total2 = total2
+                                in_metres = wp.vec2f(error, moved)
+                        room = wp.where(leaves < w.leaf_capacity, 1, 0)
+                        code = leaf_word(state, depth)
+                        passage = state & 6
+                        if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
+                            code = code | (wp.uint32(1) << wp.uint32(FIRST))
+                            ahead = apex
+                            if passage == HYP_LEG:
+                                ahead = right
+                            if column > 0:
+                                w.sides[sides + 4 * square] = w.sides[sides + 4 * square] + 1
+                            else:
+                                edges += wp.int64(1)
+                                if room == 1:
+                                    w.point[w.leaf_base + vertices] = left
+                                vertices += wp.int64(1)
+                                if row > 0 and ahead[1] == y0:
+                                    code = code | (wp.uint32(1) << wp.uint32(CORNER))
+                                else:
+                                    if room == 1:
+                                        w.point[w.leaf_base + vertices] = ahead
+                                    vertices += wp.int64(1)
+                        # The third edge, if it is new: left - apex, apex - right or right - left, to the new vertex q.
+                        new_edge = 1 - (state & 1)
+                        new_vertex = new_edge
+                        q_x = wp.where(passage == HYP_LEG, apex_x, right_x)
+                        q_y = wp.where(passage == HYP_LEG, apex_y, right_y)
+                        if w.grid == 1 and new_edge == 1:
+                            p_x = wp.where(passage == LEG_HYP, apex_x, left_x)
+                            p_y = wp.where(passage == LEG_HYP, apex_y, left_y)
+                            p = wp.vec2i(p_x, p_y)
+                            corner = wp.vec2i(x0, y0)
+                            role = border_role(p, wp.vec2i(q_x, q_y), corner, side, column, row, columns, domain.rows)
+                            code = code | (wp.uint32(role) << wp.uint32(BORDER))
+                            if role != INNER and role != TO_CORNER:
+                                w.sides[sides + 4 * square + role - 1] = w.sides[sides + 4 * square + role - 1] + 1
+                            if role == TAKE_LEFT or role == TAKE_BELOW:
+                                new_edge = 0
+                                new_vertex = 0
+                            if role == TO_CORNER:
+                                new_vertex = 0
+                        if room == 1:
+                            put_pair(w.point, w.leaf_base + vertices, wp.vec2i(q_x, q_y))  # stays only if it is new
+                        vertices += wp.int64(new_vertex)
+                        edges += wp.int64(new_edge)
+                        edges += wp.int64(1)  # the edge through which the curve leaves
+                        if cell + size == cells:
+                            code = code | (wp.uint32(1) << wp.uint32(LAST))
+                            if row < domain.rows - 1:
+                                w.sides[sides + 4 * square + 3] = w.sides[sides + 4 * square + 3] + 1
+                        if wp.int64(at >> wp.uint64(6)) != word:
+                            words = flush(w, words, word, bits)
+                            word = wp.int64(at >> wp.uint64(6))
+                            bits = wp.uint64(0)
+                        bits = bits | (wp.uint64(1) << (at & wp.uint64(63)))
+                        if room == 1:
+                            put_code(w.code, w.leaf_base + leaves, wp.uint16(code))
+                        leaves += wp.int64(1)
+                    # On along the curve, to the next triangle that was put aside.
+                    cell += size
+                    if end > wp.uint64(0) and square_cell + cell >= end:
+                        words = flush(w, words, word, bits)
+                        word = wp.int64(-1)
+                        count = close_subtree(
+                            w,
+                            count,
+                            first_leaf,
+                            first_vertex,
+                            first_word,
+                            leaves - first_leaf,
+                            vertices - first_vertex,
+                            edges - first_edge,
+                            words - first_word,
+                            fall,
+                            rise,
+                            most,
+                        )
+                        end = wp.uint64(0)
+                        mark += 1
+                    if top == 0 or square_cell + cell >= w.end_cell:
+                        inside = 0
+                    else:
+                        top -= 1
+                        left_x = right_x
+                        left_y = right_y
+                        corners = corners_at(w.stack, place + top)
+                        apex_x = corners[0]
+                        apex_y = corners[1]
+                        right_x = corners[2]
+                        right_y = corners[3]
+                        put_aside = number_at(w.aside, place + top)
+                        error = height_at(w.errors, wp.int64(place + top))
+                        state = put_aside & 7
+                        depth = (put_aside >> 3) & 63
+                        held = put_aside >> 9
+            square += 1
+            start = wp.uint64(0)
+        words = flush(w, words, word, bits)
+        if keeps:
+            w.kept_counts[w.slot] = count
+            w.taken[w.slot] = taken
+        c = 4 * w.slot
+        w.counts[c] = leaves
+        w.counts[c + 1] = vertices
+        w.counts[c + 2] = edges
+        w.counts[c + 3] = words
+        b = 10 * w.slot
+        w.bounds[b] = worst.px2
+        w.bounds[b + 1] = worst.total_px2
+        w.bounds[b + 2] = worst.long_px2
+        w.bounds[b + 3] = worst.legs_px2 * wp.float64(0.5)
+        w.bounds[b + 4] = worst.metres2
+        w.bounds[b + 5] = worst.total2
+        w.bounds[b + 6] = wp.float64(in_pixels[0])
+        w.bounds[b + 7] = wp.float64(in_pixels[1])
+        w.bounds[b + 8] = wp.float64(in_metres[0])
+        w.bounds[b + 9] = wp.float64(in_metres[1])
+
+    return walk
+
+
+walk = _compiled(keeps=False)
+keeping_walk = _compiled(keeps=True)

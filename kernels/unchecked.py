@@ -181,3 +181,41 @@ def number_words(
     step: wp.int64,
     bits: wp.uint64,
 ): ...
+
+
+# What the last frame has written of a subtree (kernels/coherence.py).
+
+
+@wp.func_native(
+    "const wp::uint16* from = codes.data + first; wp::uint16* __restrict to = out.data + at; "
+    "for (int k = 0; k < count; ++k) to[k] = from[k];"
+)
+def copy_leaves(
+    codes: wp.array(dtype=wp.uint16), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.uint16), at: wp.int64
+): ...
+
+
+@wp.func_native(
+    "const wp::int64* from = (const wp::int64*)(points.data + first); "
+    "wp::int64* __restrict to = (wp::int64*)(out.data + at); "
+    "for (int k = 0; k < count; ++k) to[k] = from[k];"
+)
+def copy_points(
+    points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
+): ...
+
+
+@wp.func_native(
+    "const wp::int64* index = indices.data + first; const wp::uint64* word = words.data + first; "
+    "wp::int64* __restrict to = out.data + at; wp::uint64* __restrict bits = out_bits.data + at; "
+    "for (int k = 0; k < count; ++k) { to[k] = index[k]; bits[k] = word[k]; }"
+)
+def copy_words(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    first: wp.int64,
+    count: wp.int32,
+    out: wp.array(dtype=wp.int64),
+    out_bits: wp.array(dtype=wp.uint64),
+    at: wp.int64,
+): ...

@@ -5,6 +5,7 @@ import warp as wp
 
 from .band import Band
 from .block import Blocks
+from .coherence import Motion, Subtree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,6 +35,21 @@ class Walk:
     bands: wp.array(dtype=Band)
     remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
     blocks: Blocks
+    # Coherence from frame to frame: see kernels/kept.py.
+    slack: wp.float64  # the part by which spans of a pixel may change before what a band says is in doubt
+    kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on
+    kept_counts: wp.array(dtype=wp.int64)
+    room: wp.int64
+    motion: Motion  # of the view since the last frame
+    last_kept: wp.array(dtype=Subtree)  # as above, of the last frame
+    last_counts: wp.array(dtype=wp.int64)
+    last_room: wp.int64
+    last_slots: wp.int32  # 0: nothing of it holds
+    last_code: wp.array(dtype=wp.uint16)  # what it has written
+    last_point: wp.array(dtype=wp.vec2i)
+    last_word_index: wp.array(dtype=wp.int64)
+    last_word_bits: wp.array(dtype=wp.uint64)
+    taken: wp.array(dtype=wp.int64)  # per slice: leaves that were taken from it
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
     bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py

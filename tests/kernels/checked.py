@@ -165,6 +165,37 @@ def place_legs(
 
 
 @wp.func
+def copy_leaves(
+    codes: wp.array(dtype=wp.uint16), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.uint16), at: wp.int64
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = codes[first + wp.int64(k)]
+
+
+@wp.func
+def copy_points(
+    points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = points[first + wp.int64(k)]
+
+
+@wp.func
+def copy_words(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    first: wp.int64,
+    count: wp.int32,
+    out: wp.array(dtype=wp.int64),
+    out_bits: wp.array(dtype=wp.uint64),
+    at: wp.int64,
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = indices[first + wp.int64(k)]
+        out_bits[at + wp.int64(k)] = words[first + wp.int64(k)]
+
+
+@wp.func
 def number_words(
     indices: wp.array(dtype=wp.int64),
     words: wp.array(dtype=wp.uint64),

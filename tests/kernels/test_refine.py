@@ -77,10 +77,17 @@ def updated(field, criterion: Criterion, views: list[View], scale: float) -> tup
 
 @pytest.fixture
 def measuring_all(tmp_path):
-    """kernels/refine.py with margins so wide that nothing is certain, and without memory."""
+    """kernels/refine.py with margins so wide that nothing is certain, and without any memory."""
     source = (Path(kernels.__file__).parent / "refine.py").read_text()
-    met = "if met.x == x and met.y == y:"
-    for here, there in (("1.0 + 1e-9", "1e300"), ("1.0 - 1e-9", "0.0"), (met, "if met.x == -2:")):
+    limits, met = "limits = limits_of(asked, w.slack)", "if met.x == x and met.y == y and met.mark == mark:"
+    wide = [("below", 0.0), ("finer", 0.0), ("coarser", 1e300), ("metres_below", 0.0), ("metres_above", 1e300)]
+    lines = [limits, *(f"limits.{name} = wp.float64({value})" for name, value in wide)]
+    changes = [
+        (limits, "\n        ".join(lines)),
+        (met, "if met.x == -2:"),
+        ("if kept_cell <= at:", "if kept_cell == -1:"),
+    ]
+    for here, there in changes:
         assert source.count(here) == 1
         source = source.replace(here, there)
     path = tmp_path / "refine_measuring_all.py"

@@ -65,7 +65,7 @@ def walked(module) -> list[bytes]:
         (wp.vec2i, np.int32, (2,)),
         (wp.vec4i, np.int32, (4,)),
     ):
-        values = rng.integers(0, 1000, (5 * count, *columns)).astype(scalar)
+        values = rng.integers(0, 1000, (6 * count, *columns)).astype(scalar)
         made.append(wp.array(values, dtype=dtype, device="cpu"))
     before = [array.numpy().copy() for array in made]
     launch.once(module.pass_all, [count, *made], step="test")

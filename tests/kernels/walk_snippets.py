@@ -6,6 +6,9 @@ import warp as wp
 from .unchecked import (
     code_at,
     copy_codes,
+    copy_leaves,
+    copy_points,
+    copy_words,
     corners_at,
     entry_at,
     height_at,
@@ -37,7 +40,7 @@ def pass_all(
 ):
     """Write entries 2 * count .. 3 * count - 1 of every array one by one from those before, then further ones in rows.
 
-    Arrays have 5 * count entries.
+    Arrays have 6 * count entries.
     """
     for k in range(count):
         to = wp.int64(2 * count + k)
@@ -51,3 +54,8 @@ def pass_all(
     copy_codes(codes, 3, count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
     number_words(entries, words, row, count, wp.int64(-11), wp.int64(1) << wp.int64(33), wp.uint64(0x1111))
+    row = wp.int64(5 * count)
+    first = wp.int64(2)
+    copy_leaves(codes, first, count - 1, codes, row)
+    copy_points(pairs, first, count - 1, pairs, row)
+    copy_words(entries, words, first, count - 1, entries, words, row)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A kernel for test_coherence.py: the finest pixel on boxes, from two views, and what is said of their difference."""
+
+import warp as wp
+
+from .coherence import Motion, Subtree, span_change
+from .criterion import Asked, Diamond, LocalView, finest_in
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def spans_of_boxes(
+    asked: Asked,
+    before: LocalView,
+    motion: Motion,
+    subtree: Subtree,
+    boxes: wp.array(dtype=wp.vec3d),
+    spans: wp.array2d(dtype=wp.float64),
+    change: wp.array(dtype=wp.float64),
+):
+    """boxes: lowest and highest corner in turns. spans [n, 2]: metres before and now. change: least, most, valid."""
+    subtree.fine = wp.float64(wp.inf)
+    subtree.coarse = wp.float64(0.0)
+    for k in range(spans.shape[0]):
+        d = Diamond()
+        d.low = boxes[2 * k]
+        d.high = boxes[2 * k + 1]
+        spans[k, 0] = wp.sqrt(finest_in(before, d, 1))
+        spans[k, 1] = wp.sqrt(finest_in(asked.view, d, 1))
+        subtree.fine = wp.min(subtree.fine, spans[k, 0])
+        subtree.coarse = wp.max(subtree.coarse, spans[k, 0])
+    least, most, valid = span_change(asked.view, motion, subtree)
+    change[0] = least
+    change[1] = most
+    change[2] = wp.float64(valid)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Coherence from frame to frame: what a walk takes from the last frame is what it would have found itself."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
+from adaptive_terrain.cbt_terrain.refinement import _move
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.kernels.coherence import Motion, Subtree
+from adaptive_terrain.kernels.criterion import Asked, LocalView
+from fields import extent, rough
+from invariants import arrays
+from twins import load
+
+FRAMES = 8
+MANY_LEAVES = 100_000  # a flight with more has two frames
+
+
+def taken(terrain: Terrain) -> int:
+    """Leaves that the last update took from the frame before."""
+    memory, slots = terrain._buffers.numpy, terrain._refinement._last.slots
+    return int(memory("taken")[:slots].sum())
+
+
+def a_field(rng):
+    height, width = ((129, 129), (129, 257), (200, 90), (65, 65))[rng.integers(4)]
+    if rng.random() < 0.7:
+        field = rough(height, width, int(rng.integers(1 << 30)), relief=float(rng.choice([2.0, 30.0, 200.0])))
+    else:
+        field = from_array((rng.random((height, width)) > 0.97).astype(np.float32) * 20.0, 1.0, 2.0)
+    return field.interpolated(INTERPOLATIONS[rng.integers(2)])
+
+
+def flight(field, rng) -> list[View]:
+    """A view that goes on, turns, rolls and zooms a little each frame, and sometimes jumps."""
+    size = extent(field)
+    eye = rng.uniform(-0.5, 0.5, 3) * size + [0, 0, (0.02 + rng.random() ** 3) * size[:2].max()]
+    look = np.append(rng.uniform(-1, 1, 2), rng.uniform(-0.6, 0.1))
+    kind = (PERSPECTIVE, PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)[rng.integers(4)]
+    step = rng.normal(size=3) * size[:2].max() * 10.0 ** rng.uniform(-5, -2)
+    turn = rng.normal(size=3) * 10.0 ** rng.uniform(-5, -2) * rng.integers(2)
+    zoom = 1.0 + 0.01 * rng.integers(2) * rng.random()
+    roll = 0.5 * rng.integers(2)
+    fov, width = 50.0, 0.5 * size[0]
+    views = []
+    for frame in range(FRAMES):
+        if rng.random() < 0.05:
+            eye = eye + 0.2 * size * rng.normal(size=3)
+        eye, look = eye + step, look + turn
+        fov, width = fov * zoom, width * zoom
+        views.append(
+            View.look(eye, eye + look, fov_deg=fov, resolution=(960, 540), kind=kind, ortho_width=width,
+                      clip=(0.1, 1e5), roll_deg=roll * frame)
+        )  # fmt: skip
+    return views
+
+
+def a_criterion(rng) -> Criterion:
+    return Criterion(
+        error_px=float(rng.choice([1.0, 2.0, 6.0])),
+        edge_px=float(rng.choice([0.0, 0.0, 12.0])),
+        error_m=float(rng.choice([0.0, 0.0, 0.2])),
+        off_screen_factor=float(rng.choice([1.0, 16.0])),
+        guard_deg=float(rng.choice([0.0, 5.0])),
+        max_depth=(13, 17, 17, None)[rng.integers(4)],
+        max_triangles=rng.choice([None, None, None, 3000]),
+        meshlet=int(rng.choice([0, 0, 1])),
+    )
+
+
+def result(terrain: Terrain, criterion: Criterion, view: View, scale: float, offset: float):
+    update = terrain.update(criterion, [view], vertical_scale=scale, vertical_offset=offset)
+    bounds = (update.bound_px, update.bound_m, update.bound_edge_px, update.bound_area_px)
+    parts = (update.terms_px, update.terms_m, update.relaxed, update.limited)
+    words = [words.tobytes() for words in terrain.tree.words()]
+    return update.leaves, bounds, parts, words, arrays(update.surface)
+
+
+def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):
+    """30 random flights: mesh, tree, bounds and what they are made of, to the bit, from one thread and from two."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    leaves = from_last = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        field, criterion = a_field(rng), a_criterion(rng)
+        scale, offset = float(rng.choice([1.0, -2.0, 0.5])), float(rng.choice([0.0, 100.0]))
+        flown = Terrain(field, int(rng.integers(1, 3)))
+        for frame, view in enumerate(flight(field, rng)):
+            found = result(flown, criterion, view, scale, offset)
+            assert found == result(Terrain(field, 1), criterion, view, scale, offset), seed
+            leaves += found[0]
+            from_last += taken(flown)
+            if found[0] > MANY_LEAVES and frame == 1:
+                break
+    assert from_last > 0.2 * leaves, (from_last, leaves)
+
+
+def test_what_was_kept_does_not_outlive_what_was_asked():
+    """Another criterion, height scale, depth or lens between two frames: nothing of the old mesh stays."""
+    field = rough(129, 129, 3, relief=20.0)
+    flown, rng = Terrain(field, 1), np.random.default_rng(5)
+    changes = [
+        {"criterion": Criterion(error_px=0.7)},
+        {"criterion": Criterion(error_px=0.7, max_depth=11)},
+        {"scale": 1.5},
+        {"offset": 30.0},
+        {"criterion": Criterion(error_px=1.0, edge_px=9.0)},
+        {"fov_deg": 30.0},
+        {"criterion": Criterion(error_px=0.7, error_m=0.1)},
+    ]
+    eye, asked = np.array([0.0, -100.0, 40.0]), {"criterion": Criterion(error_px=1.0), "scale": 1.0, "offset": 0.0}
+    for change in changes:
+        asked |= change
+        eye = eye + rng.normal(size=3) * 0.01
+        view = View.look(eye, (0, 0, 0), fov_deg=asked.get("fov_deg", 50.0), resolution=(960, 540))
+        args = asked["criterion"], view, asked["scale"], asked["offset"]
+        assert result(flown, *args) == result(Terrain(field, 1), *args), change
+
+
+def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
+    """A camera that only turns: spans of what is behind it stay, and only the frustum says that it is seen now."""
+    field, criterion = rough(129, 129, 8, relief=20.0), Criterion(error_px=1.0, guard_deg=0.0, max_depth=17)
+    flown, from_last = Terrain(field, 1), 0
+    for angle in np.radians(np.arange(0.0, 40.0, 2.0)):
+        view = View.look((0, 0, 60), (np.cos(angle), np.sin(angle), 59.7), fov_deg=30, resolution=(960, 540))
+        found = result(flown, criterion, view, 1.0, 0.0)
+        assert found == result(Terrain(field, 1), criterion, view, 1.0, 0.0), angle
+        from_last += taken(flown)
+    assert from_last > 0
+
+
+@pytest.fixture
+def spans_kernel():
+    return load("spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
+
+
+@pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])
+def test_spans_in_a_box_change_within_what_is_said(kind, spans_kernel):
+    """Of 2,000 boxes inside each of 300: the finest pixel on them after the camera has moved, turned and zoomed."""
+    rng = np.random.default_rng(11)
+    narrow = []
+    for _ in range(300):
+        size = 10.0 ** rng.uniform(0, 4)
+        low = rng.uniform(-1, 1, 3) * size
+        high = low + size * 10.0 ** rng.uniform(-3, 0) * rng.random(3)
+        eye = rng.uniform(-2, 2, 3) * size
+        look = (low + high) / 2 + rng.normal(size=3) * 0.3 * size - eye
+        step = rng.normal(size=3) * size * 10.0 ** rng.uniform(-5, -1.5)
+        turn = rng.normal(size=3) * np.linalg.norm(look) * 10.0 ** rng.uniform(-5, -2)
+        placement = np.diag([*(10.0 ** rng.uniform(-0.5, 0.5, 3)), 1.0])
+        local = []
+        for frame in range(2):
+            at = eye + frame * step
+            target = at + look + frame * turn
+            view = View.look(at, target, kind=kind, resolution=(960, 540), fov_deg=60, ortho_width=size)
+            box = np.array([[-3.0 * size] * 3, [3.0 * size] * 3])
+            local.append(localise(view, placement, box, Criterion(), 1.0 + 0.01 * frame))
+        asked, motion, subtree = Asked(), Motion(), Subtree()
+        asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
+        _move(motion, *local)
+        subtree.low, subtree.high, subtree.stands = low, high, 1
+        inner = np.sort(rng.uniform(low, high, (2_000, 2, 3)), axis=1)
+        inner[0] = low, high
+        boxes = wp.array(inner.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
+        spans = wp.zeros((2_000, 2), dtype=wp.float64, device="cpu")
+        change = wp.zeros(3, dtype=wp.float64, device="cpu")
+        inputs = [asked, local[0], motion, subtree, boxes, spans, change]
+        wp.launch(spans_kernel.spans_of_boxes, 1, inputs=inputs, device="cpu")
+        least, most, valid = change.numpy()
+        before, now = spans.numpy().T
+        if valid:
+            rounded = 1e-8 * before.max()
+            assert (now - before).min() >= least - rounded and (now - before).max() <= most + rounded
+            narrow.append((most - least) / max(np.ptp(now - before), 1e-3 * before.min()))
+    assert len(narrow) > 200 and np.median(narrow) < 5.0

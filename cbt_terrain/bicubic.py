@@ -18,7 +18,9 @@ diamond reaches into the next cell, so a bend is at least half of that of the fo
 least half of the bends of its own and of theirs.
 
 Ranges of heights are those of control heights, of each patch too: a box below the cells touches a few. What resampling
-moved was measured on the bilinear surface; how far the two are apart in the cell is added.
+moved was measured on the bilinear surface; how far the two are apart in the cell is added. Samples that the source has
+rounded move the surface between them by more than themselves: the magnitudes of their weights in a row add up to 1 + t
+(1 - t) at t of the way between two of them, 5/4 at most, and so do the columns'.
 """
 
 from dataclasses import replace
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 # Indices of Warp's arrays are int32.
 MOST_ENTRIES = 2**31 - 1
+# How far samples that move by 1 at most can move the surface.
+LEVERAGE = 25.0 / 16.0
 # What of a height field follows from its surface, beside arrays.
 NUMBERS = ("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y")
 
@@ -65,6 +69,7 @@ def bicubic(field: "HeightField") -> "HeightField":
         error=kept["error_c"],
         ranges=kept["ranges_c"],
         moved=kept.get("moved_c"),
+        source_max=LEVERAGE * field.source_max,
         **dict(zip(NUMBERS, kept["numbers_c"].tolist(), strict=True)),
         key=f"{field.key}-bicubic",
         _expanded={},

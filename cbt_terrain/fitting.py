@@ -9,8 +9,8 @@ hierarchy, so that the walk makes that mesh, in its order, and it keeps the heig
 
 A triangle is split only if interpolation would split it too, else its vertices go back to the surface for good: at
 worst the end is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and
-what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, and what
-resampling at import moved below that triangle.
+what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, what
+resampling at import moved below that triangle, and what the source had rounded.
 """
 
 import math
@@ -79,11 +79,12 @@ class Fitter:
         self.rounds = 0
         self.placement = (float(vertical_scale), float(vertical_offset))
         self.scale = abs(self.placement[0])
+        self.source = field.source_max * self.scale
         self.depth = max(1, min(depth_limit(field), field.lattice.cell_depth + DEPTH_BELOW_CELLS))
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> Mesh | None:
-        """The fit for one error; None if it was given up, or if resampling keeps interpolation from holding it."""
+        """The fit for one error; None if it was given up, or if interpolation cannot hold it either."""
         if not self.scale or self._hopeless(error_m):
             return None
         field, buffers = self.field, Buffers()
@@ -125,8 +126,8 @@ class Fitter:
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
 
     def _hopeless(self, error_m: float) -> bool:
-        """Whether resampling moved so much that the interpolating mesh does not hold the error."""
-        if self.field.resample_max * self.scale <= 0.5 * error_m:
+        """Whether what cannot be refined away is so much that the interpolating mesh does not hold the error."""
+        if self.field.resample_max * self.scale + self.source <= 0.5 * error_m:
             return False
         criterion = Criterion(error_px=0.0, error_m=error_m)
         return Terrain(self.field, self.threads).update(criterion, (), None, *self.placement).bound_m > error_m
@@ -134,7 +135,8 @@ class Fitter:
     def _mesh(self, error_m: float) -> mesh_kernels.Mesh:
         m = mesh_kernels.Mesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
-        m.asked, m.bound = error_m, error_m - min(self._shift(error_m) + self._rounded(), error_m / 2)
+        left = error_m - self.source
+        m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(), left / 2)
         m.aim, m.stretch = AIM, STRETCH
         return m
 
@@ -156,7 +158,8 @@ class Fitter:
         return buffers.numpy("fit_moved")[:triangles].astype(np.float64) * self.scale
 
     def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
-        """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds.
+        """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds,
+        the mesh's and the source's.
 
         A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
         twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
@@ -170,12 +173,14 @@ class Fitter:
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         shift = self._sideways(float(steeper.max())) + self._rounded()
         decides = int(np.argmax(worst + moved))
-        parts = float(worst[decides]), float(moved[decides]), shift
+        parts = float(worst[decides]), float(moved[decides]), shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
         if sum(parts) <= error_m:
             bound = min(bound, error_m)
         else:
-            limited = "max_depth" if deepest else "resampling" if parts[0] + shift <= error_m else "precision"
+            own, rest = parts[0] + shift, sum(parts[:3])
+            limited = "precision" if own > error_m else "resampling" if rest > error_m else "source"
+            limited = "max_depth" if deepest else limited
         terms = Terms.shares(bound, *parts)
         return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)
 

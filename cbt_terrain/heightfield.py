@@ -31,6 +31,7 @@ class HeightField:
     steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
     resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
     moved: float32 [lattice.node_count] metres, the most of that below each diamond, nested; None where the raster fits.
+    source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     key: identifies the content: equal keys, equal terrains.
     """
@@ -49,6 +50,7 @@ class HeightField:
     resample_max: float = 0.0
     resample_rms: float = 0.0
     moved: np.ndarray | None = None
+    source_max: float = 0.0
     filled: int = 0
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
@@ -103,10 +105,11 @@ def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
-def content_key(samples: np.ndarray, lattice: Lattice, resample_max: float) -> str:
-    """Hex digest of what determines a terrain's shape."""
+def content_key(samples: np.ndarray, lattice: Lattice, resample_max: float, source_max: float) -> str:
+    """Hex digest of what determines a terrain's shape and its bounds."""
     digest = hashlib.blake2b(digest_size=16)
-    digest.update(repr((samples.shape, lattice.step_x, lattice.step_y, lattice.levels, resample_max)).encode())
+    numbers = (lattice.step_x, lattice.step_y, lattice.levels, resample_max, source_max)
+    digest.update(repr((samples.shape, *numbers)).encode())
     for row in range(0, samples.shape[0], 256):
         digest.update(np.ascontiguousarray(samples[row : row + 256]))
     return digest.hexdigest()
@@ -118,6 +121,7 @@ def build(
     step_y: float,
     *,
     missing: int,
+    source_max: float = 0.0,
     name: str = "The raster",
     allocate: Allocate = _in_memory,
     threads: int | None = None,
@@ -126,8 +130,9 @@ def build(
     """Everything that is done to a raster once: fill, bring onto a lattice, error hierarchy, ranges.
 
     raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
-    filled in place. step_x, step_y: metres between samples. allocate(name, shape, dtype) provides the arrays that stay;
-    where the raster fits its lattice, `raster` itself stays. name: what errors call the raster.
+    filled in place. step_x, step_y: metres between samples. source_max: as in HeightField. allocate(name, shape, dtype)
+    provides the arrays that stay; where the raster fits its lattice, `raster` itself stays. name: what errors call the
+    raster.
     """
     threads = threads or launch.default_threads()
     height, width = raster.shape
@@ -163,19 +168,23 @@ def build(
         max_height=high,
         steepest_x=climb_x / lattice.step_x,
         steepest_y=climb_y / lattice.step_y,
-        key=content_key(samples, lattice, moved_max),
+        key=content_key(samples, lattice, moved_max, source_max),
         resample_max=moved_max,
         resample_rms=moved_rms,
         moved=moved,
+        source_max=source_max,
         filled=missing,
     )
 
 
-def from_array(samples: np.ndarray, step_x: float = 1.0, step_y: float | None = None, **details) -> HeightField:
+def from_array(
+    samples: np.ndarray, step_x: float = 1.0, step_y: float | None = None, *, source_max: float = 0.0, **details
+) -> HeightField:
     """A height field in memory from a 2-D array of heights in metres, row 0 south.
 
     Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled.
-    `details` are further fields of HeightField: origin, crs, provenance; `threads` limits the threads used.
+    `source_max`: metres by which they may be rounded. `details` are further fields of HeightField: origin, crs,
+    provenance; `threads` limits the threads used.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)
@@ -184,7 +193,8 @@ def from_array(samples: np.ndarray, step_x: float = 1.0, step_y: float | None = 
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
     raster, missing = resample.clean_rows(resample.widen(samples))
-    built = build(np.ascontiguousarray(raster), step_x, step_y, missing=missing, threads=details.pop("threads", None))
+    threads, raster = details.pop("threads", None), np.ascontiguousarray(raster)
+    built = build(raster, step_x, step_y, missing=missing, source_max=source_max, threads=threads)
     for name, value in details.items():
         setattr(built, name, value)
     return built

@@ -67,12 +67,13 @@ def run_import(
         _check_room(path, width, height, lattice, fits)
         draft = store.Draft(path, folder)
         heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
-        missing, largest = _read_heights(raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading"))
+        missing, source_max = _read_heights(raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading"))
         field = heightfield.build(
             heights,
             place.step_x,
             place.step_y,
             missing=missing,
+            source_max=source_max,
             name=settings.source,
             allocate=draft.allocate,
             on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
@@ -84,7 +85,7 @@ def run_import(
         field.crs = place.crs
         field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
         field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
-        report = _report(field, raster, settings, place, largest)
+        report = _report(field, raster, place)
         report["seconds"] = round(time.monotonic() - started, 3)
         draft.publish(field, digest, report)
         return report
@@ -162,11 +163,12 @@ def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> Non
 def _read_heights(
     raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
 ) -> tuple[int, float]:
-    """Fill `heights` (row 0 south) from the raster; returns how many are missing, and the largest stored magnitude."""
+    """Fill `heights` (row 0 south) from the raster; returns how many are missing, and metres by which the source's own
+    rounding may have moved them."""
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
     scale = raster.scale * settings.height_scale
     offset = raster.offset * settings.height_scale + settings.height_offset
-    missing, largest = 0, 0.0
+    missing, largest, converted = 0, 0.0, 0.0
     for first in range(0, raster.height, rows_at_once):
         count = min(rows_at_once, raster.height - first)
         rows = raster.read(first, count)
@@ -175,10 +177,13 @@ def _read_heights(
                 rows = rows.astype(np.float64) * scale + offset
         if raster.width == 1 or raster.height == 1:
             rows = resample.widen(rows)
-        rows, absent = resample.clean_rows(rows, settings.source)
+        exact = rows
+        rows, absent = resample.clean_rows(exact, settings.source)
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))
+            if not np.can_cast(exact.dtype, np.float32):
+                converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
         if place.first_column_east:
             rows = rows[:, ::-1]
         if place.first_row_south:
@@ -187,7 +192,7 @@ def _read_heights(
             end = heights.shape[0] - first
             heights[end - len(rows) : end] = rows[::-1]
         on_progress((first + count) / raster.height)
-    return missing, largest
+    return missing, 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
 
 
 def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
@@ -204,13 +209,11 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
     return 0.5 * scale * float(np.spacing(stored.type(value)))
 
 
-def _report(
-    field: heightfield.HeightField, raster: Raster, settings: ImportSettings, place: Georeference, largest: float
-) -> dict:
+def _report(field: heightfield.HeightField, raster: Raster, place: Georeference) -> dict:
     lattice = field.lattice
     warnings = [*raster.warnings, *place.warnings]
     if raster.stored == "float16":
-        step = float(np.spacing(np.float16(min(largest / abs(raster.scale or 1.0), 65504.0))))
+        largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
         warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
     return {
         "format": raster.format,
@@ -224,7 +227,7 @@ def _report(
         "filled": field.filled,
         "moved_max_m": field.resample_max,
         "moved_rms_m": field.resample_rms,
-        "source_step_m": _source_step(raster, settings, largest),
+        "source_step_m": field.source_max,
         "crs": field.crs,
         "warnings": warnings,
     }

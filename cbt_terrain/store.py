@@ -31,7 +31,7 @@ from .heightfield import HeightField
 from .lattice import Lattice
 from .store_entries import check_entries, is_data_name
 
-VERSION = 3
+VERSION = 4
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 PAGE_BYTES = 4096
@@ -45,7 +45,7 @@ _OWN_FILE = re.compile(
 
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
-    *("resample_max", "resample_rms", "filled"),
+    *("resample_max", "resample_rms", "source_max", "filled"),
 )
 
 

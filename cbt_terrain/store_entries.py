@@ -67,6 +67,7 @@ _ENTRIES = {
     "resampled": (lambda value: type(value) is bool, "true or false"),
     "resample_max": _DISTANCE,
     "resample_rms": _DISTANCE,
+    "source_max": _DISTANCE,
     "filled": (lambda value: _is_count(value, 0), "a count"),
     "origin": (
         lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value)),

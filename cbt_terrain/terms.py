@@ -18,19 +18,21 @@ class Terms:
     """The parts of a bound at the leaf that decides it, in the bound's own unit; they add up to it.
 
     `geometric`: interpolation by triangles; of a leaf that is drawn as a meshlet, by those that are drawn.
-    `resampling`: what importing moved the raster's own samples there. `precision`: float32 positions.
+    `resampling`: what importing moved the raster's own samples there. `precision`: float32 positions. `source`: the
+    source's own rounding of its heights.
     """
 
     geometric: float
     resampling: float
     precision: float
+    source: float
 
     @classmethod
-    def shares(cls, bound: float, geometric: float, resampling: float, precision: float) -> "Terms":
-        """A bound divided in proportion to its parts in metres."""
-        total = geometric + resampling + precision
+    def shares(cls, bound: float, *parts: float) -> "Terms":
+        """A bound divided in proportion to its four parts in metres, in the order above."""
+        total = sum(parts)
         part = bound / total if total > 0.0 else 0.0
-        return cls(geometric * part, resampling * part, precision * part)
+        return cls(*(p * part for p in parts))
 
 
 def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> float:

@@ -42,11 +42,13 @@ class Update:
 
     `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
     (1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere. Both include what
-    resampling at import has moved and what float32 positions are off; `terms_px` and `terms_m` divide them.
+    resampling at import has moved, what float32 positions are off and what the source had rounded: they hold for the
+    heights that it was made of, too. `terms_px` and `terms_m` divide them.
     `bound_edge_px`, `bound_area_px`: longest edge, largest triangle, also of float32 corners. `relaxed`: the factor by
     which a triangle limit coarsened what was asked. `limited`: what kept a bound above what was asked: "",
-    "max_triangles", "max_depth", "resampling" (at import) or "precision" (float32 alone). `changed`: False if the mesh
-    is the one of the last update.
+    "max_triangles", "max_depth", or of what cannot be refined away the first that is too much on top of those before
+    it: "resampling" (at import), "precision" (float32), "source" (its rounding). `changed`: False if the mesh is the
+    one of the last update.
     """
 
     surface: Surface
@@ -76,7 +78,7 @@ class Terrain:
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
         self._builder = SurfaceBuilder(self._buffers, self.threads)
-        self._domain, self._domain_key = None, None
+        self._domain, self._domain_key, self._rounded = None, None, 0.0
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
@@ -156,7 +158,8 @@ class Terrain:
             surface = self._builder.build(leaves, domain, criterion.meshlet)
             self._shape_key = shape
         total_px2, edge_px2, area_px2 = (float(b) for b in leaves.bounds[1:4])
-        parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), domain.rounding] for p in leaves.parts)
+        constant = [self._rounded, self.field.source_max * abs(vertical_scale)]
+        parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), *constant] for p in leaves.parts)
         spans, bound_m = math.sqrt(total_px2) * (1 + 0.5 * ROUNDING), sum(parts_m) * (1 + MARGIN)
         seen = [as_seen(v, s, spans / w) for v, s, w in zip(views, slants, widened, strict=True)]
         bound_px = max(seen, default=0.0)
@@ -182,8 +185,8 @@ class Terrain:
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
         key = (meshlet, depth, vertical_scale, vertical_offset)
         if key != self._domain_key:
-            rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
+            self._rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
+            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, self._rounded)
             self._domain_key = key
         return self._domain
 
@@ -233,7 +236,7 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 def _limited(
     asked: Asked, bounds: list[float], relaxed: float, parts_px: list[float], parts_m: list[float], stretch: float
 ) -> str:
-    """What kept a bound above what was asked; `parts` are the own error, what resampling moved and rounding, metres.
+    """What kept a bound above what was asked; `parts` are those of Terms, metres.
 
     `stretch`: of the edges' bounds by rounding, beyond what was allowed for.
     """
@@ -247,7 +250,10 @@ def _limited(
     over = [(math.sqrt(ratio), parts) for ratio, parts in over if ratio > 1]
     if not over:
         return "precision" if stretch * stretch * max(excess[1:]) > 1 else ""
-    return "precision" if all(r * (p[0] + p[1]) <= sum(p) for r, p in over) else "resampling"
+    for count, reason in enumerate(("resampling", "precision"), 2):
+        if any(ratio * sum(parts[:count]) > sum(parts) for ratio, parts in over):
+            return reason
+    return "source"
 
 
 def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float) -> Asked:

@@ -258,8 +258,9 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
     """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
 
-    All error is the diamond's own, what resampling moved and what rounding adds. The last two cannot be refined away:
-    where they alone come near what was asked, the weighed error asks for a quarter of that from the first, and no more.
+    All error is the diamond's own, what resampling moved and what rounding adds, the source's and that to float32. Only
+    the first can be refined away: where the others alone come near what was asked, the weighed error asks for a quarter
+    of that from the first, and no more.
     """
     e = wp.float64(error)
     total = (e + wp.float64(moved)) * domain.error_scale + domain.rounding

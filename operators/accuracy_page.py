@@ -18,28 +18,28 @@ TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
 NOISE = 0.05
 MEANING = (
-    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of"
-    " the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved "
-    "and what float32 rounds included. *Measured* is the largest error that was found against the height field of the"
-    " store (what importing moved is in the bound, not in the measurement): in pixels over visible points, at least "
-    "one a pixel and every sample in view; in metres the exact largest distance in height between mesh and reference "
-    "surface. Times are medians of warm updates between which the camera moves by a thousandth of the terrain, so "
-    "that nothing is reused; of a fit, its one run."
+    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of "
+    "the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved, "
+    "what float32 rounds and what the source had rounded included. *Measured* is the largest error that was found "
+    "against the height field of the store (what importing moved and the source rounded is in the bound, not in the "
+    "measurement): in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
+    "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
+    "the camera moves by a thousandth of the terrain, so that nothing is reused; of a fit, its one run."
 )
 WORDS = (
-    "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are"
-    " moved off the surface, within the bound. *Geometric*, *resampling* and *precision* are the parts of a bound at "
-    "the one triangle that decides it: what triangles leave out, what importing moved there, what float32 positions "
-    "are off. *Hidden* points lie in the picture behind other ground. *Silhouette*: how far the outline is displaced;"
-    " it is followed by rays a pixel apart, so it alone may pass the bound where outlines are finer than that. "
-    "*Popping*: how far points jump from one frame's mesh to the next frame's; no figure where no frame follows. "
-    "*Rounding*: what float32 has changed of the measured error. *Faces*: angles of triangles to the surface's "
-    "normals; *shading*: of the normals that are rendered. *Pareto front* (rings): every setting that costs less, "
-    "with the same interpolation, has an error that is larger by a fiftieth at least; fits, which are made once, take "
-    "part for triangles only. A sweep makes no mesh of more than 8 million triangles: beyond it rows are held back by "
-    "the triangle limit. Steps: *refine* decides and lists the leaves, *mark* writes the tree, *weld* makes vertices "
-    "and edges, *displace* positions and normals, *ingest* Blender's mesh; *engine* is all but ingest, with what lies "
-    "between its steps."
+    "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are "
+    "moved off the surface, within the bound. *Geometric*, *resampling*, *precision* and *source* are the parts of a "
+    "bound at the one triangle that decides it: what triangles leave out, what importing moved there, what float32 "
+    "positions are off, by how much the source's own heights may be rounded. *Hidden* points lie in the picture "
+    "behind other ground. *Silhouette*: how far the outline is displaced; it is followed by rays a pixel apart, so it "
+    "alone may pass the bound where outlines are finer than that. *Popping*: how far points jump from one frame's "
+    "mesh to the next frame's; no figure where no frame follows. *Rounding*: what float32 has changed of the measured "
+    "error. *Faces*: angles of triangles to the surface's normals; *shading*: of the normals that are rendered. "
+    "*Pareto front* (rings): every setting that costs less, with the same interpolation, has an error that is larger "
+    "by a fiftieth at least; fits, which are made once, take part for triangles only. A sweep makes no mesh of more "
+    "than 8 million triangles: beyond it rows are held back by the triangle limit. Steps: *refine* decides and lists "
+    "the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* "
+    "Blender's mesh; *engine* is all but ingest, with what lies between its steps."
 )
 
 
@@ -118,7 +118,7 @@ def section(subject, prefix: str) -> list:
         Text(
             f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
             f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
-            f"apart (95 % of places within {between.p95:.3g} m)." + resampled_text(heights)
+            f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
         ),
     ]
     current = next((row for row in rows if row.setting == subject.current), None)
@@ -138,14 +138,17 @@ def other_interpolation(heights) -> str:
     return next(name for name in INTERPOLATIONS if name != heights.interpolation)
 
 
-def resampled_text(heights) -> str:
-    """What importing moved, where it did."""
-    if not heights.resample_max:
-        return ""
-    return (
-        f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
-        f"({heights.resample_rms:.3g} m rms) from the bilinear surface; a bicubic one misses them by more."
-    )
+def imported_text(heights) -> str:
+    """What importing moved and what the source had rounded, where they did."""
+    text = ""
+    if heights.resample_max:
+        text += (
+            f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
+            f"({heights.resample_rms:.3g} m rms) from the bilinear surface; a bicubic one misses them by more."
+        )
+    if heights.source_max:
+        text += f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
+    return text
 
 
 def curves(subject) -> list:

@@ -92,7 +92,9 @@ def summary(report: dict) -> str:
         line += f", {report['filled']:,} without data filled"
     if report["moved_max_m"]:
         line += f", resampled: moved by {report['moved_max_m']:.3g} m at most, {report['moved_rms_m']:.3g} m rms"
-    return f"{line}, rounded by the source itself to ±{report['source_step_m']:.2g} m"
+    if report["source_step_m"]:
+        line += f", rounded by the source itself to ±{report['source_step_m']:.2g} m"
+    return line
 
 
 class ImportTerrain(bpy.types.Operator):

@@ -13,6 +13,7 @@ LIMITS = {
     "max_depth": "the depth limit",
     "resampling": "resampling at import",
     "precision": "float32 precision",
+    "source": "the source's rounding",
 }
 # Below this, all digits before the point are shown.
 LONG = 1e7

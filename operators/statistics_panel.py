@@ -13,7 +13,12 @@ from .accuracy_report import PAGE
 from .panel_parts import TerrainSubpanel, figures, message
 from .shown_bounds import NO_BOUND, bound_text, limit_text
 
-TERMS = {"geometric": "by triangles", "resampling": "by resampling", "precision": "by precision"}
+TERMS = {
+    "geometric": "by triangles",
+    "resampling": "by resampling",
+    "precision": "by precision",
+    "source": "by the source's rounding",
+}
 STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 
 

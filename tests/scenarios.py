@@ -2,8 +2,9 @@
 """A terrain, a view and what is asked, as plain numbers: what property tests draw and the regression corpus keeps.
 
 A scenario is a dict that JSON holds: `field` {"kind", "shape", "seed", "relief", "base", "steps"} and, if it is not
-bilinear, "interpolation"; `views` a list of {"kind", "eye", "look", ...}, `criterion` the fields of Criterion that
-differ from its defaults, `placement` 16 numbers or None, `scale` the vertical scale.
+bilinear, "interpolation", and, if the source has rounded its heights, "rounded_to", metres; `views` a list of {"kind",
+"eye", "look", ...}, `criterion` the fields of Criterion that differ from its defaults, `placement` 16 numbers or None,
+`scale` the vertical scale.
 """
 
 import json
@@ -48,7 +49,12 @@ def make_field(asked: dict) -> HeightField:
     else:
         z = (x / width - rng.random()) * (y / height - rng.random())
     heights = (relief * np.asarray(z, np.float64) + asked["base"]).astype(np.float32)
-    return from_array(heights, *asked["steps"]).interpolated(asked.get("interpolation", "bilinear"))
+    stored, step = heights, asked.get("rounded_to")
+    if step:
+        stored = (np.round(heights / np.float64(step)) * step).astype(np.float32)
+    off = float(np.abs(stored.astype(np.float64) - heights).max())
+    field = from_array(stored, *asked["steps"], source_max=off)
+    return field.interpolated(asked.get("interpolation", "bilinear"))
 
 
 def make_view(asked: dict, field: HeightField) -> View:
@@ -102,6 +108,9 @@ def assert_sound(scenario: dict) -> None:
         least = 2 * field.lattice.squares << 2 * criterion.meshlet
         assert update.triangles <= max(criterion.max_triangles or update.triangles, least)
         assert_bounds(field, views, update, placed)
+        if "rounded_to" in scenario["field"] and field.moved is None:
+            unrounded = make_field({**scenario["field"], "rounded_to": None})
+            assert_bounds(unrounded, [], update, placed)
 
 
 def assert_bounds(field: HeightField, views: list[View], update, placed: dict) -> None:

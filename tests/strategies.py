@@ -23,7 +23,8 @@ def fields(kinds=KINDS, shapes=SHAPES, interpolations=("bilinear", "bilinear", "
             "base": st.sampled_from([0.0, 0.0, -500.0, 8000.0]),
             "steps": st.sampled_from([[10.0, 10.0], [1.0, 1.0], [30.0, 20.0], [0.5, 3.0]]),
             "interpolation": st.sampled_from(interpolations),
-        }
+        },
+        optional={"rounded_to": magnitudes(-3, 2)},
     )
 
 

@@ -97,7 +97,8 @@ def test_keys_tell_terrains_apart():
     other = heights.copy()
     other[5, 5] += 1e-3
     keys = {from_array(heights).key, from_array(other).key, from_array(heights, 2.0).key}
-    assert len(keys) == 3 and from_array(heights.copy()).key in keys
+    keys.add(from_array(heights, source_max=0.5).key)
+    assert len(keys) == 4 and from_array(heights.copy()).key in keys
 
 
 def test_meshlet_errors_are_made_once_and_are_not_larger():

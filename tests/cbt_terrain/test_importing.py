@@ -188,6 +188,9 @@ def test_the_steps_of_the_stored_values_are_reported(tmp_path):
         np.save(source, heights.astype(kind))
         report = run_import(ImportSettings(source=str(source), height_scale=scale), tmp_path / kind)
         assert report["source_step_m"] == half == describe(tmp_path / kind)["source_step_m"]
+        assert open_store(tmp_path / kind).source_max == half
+    report = run_import(ImportSettings(source="island", size=65, height_scale=0.3), tmp_path / "island")
+    assert report["source_step_m"] == open_store(tmp_path / "island").source_max == 0.0, "it is what it is"
 
 
 def test_a_store_keeps_what_resampling_moved_and_the_steepest_slopes(tmp_path):

@@ -312,7 +312,10 @@ def test_a_real_elevation_model_is_the_same_terrain_from_every_file(tmp_path):
         tmp_path / "a.npy",
     ]
     fields = [imported(tmp_path, source, extent=(30000.0, 31000.0), raw_size=(columns, rows))[0] for source in sources]
-    assert len({field.key for field in fields}) == 1
+    assert len({field.samples.tobytes() for field in fields}) == 1
+    whole, exr = fields[:1] + fields[2:], fields[1]
+    assert len({field.key for field in whole}) == 1 and {field.source_max for field in whole} == {0.5}
+    assert exr.key != whole[0].key and exr.source_max == 2.0**-14  # floats leave less open
     field = fields[0]
     assert (field.min_height, field.max_height) == (236.0, 1076.0)
     assert 0.0 < field.resample_rms < 0.05 and field.resample_max < 1.2

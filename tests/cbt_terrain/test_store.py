@@ -176,6 +176,9 @@ def damage(path, how):
         (path / "store.json").write_text('{"version": 2, "da')
     elif how == "other version":
         (path / "store.json").write_text(json.dumps(content | {"version": 99}))
+    elif how == "no term of the source":
+        del content["source_max"]
+        (path / "store.json").write_text(json.dumps(content | {"version": 3}))
     elif how == "no lattice":
         del content["lattice"]
         (path / "store.json").write_text(json.dumps(content))
@@ -193,7 +196,8 @@ def damage(path, how):
 DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
-    "other version": "version 99, expected 3",
+    "other version": "version 99, expected 4",
+    "no term of the source": "version 3, expected 4: import it again",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
     "array a folder": "error.npy is damaged",
@@ -221,6 +225,7 @@ BAD_ENTRIES = [
     *((name, value) for name in ("min_height", "range_base") for value in (math.nan, "1", None, True, [1])),
     *(("max_height", value) for value in (math.inf, -1e9)),
     *((name, value) for name in ("resample_max", "resample_rms", "range_step") for value in (-1, math.nan, "1")),
+    *(("source_max", value) for value in (-1, math.nan, "1", None, DELETED)),
     *(("filled", value) for value in (-1, 0.5, "0")),
     *((name, value) for name in ("key", "crs", "digest") for value in (5, None, [])),
     *(("report", value) for value in (5, None, [], DELETED)),

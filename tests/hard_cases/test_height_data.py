@@ -20,7 +20,7 @@ def mesh_within(field, metres):
     """The mesh of which every point is within `metres` of the surface; invariants hold and the bound is kept."""
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=metres))
     assert_invariants(update.surface, field.lattice)
-    assert update.bound_m <= metres + field.resample_max + update.terms_m.precision
+    assert update.bound_m <= metres + field.resample_max + update.terms_m.precision + field.source_max
     return update
 
 
@@ -28,7 +28,7 @@ def test_case_05_half_floats_are_warned_about_and_16_bits_keep_their_steps(tmp_p
     """8 km in float16 is warned about with its step, 4 m; uint16 over 8,848 m keeps every one of its codes, to 1 mm."""
     heights = np.linspace(0.0, 8000.0, 33 * 33).reshape(33, 33)
     field, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights.astype(np.float16)))
-    mesh_within(field, 100.0)
+    assert mesh_within(field, 100.0).terms_m.source == pytest.approx(2.0)
     assert "16-bit floats" in report["warnings"][0] and "steps of 4 m" in report["warnings"][0]
 
     step = 8848.0 / 65535
@@ -38,7 +38,7 @@ def test_case_05_half_floats_are_warned_about_and_16_bits_keep_their_steps(tmp_p
     assert np.array_equal(np.rint(field.samples[::-1].astype(np.float64) / step), codes)
     assert np.abs(field.samples[::-1].astype(np.float64) - codes * step).max() < 1e-3
     assert len(np.unique(field.samples)) == len(np.unique(codes))
-    mesh_within(field, 500.0)
+    assert mesh_within(field, 500.0).terms_m.source == pytest.approx(step / 2, rel=0.01)
 
 
 def test_case_06_denormal_heights(tmp_path):
@@ -121,7 +121,7 @@ def test_case_11_the_smallest_rasters(tmp_path, shape):
     assert {heights.min(), heights.max()} == {field.min_height, field.max_height}
     mesh_within(field, 0.1)
     steps = (length / max(count - 1, 1) for length, count in zip(report["extent_m"], report["raster"], strict=True))
-    same = from_array(heights[::-1], *steps)
+    same = from_array(heights[::-1], *steps, source_max=report["source_step_m"])
     assert same.key == field.key
 
 
@@ -226,7 +226,8 @@ def test_case_17_signed_zeros_are_the_same_terrain(tmp_path):
     keys, fields = set(), []
     for values in (heights, negative):
         np.save(tmp_path / "a.npy", values)
-        fields += [from_array(values[::-1]), imported(tmp_path, tmp_path / "a.npy")[0]]
+        field = imported(tmp_path, tmp_path / "a.npy")[0]
+        fields += [from_array(values[::-1], source_max=field.source_max), field]
     keys = {field.key for field in fields}
     meshes = [arrays(mesh_within(field, 5.0).surface) for field in fields]
     assert all(mesh == meshes[0] for mesh in meshes)

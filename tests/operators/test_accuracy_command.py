@@ -17,6 +17,7 @@ from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.sweep import TERMS
 from adaptive_terrain.cbt_terrain.sweep_settings import Setting
 from adaptive_terrain.operators import (
     accuracy_command,
@@ -102,9 +103,9 @@ def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy):
     assert len(said.out.splitlines()) == len(rows) + 1
     for row in rows:
         assert 0 < float(row["measured"]) <= float(row["bound"])
-        geometric, resampling, precision = (float(row[f"bound_{p}"]) for p in ("geometric", "resampling", "precision"))
-        assert geometric + precision == pytest.approx(float(row["bound"]))
-        assert geometric > precision >= resampling == 0
+        geometric, resampling, *rounded = (float(row[f"bound_{part}"]) for part in TERMS)
+        assert geometric + sum(rounded) == pytest.approx(float(row["bound"]))
+        assert geometric > max(rounded) >= min(rounded) > resampling == 0
         assert (row["ms_fit"] == "") == (row["fitted"] == "False")
         assert float(row["ms_total"]) > 0 and int(row["triangles"]) > 1
         assert row["terrain"] == "hills" and row["popping_px_max"] == ""

@@ -5,9 +5,11 @@ import dataclasses
 import math
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pytest
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.terms import Terms
 from adaptive_terrain.operators import (
@@ -69,13 +71,20 @@ def test_the_table_says_which_rows_are_on_the_pareto_fronts():
 
 def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the_plot():
     known = [row for row in known_rows() if row.setting.unit == "px"]
-    terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0)
+    terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0, 0.0)
     rows = [dataclasses.replace(known[0], bound_px=LARGEST, terms=terms), *known[1:]]
     assert accuracy_page.overview(rows, None).rows[0][1] == NO_BOUND
-    assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", ""]
+    assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", "", ""]
     assert f"bound {NO_BOUND}, measured 3 px" in accuracy_page.row_line(rows[0])
     bound = next(curve for curve in accuracy_plots.plot_curves(rows, "ms", None) if curve.label == "bound")
     assert [y for _, y in bound.points] == [math.inf, 2.0, 1.0], "infinity is what `draw` leaves out"
+
+
+def test_the_page_says_what_the_source_has_rounded():
+    heights = np.random.default_rng(0).standard_normal((20, 31))
+    said = accuracy_page.imported_text(from_array(heights, source_max=0.5))
+    assert "Importing resampled" in said and said.endswith(" may have moved the surface by up to 0.5 m.")
+    assert accuracy_page.imported_text(from_array(heights[:17, :17])) == ""
 
 
 def test_curves_without_a_place_on_logarithmic_axes_are_left_out():

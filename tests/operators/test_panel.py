@@ -40,11 +40,12 @@ def test_the_bound_has_its_parts(scene, add_terrain):
     update = session.update_object(terrain)
     status = session.record_of(terrain).status
     assert (status.terms_px, status.terms_m) == (update.terms_px, update.terms_m)
-    status.bound_px, status.terms_px, status.terms_m = 2.0, Terms(1.5, 0.5, 0.0), None
+    status.bound_px, status.terms_px, status.terms_m = 2.0, Terms(1.5, 0.25, 0.0, 0.25), None
     lines = statistics_lines(status)
     at = lines.index(("Screen error", "≤ 2 px"))
-    assert lines[at + 1 : at + 3] == [("    by triangles", "1.5 px"), ("    by resampling", "0.5 px")]
-    assert lines[at + 3][0] == "Vertical error", "what is 0 is left out"
+    parts = [("by triangles", "1.5 px"), ("by resampling", "0.25 px"), ("by the source's rounding", "0.25 px")]
+    assert lines[at + 1 : at + 4] == [(f"    {name}", part) for name, part in parts]
+    assert lines[at + 4][0] == "Vertical error", "what is 0 is left out"
     status.bound_px, status.limited = LARGEST, "precision"
     lines = statistics_lines(status)
     at = lines.index(("Screen error", NO_BOUND))
@@ -119,6 +120,7 @@ def test_import_says_what_it_did():
         "5 x 4 samples, -1.5 to 80 m, 3 without data filled, resampled: moved by 0.25 m at most, 0.1 m rms, "
         "rounded by the source itself to ±0.5 m"
     )
+    assert summary(report | {"moved_max_m": 0.0, "source_step_m": 0.0}).endswith(", 3 without data filled")
 
 
 def test_lock_interface_button(scene):

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bounds hold for the heights that a file was made of, before it rounded them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.bicubic import LEVERAGE
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.fit import fit
+from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
+from fields import mesh_heights, reference_heights, rough, scattered, screen_error
+from rasters import imported, write_exr, write_raster
+
+STEP = 10.0
+SHAPES = {"fits": (33, 65), "resampled": (40, 51)}
+
+
+def unrounded(shape) -> np.ndarray:
+    """float64 heights of 520 to 880 m, row 0 north."""
+    y, x = np.indices(shape) / 15.0
+    return 700.0 + 170.0 * np.sin(x) * np.cos(y) + 0.2 * np.random.default_rng(1).standard_normal(shape)
+
+
+def as_int16(path, heights):
+    return write_raster(path / "a.tif", np.round(heights).astype(np.int16)), {}
+
+
+def as_scaled_int16(path, heights):
+    import rasterio
+
+    source = write_raster(path / "a.tif", np.round((heights - 650.0) / 0.3).astype(np.int16))
+    with rasterio.open(source, "r+") as file:
+        file.scales, file.offsets = (0.3,), (650.0,)
+    return source, {}
+
+
+def as_png(path, heights):
+    codes = np.round((heights - 100.0) / 0.125).astype(np.uint16)
+    return write_raster(path / "a.png", codes), {"height_scale": 0.125, "height_offset": 100.0}
+
+
+def as_exr(path, heights):
+    return write_exr(path / "a.exr", Y=heights.astype(np.float16)), {}
+
+
+def as_npy(dtype, path, heights):
+    np.save(path / "a.npy", heights.astype(dtype))
+    return path / "a.npy", {}
+
+
+# How a file is written, and half a step of what it can hold near 900 m.
+FILES = {
+    "int16 GeoTIFF": (as_int16, 0.5),
+    "scaled int16 GeoTIFF": (as_scaled_int16, 0.15),
+    "uint16 PNG": (as_png, 0.0625),
+    "float16 EXR": (as_exr, 0.25),
+    "float32": (lambda path, heights: as_npy(np.float32, path, heights), 2.0**-15),
+    "float64": (lambda path, heights: as_npy(np.float64, path, heights), 2.0**-15),
+}
+
+
+def imported_from(tmp_path, kind, shape):
+    """The heights (row 0 south), where they are [n, 2], and the field of the file that they were rounded into."""
+    heights = unrounded(SHAPES[shape])
+    source, settings = FILES[kind][0](tmp_path, heights)
+    rows, columns = heights.shape
+    field, report = imported(tmp_path, source, extent=((columns - 1) * STEP, (rows - 1) * STEP), **settings)
+    assert report["source_step_m"] == field.source_max and (field.moved is not None) == (shape == "resampled")
+    places = [STEP * (np.arange(n) - (n - 1) / 2) for n in (columns, rows)]
+    return heights[::-1], np.stack(np.meshgrid(*places), -1).reshape(-1, 2), field
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", FILES)
+def test_a_bound_holds_for_the_heights_before_the_file_rounded_them(tmp_path, kind, shape):
+    heights, plane, field = imported_from(tmp_path, kind, shape)
+    off = FILES[kind][1]
+    assert 0.9 * off <= field.source_max <= off * (1 + 1e-3)
+    needed = []
+    for times in (1.5, 4.0, 40.0):
+        asked = field.resample_max + times * max(off, 0.05)
+        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
+        worst = np.abs(mesh_heights(update.surface, plane) - heights.ravel()).max()
+        assert worst <= update.bound_m <= asked and update.terms_m.source == pytest.approx(field.source_max)
+        needed.append(worst > update.bound_m - update.terms_m.source)
+    assert any(needed) or off < 0.01, "without the term it would not hold"
+
+
+@pytest.mark.parametrize("kind", ["int16 GeoTIFF", "float16 EXR"])
+def test_a_bound_holds_between_samples_and_in_pixels(tmp_path, kind):
+    heights, _, field = imported_from(tmp_path, kind, "fits")
+    truth, plane = replace(field, samples=heights), scattered(field, 20_000)
+    view = View.look((-300.0, -200.0, 900.0), (0.0, 0.0, 700.0), resolution=(640, 480))
+    update = Terrain(field, 1).update(Criterion(error_px=3.0, error_m=2.0 * field.source_max), [view])
+    worst = np.abs(mesh_heights(update.surface, plane) - reference_heights(truth, plane)).max()
+    assert update.bound_m - update.terms_m.source < worst <= update.bound_m
+    assert 0 < screen_error(view, truth, update.surface, plane) <= update.bound_px
+    assert 0 < update.terms_px.source < update.bound_px
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_fit_holds_for_the_heights_before_the_file_rounded_them(tmp_path, shape):
+    heights, plane, field = imported_from(tmp_path, "int16 GeoTIFF", shape)
+    needed = []
+    for times in (1.3, 2.0, 8.0):
+        asked = times * (field.resample_max + field.source_max)
+        fitted = fit(field, asked)
+        plain = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
+        worst = np.abs(mesh_heights(fitted.surface, plane) - heights.ravel()).max()
+        assert worst <= fitted.bound_m <= asked and fitted.limited == ""
+        assert fitted.triangles < plain.triangles or times == 1.3
+        assert fitted.terms_m.source == pytest.approx(field.source_max, rel=1e-6)
+        needed.append(worst > fitted.bound_m - field.source_max)
+    assert any(needed), "without the term it would not hold"
+
+
+def test_a_fit_that_the_source_alone_keeps_from_the_error_is_interpolation():
+    field = from_array(np.round(rough(33, 33).samples), 10.0, source_max=0.5)
+    fitted, plain = fit(field, 0.5), Terrain(field).update(Criterion(error_px=0.0, error_m=0.5))
+    assert fitted.limited == plain.limited == "source" and fitted.rounds == 0
+    assert fitted.triangles == plain.triangles and 0.5 < fitted.bound_m <= plain.bound_m <= 0.625 * (1 + 1e-6)
+
+
+def test_rounded_samples_move_a_bicubic_surface_by_more_than_themselves():
+    signs = np.outer([-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, 1.0, -1.0])
+    for origin in (0, 3, 13):  # beside the border, and in the middle
+        heights = np.zeros((17, 17))
+        heights[origin : origin + 4, origin : origin + 4] = 0.5 * signs
+        field = from_array(np.zeros((17, 17), np.float32), STEP, source_max=0.5).interpolated("bicubic")
+        plane = STEP * (np.stack(np.meshgrid(*2 * [np.linspace(origin, origin + 3, 61)]), -1).reshape(-1, 2) - 8)
+        worst = np.abs(reference_heights(replace(field, samples=heights), plane)).max()
+        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
+        assert update.bound_m == pytest.approx(LEVERAGE * 0.5) and worst <= update.bound_m
+        assert worst == pytest.approx(LEVERAGE * 0.5), "and by no less"
+
+
+def test_the_term_follows_the_vertical_scale_and_not_the_place():
+    field = from_array(np.round(rough(33, 33).samples), 10.0, source_max=0.5)
+    view = View.look((0, -500, 300), (0, 0, 0))
+    plain = Terrain(field, 1).update(Criterion(error_px=2.0, error_m=4.0), [view])
+    for scale, offset in ((3.0, 0.0), (-0.5, 100.0), (0.0, 5.0)):
+        update = Terrain(field, 1).update(Criterion(error_px=2.0, error_m=4.0), [view], None, scale, offset)
+        assert update.terms_m.source == pytest.approx(0.5 * abs(scale), rel=1e-9)
+    assert plain.terms_m.source == pytest.approx(0.5, rel=1e-9) and plain.terms_px.source > 0
+    exact = Terrain(from_array(field.samples, 10.0), 1).update(Criterion(error_px=2.0, error_m=4.0), [view])
+    assert exact.terms_m.source == exact.terms_px.source == 0.0 and exact.triangles < plain.triangles
+
+
+def test_what_is_too_much_on_top_of_what_holds_back():
+    """Of resampling, float32 and the source the first that is too much on top of those before it."""
+    heights = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal((48, 61)), axis=0), axis=1)
+    plain = from_array(heights, 10.0)
+    moved = plain.resample_max
+
+    def limited(source_max, asked):
+        update = Terrain(replace(plain, source_max=source_max), 1).update(Criterion(error_px=0.0, error_m=asked))
+        rest = moved + source_max
+        assert update.bound_m <= max(asked, rest + 0.25 * asked + update.terms_m.precision) * (1 + 1e-9)
+        return update.limited
+
+    assert limited(moved, 0.5 * moved) == "resampling" and limited(10 * moved, 0.5 * moved) == "resampling"
+    assert limited(moved, 2.0 * moved) == limited(10 * moved, 9 * moved) == "source"
+    assert limited(moved, 3.0 * moved) == ""
+    far = from_array(8000 + 0.01 * np.random.default_rng(0).standard_normal((9, 9)), 10.0)
+    lost = Terrain(far, 1).update(Criterion(error_px=0, error_m=10.0)).terms_m.precision
+    for times, reason in ((0.8, "precision"), (2.0, "source"), (3.0, "")):
+        asked = times * lost
+        update = Terrain(replace(far, source_max=lost), 1).update(Criterion(error_px=0, error_m=asked))
+        assert update.limited == reason and (update.bound_m <= asked) == (reason == "")
+
+
+def test_what_the_source_leaves_open_is_not_refined_away_at_any_price():
+    field = from_array(np.round(rough(65, 65).samples), 10.0, source_max=0.5)
+    within = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1.0))
+    beyond = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=0.5))
+    assert within.limited == "" and beyond.limited == "source" and 0.5 < beyond.bound_m <= 0.626
+    assert within.triangles < beyond.triangles < 8 * within.triangles

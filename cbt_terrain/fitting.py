@@ -127,15 +127,20 @@ class Fitter:
 
     def _hopeless(self, error_m: float) -> bool:
         """Whether what cannot be refined away is so much that the interpolating mesh does not hold the error."""
-        if self.field.resample_max * self.scale + self.source <= 0.5 * error_m:
+        if self.field.resample_max * self.scale <= 0.5 * self._left(error_m):
             return False
         criterion = Criterion(error_px=0.0, error_m=error_m)
-        return Terrain(self.field, self.threads).update(criterion, (), None, *self.placement).bound_m > error_m
+        update = Terrain(self.field, self.threads).update(criterion, (), None, *self.placement)
+        return update.bound_m - update.terms_m.source > self._left(error_m)
+
+    def _left(self, error_m: float) -> float:
+        """What is left of an error for all but the source's rounding, as the criterion weighs it: `metres2_of`."""
+        return max(error_m - self.source, 0.8 * error_m)
 
     def _mesh(self, error_m: float) -> mesh_kernels.Mesh:
         m = mesh_kernels.Mesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
-        left = error_m - self.source
+        left = self._left(error_m)
         m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(), left / 2)
         m.aim, m.stretch = AIM, STRETCH
         return m
@@ -178,8 +183,8 @@ class Fitter:
         if sum(parts) <= error_m:
             bound = min(bound, error_m)
         else:
-            own, rest = parts[0] + shift, sum(parts[:3])
-            limited = "precision" if own > error_m else "resampling" if rest > error_m else "source"
+            own, rest, left = parts[0] + shift, sum(parts[:3]), self._left(error_m)
+            limited = "precision" if own > left else "resampling" if rest > left else "source"
             limited = "max_depth" if deepest else limited
         terms = Terms.shares(bound, *parts)
         return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)

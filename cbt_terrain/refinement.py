@@ -81,7 +81,7 @@ def make_domain(
 ) -> Domain:
     """The height field as the kernels read it; memory is shared, nothing is read.
 
-    rounding: metres that positions may be off, see `terms.rounding`; what the source rounded is added.
+    rounding: metres that positions may be off, see `terms.rounding`.
     """
     lattice = field.lattice
     domain = Domain()
@@ -94,8 +94,8 @@ def make_domain(
     domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
-    domain.error_scale = abs(height_scale)
-    domain.rounding = rounding + field.source_max * abs(height_scale)
+    domain.error_scale, domain.rounding = abs(height_scale), rounding
+    domain.source = field.source_max * abs(height_scale)
     domain.resampled = int(field.moved is not None)
     domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
     domain.bicubic = int(field.interpolation == "bicubic")

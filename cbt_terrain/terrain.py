@@ -78,7 +78,7 @@ class Terrain:
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
         self._builder = SurfaceBuilder(self._buffers, self.threads)
-        self._domain, self._domain_key, self._rounded = None, None, 0.0
+        self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
@@ -158,7 +158,7 @@ class Terrain:
             surface = self._builder.build(leaves, domain, criterion.meshlet)
             self._shape_key = shape
         total_px2, edge_px2, area_px2 = (float(b) for b in leaves.bounds[1:4])
-        constant = [self._rounded, self.field.source_max * abs(vertical_scale)]
+        constant = [domain.rounding, domain.source]
         parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), *constant] for p in leaves.parts)
         spans, bound_m = math.sqrt(total_px2) * (1 + 0.5 * ROUNDING), sum(parts_m) * (1 + MARGIN)
         seen = [as_seen(v, s, spans / w) for v, s, w in zip(views, slants, widened, strict=True)]
@@ -185,8 +185,8 @@ class Terrain:
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
         key = (meshlet, depth, vertical_scale, vertical_offset)
         if key != self._domain_key:
-            self._rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, self._rounded)
+            rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
+            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
             self._domain_key = key
         return self._domain
 

@@ -30,6 +30,7 @@ wp.set_module_options({"enable_backward": False})
 REMEMBER_BITS = wp.constant(10)
 REMEMBERED = wp.constant(1 << 10)  # diamonds that a walk remembers: 8 in 10 of those that it meets again
 NOT_SPLIT = wp.constant(-1)
+WEIGHED = wp.constant(wp.float64(5.0))  # times its own error, at most: see `metres2_of`
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
 
@@ -56,7 +57,7 @@ class Measured:
     diamond: Diamond
     pixel2: wp.float64  # squared metres that a pixel spans at least
     own: wp.float64  # metres of its own error
-    rest: wp.float64  # metres of error that cannot be refined away
+    rest: wp.float64  # metres that resampling moved and that rounding adds
     moved: wp.float32
     metres2: wp.float64  # see `metres2_of`
     total2: wp.float64
@@ -72,7 +73,7 @@ class Band:
     split_above: wp.float64  # metres of own error: above, a diamond is split
     leaf_up_to: wp.float64  # ... up to these no error asks for a split
     fine2: wp.float64  # squared metres that a pixel spans at least
-    rest: wp.float64  # metres of error that cannot be refined away, at most
+    rest: wp.float64  # metres of error that cannot be refined away, at most; the source's rounding too
     split_depth: wp.int32  # above it edges ask for a split; or NOT_SPLIT
     leaf_depth: wp.int32  # from it on they do not
     even_depth: wp.int32  # where only depths decide and in no doubt: the leaves'; -1: in doubt; 0: errors count
@@ -149,7 +150,7 @@ def nothing_certain() -> Band:
 def quiet(band: Band, own: wp.float64, most: Bounds) -> wp.bool:
     """Whether a leaf below, of this own error, metres, has no more pixels of error than `most`."""
     total = own + band.rest
-    weighed = smaller(total, wp.float64(4.0) * own)
+    weighed = smaller(total, WEIGHED * own)
     return weighed * weighed <= most.px2 * band.fine2 and total * total <= most.total_px2 * band.fine2
 
 
@@ -249,9 +250,9 @@ def band_below(
     """What is certain below a diamond that is split. What may be more than `worst`, the maxima so far, is in doubt."""
     band = Band()
     fine2 = m.pixel2 * limits.finer
-    band.leaf_up_to = own_for(smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
+    band.leaf_up_to = own_for(smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest, domain.source)
     band.fine2 = m.pixel2 * limits.below
-    band.rest = m.rest
+    band.rest = m.rest + domain.source
     band.leaf_depth = leaves_below(
         asked, depth, max_depth, m.long2, m.legs2, m.climb2, fine2, worst.long_px2, worst.legs_px2
     )
@@ -266,7 +267,8 @@ def band_below(
     else:
         coarse2, inside = coarsest(asked, m.diamond, clear)
         coarse2 = coarse2 * limits.coarser
-        band.split_above = own_for(smaller(limits.error_px * wp.sqrt(coarse2), limits.metres_above), domain.rounding)
+        above = smaller(limits.error_px * wp.sqrt(coarse2), limits.metres_above)
+        band.split_above = own_for(above, domain.rounding, domain.source)
         band.split_depth = splits_below(asked, depth, max_depth, m.long2, m.legs2, coarse2)
         band.clear = inside
         if calm:
@@ -283,8 +285,8 @@ def unmeasured_below(domain: Domain, asked: Asked, band: Band, m: Measured, max_
         most.long_px2 = (long2 + m.climb2) / band.fine2
         most.legs_px2 = (legs2 + m.climb2) / band.fine2
     if band.even_depth > 0:
-        total = m.own + m.rest
-        weighed = smaller(total, wp.float64(4.0) * m.own)
+        total = m.own + band.rest
+        weighed = smaller(total, WEIGHED * m.own)
         most.px2 = weighed * weighed / band.fine2
         most.total_px2 = total * total / band.fine2
         most.metres2 = m.metres2

@@ -220,6 +220,18 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 
 
 @wp.func
+def drawn(domain: Domain, d: Diamond, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
+    """The box of the diamond's two triangles alone, with the heights of the whole box."""
+    half = wp.int32(1) << (domain.unit_bits - ((depth - 1) >> 1) - 1)
+    tight = Diamond()
+    west = domain.west + wp.float64(x - half) * domain.unit_x
+    east = domain.west + wp.float64(x + half) * domain.unit_x
+    tight.low = wp.vec3d(west, domain.south + wp.float64(y - half) * domain.unit_y, d.low[2])
+    tight.high = wp.vec3d(east, domain.south + wp.float64(y + half) * domain.unit_y, d.high[2])
+    return tight
+
+
+@wp.func
 def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
     """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
@@ -258,21 +270,24 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
     """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
 
-    All error is the diamond's own, what resampling moved and what rounding adds, the source's and that to float32. Only
-    the first can be refined away: where the others alone come near what was asked, the weighed error asks for a quarter
-    of that from the first, and no more.
+    All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
+    rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
+    there, the weighed error asks for a quarter of that from the first, and no more; where the source's rounding does,
+    which is the same everywhere, for four fifths.
     """
     e = wp.float64(error)
-    total = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
-    own = wp.float64(4.0) * e * domain.error_scale
-    total2 = total * total
-    return smaller(total2, own * own), total2
+    rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
+    own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
+    total = rest + domain.source
+    weighed = smaller(own + domain.source, wp.float64(1.25) * own)
+    return weighed * weighed, total * total
 
 
 @wp.func
-def own_for(metres: wp.float64, rest: wp.float64) -> wp.float64:
+def own_for(metres: wp.float64, rest: wp.float64, source: wp.float64) -> wp.float64:
     """The own error, metres, that `metres2_of` weighs as so many metres; `rest`: what moved and what rounding adds."""
-    return larger(metres - rest, wp.float64(0.25) * metres)
+    left = larger(metres - source, wp.float64(0.8) * metres)
+    return larger(left - rest, wp.float64(0.25) * left)
 
 
 @wp.func

@@ -25,7 +25,8 @@ class Domain:
     range_base: wp.float64
     range_step: wp.float64
     error_scale: wp.float64  # magnitude of height_scale
-    rounding: wp.float64  # metres: what float32 positions may be off, and the source's own heights
+    rounding: wp.float64  # metres: what float32 positions may be off
+    source: wp.float64  # metres: what the source's own heights may be off
     resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/smooth/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry

@@ -32,8 +32,10 @@ from .coherence import carried
 from .criterion import (
     Asked,
     Domain,
+    drawn,
     error_at,
     fetch_ahead,
+    finest,
     larger,
     leaves_tile,
     metres2_of,
@@ -261,7 +263,8 @@ def _compiled(keeps: bool) -> wp.Kernel:
                                 most.px2 = larger(most.px2, px2)
                                 worst.px2 = larger(worst.px2, px2)
                             if m.total2 > most.total_px2 * near2:
-                                total_px2 = m.total2 / m.pixel2
+                                tight = drawn(domain, m.diamond, x, y, depth)
+                                total_px2 = m.total2 / finest(asked, tight, above.clear)
                                 most.total_px2 = larger(most.total_px2, total_px2)
                                 if total_px2 > worst.total_px2:
                                     worst.total_px2 = total_px2

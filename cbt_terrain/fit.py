@@ -68,7 +68,7 @@ def fit(
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
         more = best is not None and plain.relaxed == 1.0 and best.triangles > plain.triangles
-        if best is None or more or best.bound_m > max(plain.bound_m, error_m):
+        if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
             best = fitter.interpolated(plain, error_m)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited

@@ -133,6 +133,10 @@ class Fitter:
         update = Terrain(self.field, self.threads).update(criterion, (), None, *self.placement)
         return update.bound_m - update.terms_m.source > self._left(error_m)
 
+    def within(self, error_m: float) -> float:
+        """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
+        return max(error_m, self._left(error_m) + self.source)
+
     def _left(self, error_m: float) -> float:
         """What is left of an error for all but the source's rounding, as the criterion weighs it: `metres2_of`."""
         return max(error_m - self.source, 0.8 * error_m)
@@ -180,12 +184,12 @@ class Fitter:
         decides = int(np.argmax(worst + moved))
         parts = float(worst[decides]), float(moved[decides]), shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
-        if sum(parts) <= error_m:
-            bound = min(bound, error_m)
+        if sum(parts) <= self.within(error_m):
+            bound = min(bound, self.within(error_m))
+            limited = "source" if bound > error_m else ""
         else:
-            own, rest, left = parts[0] + shift, sum(parts[:3]), self._left(error_m)
-            limited = "precision" if own > left else "resampling" if rest > left else "source"
-            limited = "max_depth" if deepest else limited
+            own = parts[0] + shift > self._left(error_m)
+            limited = "max_depth" if deepest else "precision" if own else "resampling"
         terms = Terms.shares(bound, *parts)
         return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)
 

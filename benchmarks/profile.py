@@ -56,11 +56,11 @@ CALLED = {
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
     **dict.fromkeys(("band_below", "remembered_at", "not_split"), BAND),
-    **dict.fromkeys(("next_kept", "carried", "within", "joined", "take", "keep_taken"), KEPT),
-    **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
+    **dict.fromkeys(("next_kept", "carried", "within", "joined", "take", "keep_taken", "with_subtree"), KEPT),
+    **dict.fromkeys(("open_subtree", "so_far", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
-    **dict.fromkeys(("is_apart", "leaf_word", "flush"), LEAF),
+    **dict.fromkeys(("is_apart", "is_whole", "leaf_word", "flush", "end_of_entry", "third_edge"), LEAF),
     "border_role": LEAF,
 }
 # The walk's own lines, from each of these on, in their order.
@@ -75,7 +75,7 @@ LINES = (
     ("near2 = m.pixel2 * limits.below", PIXEL),
     ("levels = below - depth", BLOCK),
     ("near_error = wp.float32(0.0)", DESCENT),
-    ("room = wp.where(leaves", LEAF),
+    ("room = wp.where(n.leaves", LEAF),
     ("# On along the curve", DESCENT),
     ("if end > wp.uint64(0) and square_cell", KEPT),
     ("if top == 0 or", DESCENT),

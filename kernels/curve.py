@@ -71,6 +71,28 @@ def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.v
 
 
 @wp.func
+def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
+    """Where the edge ends through which the curve enters a triangle at its left vertex."""
+    end = apex
+    if (state & 6) == HYP_LEG:
+        end = right
+    return end
+
+
+@wp.func
+def third_edge(state: wp.int32, left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i):
+    """The edge that the curve does not pass: from a vertex that is known to the one that is new if the edge is."""
+    passage = state & 6
+    known = left
+    if passage == LEG_HYP:
+        known = apex
+    new = right
+    if passage == HYP_LEG:
+        new = apex
+    return known, new
+
+
+@wp.func
 def hypotenuse_passed(state: wp.int32) -> wp.bool:
     """Whether the curve has passed the triangle behind the longest edge before it enters this one."""
     return state > LEG_LEG and state < LEG_HYP

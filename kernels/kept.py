@@ -3,11 +3,12 @@
 
 import warp as wp
 
+from .band import Measured
 from .bounds import Bounds
 from .coherence import CROSSED, Subtree, stand_of
-from .criterion import Asked, Diamond, coarsest
+from .criterion import Asked, coarsest
 from .unchecked import copy_leaves, copy_points, copy_words, put_word
-from .walk_state import Walk
+from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,74 +44,71 @@ def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64
 
 
 @wp.func
-def take(w: Walk, subtree: Subtree, leaves: wp.int64, vertices: wp.int64, words: wp.int64):
+def take(w: Walk, subtree: Subtree, n: Written):
     """Copy what the last frame has written of a subtree behind what there is."""
-    if leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
-        copy_leaves(w.last_code, subtree.first_leaf, subtree.leaves, w.code, w.leaf_base + leaves)
-        copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, w.leaf_base + vertices)
-        first = w.leaf_base + words
+    if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
+        copy_leaves(w.last_code, subtree.first_leaf, subtree.leaves, w.code, w.leaf_base + n.leaves)
+        copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, w.leaf_base + n.vertices)
+        first = w.leaf_base + n.words
         copy_words(
             w.last_word_index, w.last_word_bits, subtree.first_word, subtree.words, w.word_index, w.word_bits, first
         )
 
 
 @wp.func
-def keep_taken(w: Walk, subtree: Subtree, at: wp.int64, leaves: wp.int64, vertices: wp.int64, words: wp.int64):
-    """Keep what `take` has copied for the next frame too; returns how many are kept."""
-    if at < w.room:
-        subtree.first_leaf = w.leaf_base + leaves
-        subtree.first_vertex = w.leaf_base + vertices
-        subtree.first_word = w.leaf_base + words
-        w.kept[wp.int64(w.slot) * w.room + at] = subtree
-        at += wp.int64(1)
-    return at
+def with_subtree(n: Written, subtree: Subtree) -> Written:
+    """How much is written with the subtree's leaves."""
+    n.leaves += wp.int64(subtree.leaves)
+    n.vertices += wp.int64(subtree.vertices)
+    n.edges += wp.int64(subtree.edges)
+    n.words += wp.int64(subtree.words)
+    return n
 
 
 @wp.func
-def open_subtree(
-    asked: Asked, w: Walk, at: wp.int64, cell: wp.uint64, depth: wp.int32, diamond: Diamond, span: wp.float64
-):
-    """Begin to keep the subtree below a triangle whose diamond is measured; span: metres of a pixel, the finest."""
-    if at < w.room:
-        entry = wp.int64(w.slot) * w.room + at
-        coarse2, _inside = coarsest(asked, diamond, 0)
+def keep_taken(w: Walk, subtree: Subtree, count: wp.int64, n: Written) -> wp.int64:
+    """Keep what `take` has copied for the next frame too; returns how many subtrees are kept."""
+    if count < w.room:
+        subtree.first_leaf = w.leaf_base + n.leaves
+        subtree.first_vertex = w.leaf_base + n.vertices
+        subtree.first_word = w.leaf_base + n.words
+        w.kept[wp.int64(w.slot) * w.room + count] = subtree
+        count += wp.int64(1)
+    return count
+
+
+@wp.func
+def open_subtree(asked: Asked, w: Walk, count: wp.int64, cell: wp.uint64, depth: wp.int32, m: Measured):
+    """Begin to keep the subtree below a triangle whose diamond is measured."""
+    if count < w.room:
+        entry = wp.int64(w.slot) * w.room + count
+        coarse2, _inside = coarsest(asked, m.diamond, 0)
         w.kept[entry].cell = cell
         w.kept[entry].depth = depth
-        w.kept[entry].stands = stand_of(asked.view, diamond.low, diamond.high)
-        w.kept[entry].low = diamond.low
-        w.kept[entry].high = diamond.high
-        w.kept[entry].fine = span
+        w.kept[entry].stands = stand_of(asked.view, m.diamond.low, m.diamond.high)
+        w.kept[entry].low = m.diamond.low
+        w.kept[entry].high = m.diamond.high
+        w.kept[entry].fine = wp.sqrt(m.pixel2)
         w.kept[entry].coarse = wp.sqrt(coarse2)
 
 
 @wp.func
 def close_subtree(
-    w: Walk,
-    at: wp.int64,
-    first_leaf: wp.int64,
-    first_vertex: wp.int64,
-    first_word: wp.int64,
-    leaves: wp.int64,
-    vertices: wp.int64,
-    edges: wp.int64,
-    words: wp.int64,
-    fall: wp.float64,
-    rise: wp.float64,
-    most: Bounds,
+    w: Walk, count: wp.int64, first: Written, n: Written, fall: wp.float64, rise: wp.float64, most: Bounds
 ) -> wp.int64:
-    """End the subtree that was opened, with where it begins and how much there is; returns how many are kept."""
-    if at < w.room:
-        entry = wp.int64(w.slot) * w.room + at
-        w.kept[entry].leaves = wp.int32(leaves)
-        w.kept[entry].vertices = wp.int32(vertices)
-        w.kept[entry].edges = wp.int32(edges)
-        w.kept[entry].words = wp.int32(words)
-        w.kept[entry].first_leaf = w.leaf_base + first_leaf
-        w.kept[entry].first_vertex = w.leaf_base + first_vertex
-        w.kept[entry].first_word = w.leaf_base + first_word
+    """End the subtree that was opened when `first` was written; returns how many are kept."""
+    if count < w.room:
+        entry = wp.int64(w.slot) * w.room + count
+        w.kept[entry].leaves = wp.int32(n.leaves - first.leaves)
+        w.kept[entry].vertices = wp.int32(n.vertices - first.vertices)
+        w.kept[entry].edges = wp.int32(n.edges - first.edges)
+        w.kept[entry].words = wp.int32(n.words - first.words)
+        w.kept[entry].first_leaf = w.leaf_base + first.leaves
+        w.kept[entry].first_vertex = w.leaf_base + first.vertices
+        w.kept[entry].first_word = w.leaf_base + first.words
         w.kept[entry].fall = fall
         w.kept[entry].rise = rise
         w.kept[entry].most = most
         if w.kept[entry].stands != CROSSED:
-            at += wp.int64(1)
-    return at
+            count += wp.int64(1)
+    return count

@@ -55,15 +55,17 @@ from .curve import (
     TAKE_LEFT,
     TO_CORNER,
     border_role,
+    end_of_entry,
     hypotenuse_passed,
     leaf_word,
     left_state,
     right_state,
+    third_edge,
     touches_border,
 )
-from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take
+from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take, with_subtree
 from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
-from .walk_state import STACK, Walk
+from .walk_state import STACK, Walk, Written, so_far
 
 wp.set_module_options({"enable_backward": False})
 
@@ -73,6 +75,14 @@ TAKEN = wp.constant(3)
 # A subtree is kept from where errors are up to so many times those of its leaves; of fewer leaves rather a larger one.
 ERRORS_KEPT = wp.constant(wp.float64(8.0))
 FEW_LEAVES = wp.constant(8)
+
+
+@wp.func
+def is_whole(w: Walk, cell: wp.uint64, size: wp.uint64, start: wp.uint64, at: wp.uint64) -> wp.bool:
+    """Whether leaves below a triangle fill words of the tree of their own, in this slice, and are neither the square's
+    first nor its last."""
+    inside = cell > wp.uint64(0) and cell + size < (wp.uint64(1) << wp.uint64(w.cell_bits))
+    return inside and size >= wp.uint64(64) and cell >= start and at + size <= w.end_cell
 
 
 @wp.func
@@ -91,10 +101,7 @@ def _compiled(keeps: bool) -> wp.Kernel:
         side = wp.int32(1) << domain.unit_bits
         cells = wp.uint64(1) << wp.uint64(w.cell_bits)
         limits = limits_of(asked, w.slack)
-        leaves = wp.int64(0)
-        vertices = wp.int64(0)
-        edges = wp.int64(0)
-        words = wp.int64(0)
+        n = Written()
         word = wp.int64(-1)
         bits = wp.uint64(0)
         worst = Bounds()  # maxima over the leaves
@@ -104,10 +111,7 @@ def _compiled(keeps: bool) -> wp.Kernel:
         # The subtree that is open: where it ends (0: none is), what there was before it, by how much spans may change
         # in it, and what its leaves have at most: never more than the maxima so far.
         end = wp.uint64(0)
-        first_leaf = wp.int64(0)
-        first_vertex = wp.int64(0)
-        first_edge = wp.int64(0)
-        first_word = wp.int64(0)
+        first = Written()
         fall = wp.float64(0.0)
         rise = wp.float64(0.0)
         most = Bounds()
@@ -122,7 +126,7 @@ def _compiled(keeps: bool) -> wp.Kernel:
         sides = 4 * w.slot * domain.columns * domain.rows
         square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
         start = w.first_cell & (cells - wp.uint64(1))
-        while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and leaves <= w.leaf_limit:
+        while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
             row = square / columns
             column = square - row * columns
             x0 = column << domain.unit_bits
@@ -146,7 +150,7 @@ def _compiled(keeps: bool) -> wp.Kernel:
             held = place  # the band that holds here
             w.bands[place] = nothing_certain()
             inside = wp.int32(1)
-            while inside == 1 and leaves <= w.leaf_limit:
+            while inside == 1 and n.leaves <= w.leaf_limit:
                 size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
                 at = square_cell + cell
                 split = wp.int32(0)
@@ -159,19 +163,16 @@ def _compiled(keeps: bool) -> wp.Kernel:
                             # Where one of its leaves may have the most of all, that is found out anew.
                             if holds == 1 and within(subtree.most, worst) and cell >= start and at + size <= w.end_cell:
                                 split = TAKEN
-                                words = flush(w, words, word, bits)
+                                n.words = flush(w, n.words, word, bits)
                                 word = wp.int64(-1)
-                                take(w, subtree, leaves, vertices, words)
+                                take(w, subtree, n)
                                 if end == wp.uint64(0):
-                                    count = keep_taken(w, subtree, count, leaves, vertices, words)
+                                    count = keep_taken(w, subtree, count, n)
                                 else:
                                     fall = smaller(fall, subtree.fall)
                                     rise = smaller(rise, subtree.rise)
                                     most = joined(most, subtree.most)
-                                leaves += wp.int64(subtree.leaves)
-                                vertices += wp.int64(subtree.vertices)
-                                edges += wp.int64(subtree.edges)
-                                words += wp.int64(subtree.words)
+                                n = with_subtree(n, subtree)
                                 taken += wp.int64(subtree.leaves)
                             kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
                 x = (left_x + right_x) >> 1
@@ -223,24 +224,19 @@ def _compiled(keeps: bool) -> wp.Kernel:
                             span = wp.sqrt(m.pixel2)
                             # A subtree is kept from where few bisections are left.
                             few = own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - depth <= MAX_BISECTIONS
-                            few = (few or w.max_depth - depth <= 6) and end == wp.uint64(0) and size >= wp.uint64(64)
-                            if few and cell > wp.uint64(0) and cell >= start and cell + size < cells:
-                                if at + size <= w.end_cell and is_apart(
-                                    left, apex, right, wp.vec2i(x0, y0), side, w.grid
-                                ):
-                                    words = flush(w, words, word, bits)
-                                    word = wp.int64(-1)
-                                    open_subtree(asked, w, count, at, depth, m.diamond, span)
-                                    end = at + size
-                                    first_leaf = leaves
-                                    first_vertex = vertices
-                                    first_edge = edges
-                                    first_word = words
-                                    fall = w.slack * span
-                                    rise = w.slack * span
-                                    most = Bounds()
-                                    most_error = wp.float32(-1.0)
-                                    mark += 1
+                            few = (few or w.max_depth - depth <= 6) and end == wp.uint64(0)
+                            few = few and is_whole(w, cell, size, start, at)
+                            if few and is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
+                                n.words = flush(w, n.words, word, bits)
+                                word = wp.int64(-1)
+                                open_subtree(asked, w, count, at, depth, m)
+                                end = at + size
+                                first = so_far(n)
+                                fall = w.slack * span
+                                rise = w.slack * span
+                                most = Bounds()
+                                most_error = wp.float32(-1.0)
+                                mark += 1
                             if not m.metres2 > asked.limit * asked.metres2:
                                 rise = smaller(rise, turning_span(limits, m) - span)
                             most = joined(most, unmeasured_below(domain, asked, band, m, w.max_depth))
@@ -277,14 +273,13 @@ def _compiled(keeps: bool) -> wp.Kernel:
                                     most.legs_px2 = larger(most.legs_px2, legs2 / m.pixel2)
                                     worst.legs_px2 = larger(worst.legs_px2, legs2 / m.pixel2)
                 levels = below - depth
-                if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and cell > wp.uint64(0) and cell >= start:
-                    whole = size >= wp.uint64(64) and cell + size < cells and at + size <= w.end_cell
-                    if whole and is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
+                if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and is_whole(w, cell, size, start, at):
+                    if is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
                         even = 1 << levels
                         created = new_vertices(w.blocks, state, levels)
-                        words = flush(w, words, word, bits)
+                        n.words = flush(w, n.words, word, bits)
                         word = wp.int64(-1)
-                        if leaves + wp.int64(even) <= w.leaf_capacity:
+                        if n.leaves + wp.int64(even) <= w.leaf_capacity:
                             write_block(
                                 w.blocks,
                                 state,
@@ -294,15 +289,15 @@ def _compiled(keeps: bool) -> wp.Kernel:
                                 right,
                                 wp.uint16(leaf_word(0, below)),
                                 w.code,
-                                w.leaf_base + leaves,
+                                w.leaf_base + n.leaves,
                                 w.point,
-                                w.leaf_base + vertices,
+                                w.leaf_base + n.vertices,
                             )
-                            first = w.leaf_base + words
-                            words += wp.int64(write_words(at, size, levels, w.word_index, w.word_bits, first))
-                        leaves += wp.int64(even)
-                        vertices += wp.int64(created)
-                        edges += wp.int64(even + created)
+                            to = w.leaf_base + n.words
+                            n.words += wp.int64(write_words(at, size, levels, w.word_index, w.word_bits, to))
+                        n.leaves += wp.int64(even)
+                        n.vertices += wp.int64(created)
+                        n.edges += wp.int64(even + created)
                         split = BLOCK
                 if split == 1:
                     depth += 1
@@ -344,38 +339,29 @@ def _compiled(keeps: bool) -> wp.Kernel:
                             if total2 > worst.total2:
                                 worst.total2 = total2
                                 in_metres = wp.vec2f(error, moved)
-                        room = wp.where(leaves < w.leaf_capacity, 1, 0)
+                        room = wp.where(n.leaves < w.leaf_capacity, 1, 0)
                         code = leaf_word(state, depth)
-                        passage = state & 6
                         if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
                             code = code | (wp.uint32(1) << wp.uint32(FIRST))
-                            ahead = apex
-                            if passage == HYP_LEG:
-                                ahead = right
+                            ahead = end_of_entry(state, apex, right)
                             if column > 0:
                                 w.sides[sides + 4 * square] = w.sides[sides + 4 * square] + 1
                             else:
-                                edges += wp.int64(1)
+                                n.edges += wp.int64(1)
                                 if room == 1:
-                                    w.point[w.leaf_base + vertices] = left
-                                vertices += wp.int64(1)
+                                    w.point[w.leaf_base + n.vertices] = left
+                                n.vertices += wp.int64(1)
                                 if row > 0 and ahead[1] == y0:
                                     code = code | (wp.uint32(1) << wp.uint32(CORNER))
                                 else:
                                     if room == 1:
-                                        w.point[w.leaf_base + vertices] = ahead
-                                    vertices += wp.int64(1)
-                        # The third edge, if it is new: left - apex, apex - right or right - left, to the new vertex q.
+                                        w.point[w.leaf_base + n.vertices] = ahead
+                                    n.vertices += wp.int64(1)
                         new_edge = 1 - (state & 1)
                         new_vertex = new_edge
-                        q_x = wp.where(passage == HYP_LEG, apex_x, right_x)
-                        q_y = wp.where(passage == HYP_LEG, apex_y, right_y)
+                        p, q = third_edge(state, left, apex, right)
                         if w.grid == 1 and new_edge == 1:
-                            p_x = wp.where(passage == LEG_HYP, apex_x, left_x)
-                            p_y = wp.where(passage == LEG_HYP, apex_y, left_y)
-                            p = wp.vec2i(p_x, p_y)
-                            corner = wp.vec2i(x0, y0)
-                            role = border_role(p, wp.vec2i(q_x, q_y), corner, side, column, row, columns, domain.rows)
+                            role = border_role(p, q, wp.vec2i(x0, y0), side, column, row, columns, domain.rows)
                             code = code | (wp.uint32(role) << wp.uint32(BORDER))
                             if role != INNER and role != TO_CORNER:
                                 w.sides[sides + 4 * square + role - 1] = w.sides[sides + 4 * square + role - 1] + 1
@@ -385,41 +371,27 @@ def _compiled(keeps: bool) -> wp.Kernel:
                             if role == TO_CORNER:
                                 new_vertex = 0
                         if room == 1:
-                            put_pair(w.point, w.leaf_base + vertices, wp.vec2i(q_x, q_y))  # stays only if it is new
-                        vertices += wp.int64(new_vertex)
-                        edges += wp.int64(new_edge)
-                        edges += wp.int64(1)  # the edge through which the curve leaves
+                            put_pair(w.point, w.leaf_base + n.vertices, q)  # stays only if it is new
+                        n.vertices += wp.int64(new_vertex)
+                        n.edges += wp.int64(new_edge + 1)  # with the edge through which the curve leaves
                         if cell + size == cells:
                             code = code | (wp.uint32(1) << wp.uint32(LAST))
                             if row < domain.rows - 1:
                                 w.sides[sides + 4 * square + 3] = w.sides[sides + 4 * square + 3] + 1
                         if wp.int64(at >> wp.uint64(6)) != word:
-                            words = flush(w, words, word, bits)
+                            n.words = flush(w, n.words, word, bits)
                             word = wp.int64(at >> wp.uint64(6))
                             bits = wp.uint64(0)
                         bits = bits | (wp.uint64(1) << (at & wp.uint64(63)))
                         if room == 1:
-                            put_code(w.code, w.leaf_base + leaves, wp.uint16(code))
-                        leaves += wp.int64(1)
+                            put_code(w.code, w.leaf_base + n.leaves, wp.uint16(code))
+                        n.leaves += wp.int64(1)
                     # On along the curve, to the next triangle that was put aside.
                     cell += size
                     if end > wp.uint64(0) and square_cell + cell >= end:
-                        words = flush(w, words, word, bits)
+                        n.words = flush(w, n.words, word, bits)
                         word = wp.int64(-1)
-                        count = close_subtree(
-                            w,
-                            count,
-                            first_leaf,
-                            first_vertex,
-                            first_word,
-                            leaves - first_leaf,
-                            vertices - first_vertex,
-                            edges - first_edge,
-                            words - first_word,
-                            fall,
-                            rise,
-                            most,
-                        )
+                        count = close_subtree(w, count, first, n, fall, rise, most)
                         end = wp.uint64(0)
                         mark += 1
                     if top == 0 or square_cell + cell >= w.end_cell:
@@ -440,15 +412,15 @@ def _compiled(keeps: bool) -> wp.Kernel:
                         held = put_aside >> 9
             square += 1
             start = wp.uint64(0)
-        words = flush(w, words, word, bits)
+        n.words = flush(w, n.words, word, bits)
         if keeps:
             w.kept_counts[w.slot] = count
             w.taken[w.slot] = taken
         c = 4 * w.slot
-        w.counts[c] = leaves
-        w.counts[c + 1] = vertices
-        w.counts[c + 2] = edges
-        w.counts[c + 3] = words
+        w.counts[c] = n.leaves
+        w.counts[c + 1] = n.vertices
+        w.counts[c + 2] = n.edges
+        w.counts[c + 3] = n.words
         b = 10 * w.slot
         w.bounds[b] = worst.px2
         w.bounds[b + 1] = worst.total_px2

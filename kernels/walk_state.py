@@ -13,6 +13,22 @@ STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tre
 
 
 @wp.struct
+class Written:
+    """How much a slice has written; words of the tree besides the one at hand."""
+
+    leaves: wp.int64
+    vertices: wp.int64
+    edges: wp.int64
+    words: wp.int64
+
+
+@wp.func
+def so_far(n: Written) -> Written:
+    """A copy: Warp's assignment of a struct is another name for it."""
+    return n
+
+
+@wp.struct
 class Walk:
     """Where one slice of the curve writes, and how far it may."""
 

@@ -56,14 +56,14 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_2t", 500_000): (0.31, EDGES),
     ("refine_2t", 1_000_000): (0.2, EDGES),
     ("refine_error", 1_000_000): (
-        1.15,
-        "by its profile two fifths of the time are errors that are read and compared, where the walk waits for memory "
-        "though tiles are fetched ahead; a fifth measures diamonds; what is left has no peak.",
+        0.5,
+        "nine leaves in ten are taken from the last frame; by its profile two fifths of the time look whether they may "
+        "be, and copy them; a third measures diamonds of the rest, a tenth compares the tree's words.",
     ),
     ("surface", 1_000_000): (
-        0.9,
-        "seven tenths are the refinement for an error, as above, on two threads; a fifth is welding and displacement "
-        "with normals and uv, most of that the latency of reading samples.",
+        0.5,
+        "half of it is the refinement for an error, as above, on two threads; the rest is welding and displacement with "
+        "normals and uv, most of that the latency of reading samples.",
     ),
     ("depth", 500_000): (
         1.3,

@@ -36,8 +36,8 @@ MAX_STEP = 160 * STEPS_PER_OCTAVE
 LEAVES_PER_ERROR = 1.2
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
 SLACK = 0.05
-# Relative; what rounding makes of lengths in a camera's space when it turns.
-ROUNDED = 1e-10
+# By which part other lengths may change from frame to frame: 4 times this comes off the slack.
+MOST_DRIFT = 2e-3
 # What a walk writes that the next one may copy.
 WRITTEN = ("code", "point", "word_index", "word_bits", "kept", "kept_counts")
 
@@ -152,9 +152,10 @@ class Refinement:
             self.buffers.swap(name, "last_" + name)
         # Of edges alone bands decide so fast that keeping them costs as much as it saves.
         keeps = asked.view_count == 1 and asked.error_px2 < math.inf
-        kept = last is not None and last.fits(domain, asked, max_depth)
+        drift = last.drift(domain, asked, max_depth) if keeps and last else math.inf
+        kept = drift <= MOST_DRIFT
         if kept:
-            _move(self._motion, last.view, asked.view)
+            _move(self._motion, last.asked.view, asked.view, drift)
         while True:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             for walk in walks:
@@ -291,29 +292,30 @@ class _Walked:
     room: int  # of subtrees in a slot
 
     def __post_init__(self):
-        self.view, self.numbers = self.asked.view, _unmoved(self.asked)
+        self.limit = self.asked.limit
 
-    def fits(self, domain: Domain, asked: Asked, max_depth: int) -> bool:
-        """Whether only the camera has moved since."""
-        return (
-            domain is self.domain
-            and max_depth == self.max_depth
-            and asked.view_count == 1
-            and all(a == b or abs(a - b) <= ROUNDED * b for a, b in zip(_unmoved(asked), self.numbers, strict=True))
-        )
-
-
-def _unmoved(asked: Asked) -> list[float]:
-    """The numbers of what is asked that stay the same while a camera moves."""
-    view = asked.view
-    of_view = [view.kind, view.plane_count, *view.weight, view.cosine2, view.near2, view.off_screen2]
-    of_edges = [asked.measures_edges, asked.edge_px2, asked.area_px2, asked.diagonal2, asked.axis2]
-    return [float(number) for number in (*of_view, *of_edges, asked.error_px2, asked.metres2, asked.limit)]
+    def drift(self, domain: Domain, asked: Asked, max_depth: int) -> float:
+        """By what part the lengths have changed that spans of a pixel are made of and compared with, all but those
+        that `Motion` has; infinity if more than the camera has moved."""
+        of_asked = "view_count", "measures_edges", "metres2"
+        of_view = "kind", "plane_count", "off_screen2"
+        same = domain is self.domain and max_depth == self.max_depth and asked.limit == self.limit
+        same = same and all(getattr(asked, name) == getattr(self.asked, name) for name in of_asked)
+        if not same or any(getattr(asked.view, name) != getattr(self.asked.view, name) for name in of_view):
+            return math.inf
+        pairs = zip(_squares(asked), _squares(self.asked), strict=True)
+        return max(0.0 if a == b else abs(a - b) / b if 0 < b < math.inf else math.inf for a, b in pairs)
 
 
-def _move(motion: Motion, before: LocalView, now: LocalView) -> None:
+def _squares(asked: Asked) -> list[float]:
+    """Squared lengths and pixels that may differ a little from frame to frame: matrices of Blender are float32."""
+    of_asked = asked.error_px2, asked.edge_px2, asked.area_px2, asked.diagonal2, asked.axis2
+    return [float(square) for square in (*asked.view.weight, asked.view.cosine2, asked.view.near2, *of_asked)]
+
+
+def _move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
     """Fill in how the view has moved."""
-    motion.eye, motion.depth = before.eye, before.depth
+    motion.eye, motion.depth, motion.drift = before.eye, before.depth, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
     motion.step = math.sqrt(sum(float(w) * (float(a) - float(b)) ** 2 for w, a, b in offsets))
     motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))

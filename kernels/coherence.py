@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False})
 CLEAR = wp.constant(1)
 OUTSIDE = wp.constant(0)
 CROSSED = wp.constant(-1)
+NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
 ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
 
 
@@ -45,12 +46,13 @@ class Subtree:
 
 @wp.struct
 class Motion:
-    """How the view has moved since subtrees were kept; of lens and frame only the span of a pixel may be another."""
+    """How the view has moved since subtrees were kept."""
 
     eye: wp.vec3d  # before, as in LocalView
     depth: wp.vec4d
     step: wp.float64  # metres of camera space that the eye has moved
     ratio: wp.float64  # span of a pixel at unit depth over what it was
+    drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
 
 
 @wp.func
@@ -104,7 +106,7 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     apart = before + now - wp.float64(2.0) * radius
     nearest = smaller(before, now) - radius
     valid = wp.int32(1)
-    if nearest <= radius or nearest * nearest <= view.near2:
+    if nearest <= radius or nearest * nearest <= NEAR * view.near2:
         valid = 0
     spread = wp.float64(2.0) * radius * motion.step / apart
     least = now - before - spread
@@ -147,7 +149,8 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     if kept.stands == OUTSIDE:
         span = span * wp.sqrt(view.off_screen2)
     growth = motion.ratio - wp.float64(1.0)
-    rounded = ROUNDED * kept.coarse
+    # Spans drift, and so do those at which diamonds are decided otherwise.
+    rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
     least = least * span + smaller(growth * kept.fine, growth * kept.coarse) - rounded
     most = most * span + larger(growth * kept.fine, growth * kept.coarse) + rounded
     return least, most, known
@@ -166,8 +169,9 @@ def carried(asked: Asked, motion: Motion, kept: Subtree):
         holds = 0
     if holds == 1:
         # Pixels grow as spans fall: by most where spans are finest, by least where they are coarsest.
+        drift = wp.float64(4.0) * motion.drift
         span = wp.where(least < wp.float64(0.0), kept.fine, kept.coarse)
-        kept.most = seen_closer(kept.most, (span / (span + least)) * (wp.float64(1.0) + ROUNDED))
+        kept.most = seen_closer(kept.most, (span / (span + least)) * (wp.float64(1.0) + ROUNDED + drift))
         kept.fine = kept.fine + least
         kept.coarse = kept.coarse + most
     return kept, holds

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Coherence from frame to frame: what a walk takes from the last frame is what it would have found itself."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,8 @@ def a_field(rng):
 
 
 def flight(field, rng) -> list[View]:
-    """A view that goes on, turns, rolls and zooms a little each frame, and sometimes jumps."""
+    """A view that goes on, turns, rolls and zooms a little each frame, and sometimes jumps; half have matrices of
+    float32, as Blender's are."""
     size = extent(field)
     eye = rng.uniform(-0.5, 0.5, 3) * size + [0, 0, (0.02 + rng.random() ** 3) * size[:2].max()]
     look = np.append(rng.uniform(-1, 1, 2), rng.uniform(-0.6, 0.1))
@@ -47,6 +49,7 @@ def flight(field, rng) -> list[View]:
     turn = rng.normal(size=3) * 10.0 ** rng.uniform(-5, -2) * rng.integers(2)
     zoom = 1.0 + 0.01 * rng.integers(2) * rng.random()
     roll = 0.5 * rng.integers(2)
+    blenders = rng.random() < 0.5
     fov, width = 50.0, 0.5 * size[0]
     views = []
     for frame in range(FRAMES):
@@ -54,10 +57,11 @@ def flight(field, rng) -> list[View]:
             eye = eye + 0.2 * size * rng.normal(size=3)
         eye, look = eye + step, look + turn
         fov, width = fov * zoom, width * zoom
-        views.append(
-            View.look(eye, eye + look, fov_deg=fov, resolution=(960, 540), kind=kind, ortho_width=width,
-                      clip=(0.1, 1e5), roll_deg=roll * frame)
-        )  # fmt: skip
+        view = View.look(eye, eye + look, fov_deg=fov, resolution=(960, 540), kind=kind, ortho_width=width,
+                         clip=(0.1, 1e5), roll_deg=roll * frame)  # fmt: skip
+        if blenders:
+            view = replace(view, world_to_camera=view.world_to_camera.astype(np.float32).astype(np.float64))
+        views.append(view)
     return views
 
 
@@ -163,7 +167,7 @@ def test_spans_in_a_box_change_within_what_is_said(kind, spans_kernel):
             local.append(localise(view, placement, box, Criterion(), 1.0 + 0.01 * frame))
         asked, motion, subtree = Asked(), Motion(), Subtree()
         asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
-        _move(motion, *local)
+        _move(motion, *local, drift=0.0)
         subtree.low, subtree.high, subtree.stands = low, high, 1
         inner = np.sort(rng.uniform(low, high, (2_000, 2, 3)), axis=1)
         inner[0] = low, high

@@ -62,8 +62,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("surface", 1_000_000): (
         0.5,
-        "half of it is the refinement for an error, as above, on two threads; the rest is welding and displacement with "
-        "normals and uv, most of that the latency of reading samples.",
+        "half of it is the refinement for an error, as above, on two threads; the rest is welding and displacement, "
+        "with normals and uv, most of that the latency of reading samples.",
     ),
     ("depth", 500_000): (
         1.3,

@@ -160,7 +160,8 @@ class Refinement:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             for walk in walks:
                 bind(walk, last_slots=last.slots if kept else 0, last_room=last.room if kept else 1)
-                walk.slack = SLACK if keeps else 0.0
+                if keeps:
+                    walk.slack = SLACK
                 walk.motion = self._motion
             kernel = kernels.keeping_walk if keeps else kernels.walk
             launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded)
@@ -247,6 +248,7 @@ class Refinement:
                 leaf_base=k * stride,
                 slot=k,
                 grid=int(squares > 1),
+                slack=0.0,
                 last_slots=0,
                 last_room=1,
                 room=_room_for(capacity),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long an update takes while a camera moves: warm memory, and nothing that could be reused."""
+"""How long an update takes while a camera moves a little each frame: warm memory, and what the last frame leaves."""
 
 import dataclasses
 import math

@@ -24,7 +24,7 @@ MEANING = (
     "against the height field of the store (what importing moved and the source rounded is in the bound, not in the "
     "measurement): in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
     "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
-    "the camera moves by a thousandth of the terrain, so that nothing is reused; of a fit, its one run."
+    "the camera moves by two thousandths of the terrain, as in a flight; of a fit, its one run."
 )
 WORDS = (
     "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are "

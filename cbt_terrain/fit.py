@@ -67,7 +67,8 @@ def fit(
             best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
-        more = best is not None and plain.relaxed == 1.0 and best.triangles > plain.triangles
+        more = best is not None and plain.relaxed == 1.0
+        more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
         if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
             best = fitter.interpolated(plain, error_m)
     on_progress(1.0)

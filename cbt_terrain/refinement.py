@@ -280,7 +280,11 @@ class Refinement:
         # Squares that only fill the tree up to a power of two are a leaf each, after all others.
         spare = np.arange(self.lattice.squares, 1 << self.lattice.square_bits, dtype=np.int64) << (self._cell_bits - 6)
         streams = [(index[p], bits[p]) for p in parts]
-        return self.tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
+        # A mark that is stopped leaves words and counters that do not agree: then the next refinement has a new tree.
+        tree, self.tree = self.tree, None
+        changed = tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
+        self.tree = tree
+        return changed
 
 
 @dataclass

@@ -149,14 +149,15 @@ class Terrain:
         local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale)
         asked.diagonal2, asked.axis2 = lengths
+        # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
+        self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
-        changed = bool(leaves.changed_words) or shape != self._shape_key
+        changed = bool(leaves.changed_words) or shape != shape_key
         surface = self._last.surface if self._last else None
         if changed:
-            self._shape_key = None
             surface = self._builder.build(leaves, domain, criterion.meshlet)
-            self._shape_key = shape
+        self._shape_key = shape
         total_px2, edge_px2, area_px2 = (float(b) for b in leaves.bounds[1:4])
         constant = [domain.rounding, domain.source]
         parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), *constant] for p in leaves.parts)

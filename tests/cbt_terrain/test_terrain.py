@@ -10,6 +10,7 @@ from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from fields import rough
+from invariants import arrays
 
 VIEWS = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in np.linspace(0, 20, 12)]
 
@@ -53,3 +54,28 @@ def test_a_budget_counts_twice_while_the_camera_moves_slowly(monkeypatch):
         assert terrain.update(criterion, [view]).limited == "max_triangles"
     assert steps.count("refine") == len(VIEWS) - 1
     assert steps.count("budget") <= 2.5 * steps.count("refine")
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("step", ["refine", "mark", "weld", "displace"])
+def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, step, threads):
+    """Ctrl-C when a step has just run: later updates, of the view before it and others, are those of new terrains."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    field, criterion = rough(65, 65), Criterion(error_px=1.0, max_depth=14)
+    views = [View.look((x, -300.0, 200.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 60.0, 61.0)]
+    terrain, slices = Terrain(field, threads), launch.slices
+
+    def stopped(*args, **options):
+        slices(*args, **options)
+        if options["step"] == step:
+            raise KeyboardInterrupt
+
+    terrain.update(criterion, [views[0]])
+    for later in (0, 2, 1):
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(launch, "slices", stopped)
+            terrain.update(criterion, [views[1]])
+        update, fresh = terrain.update(criterion, [views[later]]), Terrain(field, 1).update(criterion, [views[later]])
+        assert update.changed and update.leaves == fresh.leaves == terrain.tree.leaf_count
+        assert arrays(update.surface) == arrays(fresh.surface) and update.bound_px == fresh.bound_px
+        terrain.update(criterion, [views[0]])

@@ -56,12 +56,12 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_2t", 500_000): (0.31, EDGES),
     ("refine_2t", 1_000_000): (0.2, EDGES),
     ("refine_error", 1_000_000): (
-        0.5,
+        0.6,
         "nine leaves in ten are taken from the last frame; by its profile two fifths of the time look whether they may "
         "be, and copy them; a third measures diamonds of the rest, a tenth compares the tree's words.",
     ),
     ("surface", 1_000_000): (
-        0.5,
+        0.65,
         "half of it is the refinement for an error, as above, on two threads; the rest is welding and displacement, "
         "with normals and uv, most of that the latency of reading samples.",
     ),

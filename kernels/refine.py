@@ -91,10 +91,9 @@ def is_apart(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, 
     return grid == 0 or not touches_border(left, apex, right, corner, side)
 
 
-def _compiled(keeps: bool) -> wp.Kernel:
-    """The walk, with coherence from frame to frame or, an eighth faster where nothing is kept, without."""
+def _compiled(name: str, keeps: bool) -> wp.Kernel:
+    """The walk as kernel `name`: with coherence from frame to frame or, an eighth faster if nothing is kept, without."""
 
-    @wp.kernel
     def walk(domain: Domain, asked: Asked, w: Walk):
         """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""
         columns = domain.columns
@@ -433,8 +432,9 @@ def _compiled(keeps: bool) -> wp.Kernel:
         w.bounds[b + 8] = wp.float64(in_metres[0])
         w.bounds[b + 9] = wp.float64(in_metres[1])
 
-    return walk
+    walk.__qualname__ = name
+    return wp.kernel(walk)
 
 
-walk = _compiled(keeps=False)
-keeping_walk = _compiled(keeps=True)
+walk = _compiled("walk", keeps=False)
+keeping_walk = _compiled("keeping_walk", keeps=True)

@@ -92,7 +92,7 @@ def is_apart(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, 
 
 
 def _compiled(name: str, keeps: bool) -> wp.Kernel:
-    """The walk as kernel `name`: with coherence from frame to frame or, an eighth faster if nothing is kept, without."""
+    """The walk as kernel `name`: with coherence from frame to frame; or without, an eighth faster if none is kept."""
 
     def walk(domain: Domain, asked: Asked, w: Walk):
         """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""

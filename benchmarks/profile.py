@@ -57,7 +57,7 @@ CALLED = {
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
     **dict.fromkeys(("band_below", "remembered_at", "not_split"), BAND),
     **dict.fromkeys(("next_kept", "carried", "within", "joined", "take", "keep_taken", "with_subtree"), KEPT),
-    **dict.fromkeys(("open_subtree", "so_far", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
+    **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
     **dict.fromkeys(("is_apart", "is_whole", "leaf_word", "flush", "end_of_entry", "third_edge"), LEAF),

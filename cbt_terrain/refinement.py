@@ -148,10 +148,11 @@ class Refinement:
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int):
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
         cuts, last, self._last = self._cuts(), self._last, None
-        for name in WRITTEN:
-            self.buffers.swap(name, "last_" + name)
         # Of edges alone bands decide so fast that keeping them costs as much as it saves.
         keeps = asked.view_count == 1 and asked.error_px2 < math.inf
+        if keeps:
+            for name in WRITTEN:
+                self.buffers.swap(name, "last_" + name)
         drift = last.drift(domain, asked, max_depth) if keeps and last else math.inf
         kept = drift <= MOST_DRIFT
         if kept:

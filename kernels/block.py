@@ -49,7 +49,7 @@ def write_block(
     """The words of a block's leaves, each with the bits `extra`, and its new vertices, in the order of the curve."""
     entry = 6 * bisections + state
     first = number_at(blocks.first_leaf, entry)
-    copy_codes(blocks.code, first, 1 << bisections, extra, code, first_code)
+    copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)
     first = number_at(blocks.first_vertex, entry)
     count = number_at(blocks.vertices, entry)
     bits = (bisections + 1) >> 1

@@ -3,8 +3,8 @@
 
 All decisions below a triangle compare the span of a pixel with a number that no camera changes. So a subtree keeps its
 *rooms*: by how much spans may fall or rise before any of them is decided otherwise (a slack, as the deferred priorities
-of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh and
-its bounds are the ones that a walk without memory gives.
+of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh and its bounds
+are the ones that a walk without memory gives.
 """
 
 import warp as wp

@@ -7,7 +7,7 @@ from .band import Measured
 from .bounds import Bounds
 from .coherence import CROSSED, Subtree, stand_of
 from .criterion import Asked, coarsest
-from .unchecked import copy_leaves, copy_points, copy_words, put_word
+from .unchecked import copy_codes, copy_points, copy_words, put_word
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})
@@ -47,7 +47,8 @@ def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64
 def take(w: Walk, subtree: Subtree, n: Written):
     """Copy what the last frame has written of a subtree behind what there is."""
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
-        copy_leaves(w.last_code, subtree.first_leaf, subtree.leaves, w.code, w.leaf_base + n.leaves)
+        nothing = wp.uint16(0)
+        copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, nothing, w.code, w.leaf_base + n.leaves)
         copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, w.leaf_base + n.vertices)
         first = w.leaf_base + n.words
         copy_words(

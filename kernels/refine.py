@@ -65,7 +65,7 @@ from .curve import (
 )
 from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take, with_subtree
 from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
-from .walk_state import STACK, Walk, Written, so_far
+from .walk_state import STACK, Walk, Written
 
 wp.set_module_options({"enable_backward": False})
 
@@ -73,6 +73,7 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = wp.constant(2)
 TAKEN = wp.constant(3)
 # A subtree is kept from where errors are up to so many times those of its leaves; of fewer leaves rather a larger one.
+# Of a flight over rough ground, 1 M leaves, 77 % are taken from the last frame at 16 times, 88 % at 8, 90 % at 6.
 ERRORS_KEPT = wp.constant(wp.float64(8.0))
 FEW_LEAVES = wp.constant(8)
 
@@ -230,7 +231,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 word = wp.int64(-1)
                                 open_subtree(asked, w, count, at, depth, m)
                                 end = at + size
-                                first = so_far(n)
+                                first = n
                                 fall = w.slack * span
                                 rise = w.slack * span
                                 most = Bounds()

@@ -141,7 +141,7 @@ def look_up_pairs(
 )
 def copy_codes(
     table: wp.array(dtype=wp.uint16),
-    first: wp.int32,
+    first: wp.int64,
     count: wp.int32,
     extra: wp.uint16,
     out: wp.array(dtype=wp.uint16),
@@ -184,15 +184,6 @@ def number_words(
 
 
 # What the last frame has written of a subtree (kernels/coherence.py).
-
-
-@wp.func_native(
-    "const wp::uint16* from = codes.data + first; wp::uint16* __restrict to = out.data + at; "
-    "for (int k = 0; k < count; ++k) to[k] = from[k];"
-)
-def copy_leaves(
-    codes: wp.array(dtype=wp.uint16), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.uint16), at: wp.int64
-): ...
 
 
 @wp.func_native(

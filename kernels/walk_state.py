@@ -22,12 +22,6 @@ class Written:
     words: wp.int64
 
 
-@wp.func
-def so_far(n: Written) -> Written:
-    """A copy: Warp's assignment of a struct is another name for it."""
-    return n
-
-
 @wp.struct
 class Walk:
     """Where one slice of the curve writes, and how far it may."""

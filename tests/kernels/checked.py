@@ -135,14 +135,14 @@ def look_up_pairs(
 @wp.func
 def copy_codes(
     table: wp.array(dtype=wp.uint16),
-    first: wp.int32,
+    first: wp.int64,
     count: wp.int32,
     extra: wp.uint16,
     out: wp.array(dtype=wp.uint16),
     at: wp.int64,
 ):
     for k in range(count):
-        out[at + wp.int64(k)] = table[first + k] | extra
+        out[at + wp.int64(k)] = table[first + wp.int64(k)] | extra
 
 
 @wp.func
@@ -162,14 +162,6 @@ def place_legs(
         x = apex[0] + ((leg[0] * left[0] + leg[1] * right[0]) >> bits)
         y = apex[1] + ((leg[0] * left[1] + leg[1] * right[1]) >> bits)
         out[at + wp.int64(k)] = wp.vec2i(x, y)
-
-
-@wp.func
-def copy_leaves(
-    codes: wp.array(dtype=wp.uint16), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.uint16), at: wp.int64
-):
-    for k in range(count):
-        out[at + wp.int64(k)] = codes[first + wp.int64(k)]
 
 
 @wp.func

@@ -6,7 +6,6 @@ import warp as wp
 from .unchecked import (
     code_at,
     copy_codes,
-    copy_leaves,
     copy_points,
     copy_words,
     corners_at,
@@ -51,11 +50,11 @@ def pass_all(
         put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
         put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)
-    copy_codes(codes, 3, count, wp.uint16(0x4000), codes, row)
+    copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
     number_words(entries, words, row, count, wp.int64(-11), wp.int64(1) << wp.int64(33), wp.uint64(0x1111))
     row = wp.int64(5 * count)
     first = wp.int64(2)
-    copy_leaves(codes, first, count - 1, codes, row)
+    copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
     copy_points(pairs, first, count - 1, pairs, row)
     copy_words(entries, words, first, count - 1, entries, words, row)

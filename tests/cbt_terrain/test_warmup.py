@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain import child, launch, warmup
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 
 ROOT = Path(__file__).resolve().parents[2]
-WITH_KERNELS = {path.stem for path in (ROOT / "kernels").glob("*.py") if "@wp.kernel" in path.read_text("utf-8")}
+WITH_KERNELS = {path.stem for path in (ROOT / "kernels").glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
 # Prepares under the name that an extension has, and tells what it compiled itself.
 PREPARE = """
 import importlib.util, json, os, sys, time, types

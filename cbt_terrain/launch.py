@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
 import warp as wp
@@ -64,10 +64,18 @@ def together(jobs: Sequence[Callable[[], None]]) -> None:
         if jobs:
             jobs[0]()
     finally:
-        for future in futures:
-            future.exception()
+        _wait_for(futures)
     for future in futures:
         future.result()
+
+
+def _wait_for(futures: Sequence[Future]) -> None:
+    """Wait until all have ended, also where Ctrl-C stops the wait: what they write must not be used before."""
+    try:
+        wait(futures)
+    except BaseException:
+        _wait_for(futures)
+        raise
 
 
 def once(kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:

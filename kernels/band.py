@@ -155,17 +155,6 @@ def quiet(band: Band, own: wp.float64, most: Bounds) -> wp.bool:
 
 
 @wp.func
-def not_split(x: wp.int32, y: wp.int32, mark: wp.int32) -> Band:
-    """What is remembered of a diamond that is not split."""
-    band = Band()
-    band.split_depth = NOT_SPLIT
-    band.mark = mark
-    band.x = x
-    band.y = y
-    return band
-
-
-@wp.func
 def first_within(
     depth: wp.int32,
     end: wp.int32,

@@ -220,18 +220,6 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 
 
 @wp.func
-def drawn(domain: Domain, d: Diamond, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
-    """The box of the diamond's two triangles alone, with the heights of the whole box."""
-    half = wp.int32(1) << (domain.unit_bits - ((depth - 1) >> 1) - 1)
-    tight = Diamond()
-    west = domain.west + wp.float64(x - half) * domain.unit_x
-    east = domain.west + wp.float64(x + half) * domain.unit_x
-    tight.low = wp.vec3d(west, domain.south + wp.float64(y - half) * domain.unit_y, d.low[2])
-    tight.high = wp.vec3d(east, domain.south + wp.float64(y + half) * domain.unit_y, d.high[2])
-    return tight
-
-
-@wp.func
 def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
     """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))

@@ -19,7 +19,6 @@ from .band import (
     band_below,
     limits_of,
     measured_at,
-    not_split,
     nothing_certain,
     quiet,
     remembered_at,
@@ -32,10 +31,8 @@ from .coherence import carried
 from .criterion import (
     Asked,
     Domain,
-    drawn,
     error_at,
     fetch_ahead,
-    finest,
     larger,
     leaves_tile,
     metres2_of,
@@ -63,6 +60,7 @@ from .curve import (
     third_edge,
     touches_border,
 )
+from .framed import finest_framed, triangles_box
 from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take, with_subtree
 from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
 from .walk_state import STACK, Walk, Written
@@ -248,22 +246,23 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         held = place + top
                         below = band.even_depth
                     else:
-                        w.remembered[memory] = not_split(x, y, mark)
+                        w.remembered[memory].split_depth = NOT_SPLIT
+                        w.remembered[memory].mark = mark
+                        w.remembered[memory].x = x
+                        w.remembered[memory].y = y
                         if keeps:
                             if depth < w.max_depth:
                                 fall = smaller(fall, wp.sqrt(m.pixel2) - turning_span(limits, m))
                         if cell >= start:
                             near2 = m.pixel2 * limits.below
-                            if m.metres2 > most.px2 * near2:
-                                px2 = m.metres2 / m.pixel2
-                                most.px2 = larger(most.px2, px2)
-                                worst.px2 = larger(worst.px2, px2)
-                            if m.total2 > most.total_px2 * near2:
-                                tight = drawn(domain, m.diamond, x, y, depth)
-                                total_px2 = m.total2 / finest(asked, tight, above.clear)
-                                most.total_px2 = larger(most.total_px2, total_px2)
-                                if total_px2 > worst.total_px2:
-                                    worst.total_px2 = total_px2
+                            if m.metres2 > most.px2 * near2 or m.total2 > most.total_px2 * near2:
+                                box = triangles_box(domain, m.diamond, x, y, depth)
+                                seen2 = finest_framed(asked, box, m.rest + domain.source)
+                                most.px2 = larger(most.px2, m.metres2 / seen2)
+                                worst.px2 = larger(worst.px2, m.metres2 / seen2)
+                                most.total_px2 = larger(most.total_px2, m.total2 / seen2)
+                                if m.total2 / seen2 > worst.total_px2:
+                                    worst.total_px2 = m.total2 / seen2
                                     in_pixels = wp.vec2f(error, m.moved)
                             if asked.measures_edges == 1:
                                 if long2 > most.long_px2 * near2:

@@ -2,6 +2,7 @@
 """The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
 
 import hashlib
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import bpy
@@ -101,13 +102,15 @@ def gather(
     max_ms, note = None, ""
     if criterion is None:
         detail = settings.render if mode == RENDER else settings.viewport
-        criterion = criterion_from(detail, overrides)
+        with _named(obj):
+            criterion = criterion_from(detail, overrides)
         if overrides.error_px is None:
             criterion, note = within_time(criterion, detail)
             max_ms = detail.max_ms if detail.limit_time else None
     views = []
     if criterion.needs_view:
-        views = _views(settings, depsgraph, mode, camera, resolution)
+        with _named(obj):
+            views = _views(settings, depsgraph, mode, camera, resolution)
     return Request(
         store=bpy.path.abspath(settings.store),
         interpolation=interpolation,
@@ -122,6 +125,15 @@ def gather(
         max_ms=max_ms,
         note=note,
     )
+
+
+@contextmanager
+def _named(obj):
+    """Errors inside say which terrain they are of: a scene may have several."""
+    try:
+        yield
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
 
 
 def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:

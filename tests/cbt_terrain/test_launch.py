@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recorded launches read the values of the call, not those of the first one."""
+"""Recorded launches read the values of the call, not those of the first one; jobs side by side end together."""
+
+import signal
+import threading
 
 import numpy as np
+import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.buffers import bind, shared
@@ -25,3 +29,21 @@ def test_a_recorded_launch_takes_new_values_structs_and_arrays():
     launch.slices(store, [[2, depth, outs[1]], [3, depth, outs[0]]], step="store", recorded=recorded)
     assert second.tolist() == [2, 6] and first.tolist() == [3, 6]
     assert len(recorded) == 2
+
+
+def test_an_interrupted_wait_ends_after_all_jobs():
+    """Ctrl-C, twice, while the calling thread waits for the other job."""
+    ended = threading.Event()
+
+    def interrupt():
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    def other():
+        for delay in (0.05, 0.1):
+            threading.Timer(delay, interrupt).start()
+        threading.Event().wait(0.3)
+        ended.set()
+
+    with pytest.raises(KeyboardInterrupt):
+        launch.together([lambda: None, other])
+    assert ended.is_set()

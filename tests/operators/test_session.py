@@ -230,3 +230,10 @@ def test_without_a_window_kernels_are_loaded_on_demand(empty):
     adaptive_terrain.unregister()
     adaptive_terrain.register()
     assert bpy.app.background and not warmup.preparing() and warmup.progress() is None
+
+
+def test_an_error_in_what_is_asked_names_the_terrain(scene, add_terrain):
+    terrain = add_terrain("Hills")
+    terrain.adaptive_terrain.viewport.error_px = 0.0
+    with pytest.raises(TerrainError, match="'Hills' cannot be refined. Every criterion is 0; ask for"):
+        session.update_object(terrain)

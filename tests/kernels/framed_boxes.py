@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels for test_framed.py: what is said of the depths in a box, and of the heights over a rectangle."""
+
+import warp as wp
+
+from .criterion import Diamond, LocalView
+from .domain import Domain
+from .framed import heights_between, least_depth
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, off: wp.float64, found: wp.array(dtype=wp.float64)):
+    d = Diamond()
+    d.low = low
+    d.high = high
+    found[0] = least_depth(view, d, off)
+
+
+@wp.kernel
+def heights_of_rectangles(domain: Domain, rectangles: wp.array(dtype=wp.vec4i), found: wp.array(dtype=wp.vec2d)):
+    """rectangles: lowest x and y, highest x and y, lattice units. found: lowest and highest metres."""
+    for k in range(found.shape[0]):
+        r = rectangles[k]
+        low, high = heights_between(domain, r[0], r[1], r[2], r[3])
+        found[k] = wp.vec2d(low, high)

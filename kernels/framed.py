@@ -13,6 +13,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Relative; far above what rounding does to a sum of a few terms.
 MARGIN = wp.constant(wp.float64(1e-12))
+NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; rounding is a thousandth of it
 
 
 @wp.func
@@ -65,24 +66,29 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
 
 
 @wp.func
-def triangles_box(domain: Domain, d: Diamond, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
-    """The box of the diamond's two triangles alone, inside `d`, that of all below it. Inside the raster's cells with
-    the heights that a bilinear surface has there."""
-    half = wp.int32(1) << (domain.unit_bits - ((depth - 1) >> 1) - 1)
+def box_between(
+    domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
+) -> Diamond:
+    """The part of a diamond's box that is over a rectangle of the lattice. Inside the raster's cells it has the heights
+    that a bilinear surface has there."""
+    box = Diamond()
     low = d.low[2]
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
-        least, most = heights_between(domain, x - half, y - half, x + half, y + half)
+        least, most = heights_between(domain, x0, y0, x1, y1)
         z0 = least * domain.height_scale + domain.height_offset
         z1 = most * domain.height_scale + domain.height_offset
-        low = larger(low, smaller(z0, z1) - domain.rounding)
-        high = smaller(high, larger(z0, z1) + domain.rounding)
-    tight = Diamond()
-    west = domain.west + wp.float64(x - half) * domain.unit_x
-    east = domain.west + wp.float64(x + half) * domain.unit_x
-    tight.low = wp.vec3d(west, domain.south + wp.float64(y - half) * domain.unit_y, low)
-    tight.high = wp.vec3d(east, domain.south + wp.float64(y + half) * domain.unit_y, high)
-    return tight
+        # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
+        margin = domain.rounding + NESTED * wp.float64(64 - depth) * larger(wp.abs(z0), wp.abs(z1))
+        low = larger(low, smaller(z0, z1) - margin)
+        high = smaller(high, larger(z0, z1) + margin)
+    west = domain.west + wp.float64(x0) * domain.unit_x
+    south = domain.south + wp.float64(y0) * domain.unit_y
+    box.low = wp.vec3d(west, south, low)
+    east = domain.west + wp.float64(x1) * domain.unit_x
+    north = domain.south + wp.float64(y1) * domain.unit_y
+    box.high = wp.vec3d(east, north, high)
+    return box
 
 
 @wp.func
@@ -124,12 +130,41 @@ def finest_framed_in(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64
 
 
 @wp.func
-def finest_framed(asked: Asked, d: Diamond, off: wp.float64) -> wp.float64:
-    """Squared metres of the finest pixel that any view has on what it sees of the surface in the box; true heights may
-    be `off` metres from it."""
+def finest_over(asked: Asked, box: Diamond, off: wp.float64) -> wp.float64:
+    """As `finest_framed_in`, of any view."""
     pixel2 = wp.float64(wp.inf)
     if asked.view_count > 0:
-        pixel2 = finest_framed_in(asked.view, d, off)
+        pixel2 = finest_framed_in(asked.view, box, off)
         for v in range(1, asked.view_count):
-            pixel2 = smaller(pixel2, finest_framed_in(asked.views[v], d, off))
+            pixel2 = smaller(pixel2, finest_framed_in(asked.views[v], box, off))
+    return pixel2
+
+
+@wp.func
+def finest_framed(
+    domain: Domain, asked: Asked, d: Diamond, left: wp.vec2i, right: wp.vec2i, depth: wp.int32, off: wp.float64
+) -> wp.float64:
+    """Squared metres of the finest pixel that any view has on what it sees of the two triangles at the longest edge
+    from left to right, the diamond's; true heights may be `off` metres from the surface.
+
+    Both triangles fill a cell, or one each side of an edge along an axis, which may be on the terrain's border. Of a
+    triangle's box, not the diamond's, what is below it has no more.
+    """
+    x0 = wp.min(left[0], right[0])
+    x1 = wp.max(left[0], right[0])
+    y0 = wp.min(left[1], right[1])
+    y1 = wp.max(left[1], right[1])
+    pixel2 = wp.float64(wp.inf)
+    if x0 < x1 and y0 < y1:
+        pixel2 = finest_over(asked, box_between(domain, d, x0, y0, x1, y1, depth), off)
+    else:
+        half = (x1 - x0 + y1 - y0) >> 1
+        across_x = wp.where(x0 == x1, half, 0)
+        across_y = wp.where(y0 == y1, half, 0)
+        if x0 - across_x >= 0 and y0 - across_y >= 0:
+            below = box_between(domain, d, x0 - across_x, y0 - across_y, x1, y1, depth)
+            pixel2 = finest_over(asked, below, off)
+        if x1 + across_x <= domain.columns << domain.unit_bits and y1 + across_y <= domain.rows << domain.unit_bits:
+            above = box_between(domain, d, x0, y0, x1 + across_x, y1 + across_y, depth)
+            pixel2 = smaller(pixel2, finest_over(asked, above, off))
     return pixel2

@@ -60,7 +60,7 @@ from .curve import (
     third_edge,
     touches_border,
 )
-from .framed import finest_framed, triangles_box
+from .framed import finest_framed
 from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take, with_subtree
 from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
 from .walk_state import STACK, Walk, Written
@@ -256,8 +256,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         if cell >= start:
                             near2 = m.pixel2 * limits.below
                             if m.metres2 > most.px2 * near2 or m.total2 > most.total_px2 * near2:
-                                box = triangles_box(domain, m.diamond, x, y, depth)
-                                seen2 = finest_framed(asked, box, m.rest + domain.source)
+                                off = m.rest + domain.source
+                                seen2 = finest_framed(domain, asked, m.diamond, left, right, depth, off)
                                 most.px2 = larger(most.px2, m.metres2 / seen2)
                                 worst.px2 = larger(worst.px2, m.metres2 / seen2)
                                 most.total_px2 = larger(most.total_px2, m.total2 / seen2)

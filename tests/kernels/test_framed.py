@@ -22,7 +22,7 @@ def kernels():
 
 
 def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):
-    """1,000 boxes near a camera, 4,000 points each whose true heights are in the frustum; most of their depth is known."""
+    """1,000 boxes near a camera, 4,000 points each; of those whose true height is in the frustum."""
     rng = np.random.default_rng(5)
     known = []
     for _ in range(1_000):

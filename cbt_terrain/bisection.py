@@ -13,7 +13,8 @@ import numpy as np
 
 from .errors import TerrainError
 from .lattice import Lattice
-from .tree import ConcurrentBinaryTree, pack_cells
+from .tree import ConcurrentBinaryTree
+from .words import pack_cells
 
 MAX_DEPTH = 62  # ids fit int64, and so do squared edge lengths in units
 

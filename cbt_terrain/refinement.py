@@ -13,10 +13,12 @@ from ..kernels import refine as kernels
 from ..kernels.band import REMEMBERED, Band
 from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.coherence import Motion, Subtree
-from ..kernels.criterion import Asked, Domain, LocalView
+from ..kernels.criterion import Asked, Domain
+from ..kernels.tree import Run, Runs
 from ..kernels.walk_state import STACK, Walk
 from . import launch
 from .buffers import Buffers, bind, shared
+from .coherence import MOST_DRIFT, Walked, move
 from .heightfield import HeightField
 from .tree import ConcurrentBinaryTree
 
@@ -36,10 +38,8 @@ MAX_STEP = 160 * STEPS_PER_OCTAVE
 LEAVES_PER_ERROR = 1.2
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
 SLACK = 0.05
-# By which part other lengths may change from frame to frame: 4 times this comes off the slack.
-MOST_DRIFT = 2e-3
 # What a walk writes that the next one may copy.
-WRITTEN = ("code", "point", "word_index", "word_bits", "kept", "kept_counts")
+WRITTEN = ("code", "point", "kept", "kept_counts")
 
 
 @dataclass
@@ -120,10 +120,11 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
-        self._walk_structs: list[Walk] = []
+        # Two sets that take turns, as the tree's streams do: setting arrays of a struct costs as much as launches.
+        self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
         self._recorded: dict = {}
-        self._motion = Motion()
-        self._last: _Walked | None = None
+        self._motion, self._runs = Motion(), Runs()
+        self._last: Walked | None = None
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -153,10 +154,10 @@ class Refinement:
         if keeps:
             for name in WRITTEN:
                 self.buffers.swap(name, "last_" + name)
-        drift = last.drift(domain, asked, max_depth) if keeps and last else math.inf
+        drift = last.drift(domain, asked, max_depth, self.tree.stamp) if keeps and last else math.inf
         kept = drift <= MOST_DRIFT
         if kept:
-            _move(self._motion, last.asked.view, asked.view, drift)
+            move(self._motion, last.asked.view, asked.view, drift)
         while True:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             for walk in walks:
@@ -171,7 +172,7 @@ class Refinement:
                 return None, None
             if counts[:, 0].max() <= self._capacity:
                 if keeps:
-                    self._last = _Walked(domain, asked, max_depth, len(walks), _room_for(self._capacity))
+                    self._last = Walked(domain, asked, max_depth, len(walks), _room_for(self._capacity))
                 return walks, counts
             self._capacity = int(1.25 * counts[:, 0].max()) + 1024
 
@@ -209,11 +210,13 @@ class Refinement:
         slices, squares = len(cuts) - 1, self.lattice.squares
         stride, stacks = capacity + 2 * squares + 8, slices * STACK
         get = self.buffers.get
+        word_index, word_bits = self.tree.next_words(slices * stride + (1 << self.lattice.square_bits))
+        last_index, last_bits = self.tree.last_words()
         arrays = {
             "code": get("code", slices * stride, wp.uint16),
             "point": get("point", slices * stride, wp.vec2i),
-            "word_index": get("word_index", slices * stride, wp.int64),
-            "word_bits": get("word_bits", slices * stride, wp.uint64),
+            "word_index": word_index,
+            "word_bits": word_bits,
             "stack": get("walk_stack", stacks, wp.vec4i),
             "aside": get("walk_aside", stacks, wp.int32),
             "errors": get("walk_errors", stacks, wp.float32),
@@ -230,13 +233,15 @@ class Refinement:
             "last_counts": get("last_kept_counts", 1, wp.int64),
             "last_code": get("last_code", 1, wp.uint16),
             "last_point": get("last_point", 1, wp.vec2i),
-            "last_word_index": get("last_word_index", 1, wp.int64),
-            "last_word_bits": get("last_word_bits", 1, wp.uint64),
+            "last_word_index": last_index,
+            "last_word_bits": last_bits,
+            "runs": get("runs", slices * _room_for(capacity), Run),
+            "run_counts": get("run_counts", slices, wp.int64),
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
-        while len(self._walk_structs) < slices:
-            self._walk_structs.append(Walk())
-        walks = self._walk_structs[:slices]
+        while len(self._walk_structs[0]) < slices:
+            self._walk_structs[0].append(Walk())
+        walks = self._walk_structs[0][:slices]
         for k, walk in enumerate(walks):
             bind(
                 walk,
@@ -276,56 +281,27 @@ class Refinement:
 
     def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its words changed."""
-        index, bits = self.buffers.numpy("word_index"), self.buffers.numpy("word_bits")
-        parts = [slice(w.leaf_base, w.leaf_base + n) for w, n in zip(walks, counts[:, 3], strict=True)]
-        # Squares that only fill the tree up to a power of two are a leaf each, after all others.
-        spare = np.arange(self.lattice.squares, 1 << self.lattice.square_bits, dtype=np.int64) << (self._cell_bits - 6)
-        streams = [(index[p], bits[p]) for p in parts]
+        parts = [(w.leaf_base, n) for w, n in zip(walks, counts[:, 3], strict=True)]
+        squares, most = self.lattice.squares, 1 << self.lattice.square_bits
+        if squares < most:  # those that only fill the tree up to a power of two are a leaf each, after all others
+            index, bits = (memory.numpy() for memory in self.tree.next_words(1))
+            first = len(index) - 1 - (most - squares)
+            index[first:-1] = np.arange(squares, most, dtype=np.int64) << (self._cell_bits - 6)
+            bits[first:-1] = 1
+            parts.append((first, most - squares))
+        runs, last, get = None, self._last, self.buffers.get
+        if last:  # what a walk that keeps has taken
+            runs = self._runs
+            bind(runs, runs=get("runs", 1, Run), counts=get("run_counts", 1, wp.int64))
+            bind(runs, room=last.room, lists=last.slots)
         # A mark that is stopped leaves words and counters that do not agree: then the next refinement has a new tree.
         tree, self.tree = self.tree, None
-        changed = tree.mark_slices([*streams, (spare, np.ones(len(spare), np.uint64))])
+        changed = tree.mark_written(parts, runs)
         self.tree = tree
+        if last:
+            last.stamp = tree.stamp
+        self._walk_structs = self._walk_structs[::-1]
         return changed
-
-
-@dataclass
-class _Walked:
-    """What the last walk's subtrees were kept for."""
-
-    domain: Domain
-    asked: Asked
-    max_depth: int
-    slots: int
-    room: int  # of subtrees in a slot
-
-    def __post_init__(self):
-        self.limit = self.asked.limit
-
-    def drift(self, domain: Domain, asked: Asked, max_depth: int) -> float:
-        """By what part the lengths have changed that spans of a pixel are made of and compared with, all but those
-        that `Motion` has; infinity if more than the camera has moved."""
-        of_asked = "view_count", "measures_edges", "metres2"
-        of_view = "kind", "plane_count", "off_screen2"
-        same = domain is self.domain and max_depth == self.max_depth and asked.limit == self.limit
-        same = same and all(getattr(asked, name) == getattr(self.asked, name) for name in of_asked)
-        if not same or any(getattr(asked.view, name) != getattr(self.asked.view, name) for name in of_view):
-            return math.inf
-        pairs = zip(_squares(asked), _squares(self.asked), strict=True)
-        return max(0.0 if a == b else abs(a - b) / b if 0 < b < math.inf else math.inf for a, b in pairs)
-
-
-def _squares(asked: Asked) -> list[float]:
-    """Squared lengths and pixels that may differ a little from frame to frame: matrices of Blender are float32."""
-    of_asked = asked.error_px2, asked.edge_px2, asked.area_px2, asked.diagonal2, asked.axis2
-    return [float(square) for square in (*asked.view.weight, asked.view.cosine2, asked.view.near2, *of_asked)]
-
-
-def _move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
-    """Fill in how the view has moved."""
-    motion.eye, motion.depth, motion.drift = before.eye, before.depth, drift
-    offsets = zip(now.weight, now.eye, before.eye, strict=True)
-    motion.step = math.sqrt(sum(float(w) * (float(a) - float(b)) ** 2 for w, a, b in offsets))
-    motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))
 
 
 def _room_for(leaves: int) -> int:

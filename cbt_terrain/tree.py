@@ -3,31 +3,34 @@
 
 A leaf sets the bit of its first deepest node, its *cell*. Leaves are counted word by word by population count, then for
 blocks of 64 words, for 64 blocks and so on, in counters of whole bytes: uint16 a block, int64 above. Only what lies
-above changed words is summed again. Of the bitfield the words that are not zero are kept, in order: 16 bytes a word
-however deep the tree, and a population count is cheaper than the byte that would hold it. The counters have their fixed
-place, 2 bytes for each 4,096 cells, in memory that the system commits when it is touched.
+above changed words is summed again. Of the bitfield the words that are not zero are kept, in order, as a *stream*: 16
+bytes a word however deep the tree, and a population count is cheaper than the byte that would hold it. The counters
+have their fixed place, 2 bytes for each 4,096 cells, in memory that the system commits when it is touched.
 
 The tree knows nothing of triangles and cameras. Ids and cells are Python ints: id 1 is the root, id n has the children
 2n and 2n + 1, so an id at depth d lies in [2**d, 2**(d+1)).
 """
 
-import struct
-import zlib
+from functools import cache
 
 import numpy as np
 import warp as wp
 
-from ..kernels.tree import END_INDEX, reduce_changed
+from ..kernels.tree import Run, Runs, reduce_changed
 from . import launch
 from .buffers import shared
 from .errors import TerrainError
-
-MIN_DEPTH, MAX_DEPTH = 6, 40
-WORD_BITS, BLOCK_BITS = 6, 12  # log2 of the cells in a word and in a block of 64 words
-
-_HEADER = struct.Struct("<4sHHQ")  # magic, version, max_depth, words
-_MAGIC, _VERSION = b"ACBT", 1
-_CHUNK = 1 << 16  # words expanded at once, so that a listing needs little more memory than its result
+from .words import (
+    BLOCK_BITS,
+    MAX_DEPTH,
+    MIN_DEPTH,
+    WORD_BITS,
+    WordStreams,
+    pack_cells,
+    unpack_cells,
+    words_from_bytes,
+    words_to_bytes,
+)
 
 
 class ConcurrentBinaryTree:
@@ -38,7 +41,7 @@ class ConcurrentBinaryTree:
     | count | `leaf_count` | O(1) |
     | query one | `decode`, `encode`, `is_leaf`, `leaf_at`, `cell_of_leaf`, `rank` | O(depth) |
     | edit one | `split`, `merge` | O(depth) |
-    | write all | `mark`, `reset` | O(words) to compare, O(depth) for each 64 blocks with a change |
+    | write all | `mark`, `reset`, `mark_written` | O(words) to compare, O(depth) for each 64 blocks with a change |
     | list all | `words`, `leaves`, `to_bytes`, `from_bytes` | O(leaves) |
 
     Leaves are numbered 0 .. leaf_count - 1 in the order of their cells, which is the order of a depth-first walk.
@@ -62,13 +65,11 @@ class ConcurrentBinaryTree:
         # Counters from the root down to the blocks: below entry n are the entries 64 n .. 64 n + 63 of the next array.
         parts = np.split(self._upper_counts, self._level_start[1:])
         self._levels = [*parts[::-1], self._block_counts]
-        # The nonzero words, ended by END, and room for the next ones; `split` and `merge` lay edited blocks over them.
-        self._stream = (np.full(1, END_INDEX, np.int64), np.zeros(1, np.uint64))
-        self._next = (np.full(1, END_INDEX, np.int64), np.zeros(1, np.uint64))
-        self._word_count = 0
-        self._shared: dict[int, tuple[np.ndarray, wp.array]] = {}
+        longs = [shared(array, wp.int64) for array in (self._upper_counts, self._level_start, self._changed)]
+        self._counters = [shared(self._block_counts, wp.uint16), *longs]
+        self._words = WordStreams()
+        self._edited: dict[int, dict[int, int]] = {}  # blocks that `split` and `merge` lay over the words
         self._recorded: dict = {}
-        self._edited: dict[int, dict[int, int]] = {}
         self.reset()
 
     # Count: O(1)
@@ -80,8 +81,13 @@ class ConcurrentBinaryTree:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays; those of the counters are committed as they are touched."""
-        return sum(a.nbytes for a in [self._block_counts, self._upper_counts, *self._stream, *self._next])
+        """Address space of all arrays; the system commits what is touched of it."""
+        return self._block_counts.nbytes + self._upper_counts.nbytes + self._words.nbytes
+
+    @property
+    def stamp(self) -> object:
+        """The same object as long as no leaf is written or edited, and `last_words` holds the same."""
+        return self._stamp
 
     # Query one leaf: O(depth)
 
@@ -164,32 +170,41 @@ class ConcurrentBinaryTree:
         """Replace the leaves by those of a stream of nonzero words, and return how many words differ from before.
 
         `word_index` int64 [n], ascending: positions of the words in the bitfield. `word_bits` uint64 [n]: their bits,
-        one for the first cell of each leaf. The stream is copied.
+        one for the first cell of each leaf. The words are copied.
         """
         return self.mark_slices([(word_index, word_bits)])
 
     def mark_slices(self, slices: list[tuple[np.ndarray, np.ndarray]]) -> int:
         """As `mark`, of a stream in consecutive slices; a word that is cut by a slice's end may be in both."""
+        self.next_words(sum(len(index) for index, _ in slices) + 1)
+        return self.mark_written(self._words.write(slices))
+
+    def next_words(self, room: int) -> tuple[wp.array, wp.array]:
+        """Memory for the next stream, index int64 and bits uint64, at least [room]: to be written, then `mark_written`.
+
+        What is written and not marked changes nothing.
+        """
         if self._edited:
             self._fold()
-        room = sum(len(index) for index, _ in slices) + 1
-        if len(self._next[0]) < room:
-            self._next = (np.empty(room + room // 4, np.int64), np.empty(room + room // 4, np.uint64))
-        index, bits = self._next
-        count = 0
-        for slice_index, slice_bits in slices:
-            if count and len(slice_index) and index[count - 1] == slice_index[0]:
-                bits[count - 1] |= slice_bits[0]
-                slice_index, slice_bits = slice_index[1:], slice_bits[1:]
-            index[count : count + len(slice_index)] = slice_index
-            bits[count : count + len(slice_bits)] = slice_bits
-            count += len(slice_index)
-        index[count], bits[count] = END_INDEX, 0
-        counters = [self._block_counts, self._upper_counts, self._level_start]
-        arrays = [*self._next, *self._stream, *counters, self._changed]
-        launch.once(reduce_changed, [self._as_warp(a) for a in arrays], step="mark", recorded=self._recorded)
-        self._stream, self._next = self._next, self._stream
-        self._word_count = count
+        return self._words.next(room)
+
+    def last_words(self) -> tuple[wp.array, wp.array]:
+        """Memory of the stream as it was written, without what was edited since: index int64 and bits uint64."""
+        return self._words.now()
+
+    def mark_written(self, parts: list[tuple[int, int]], runs: "Runs | None" = None) -> int:
+        """Replace the leaves by those of the stream in `next_words`, and return how many words differ from before.
+
+        `parts`: first entry and number of words of each part, ascending, as the words in them are; the entry after a
+        part's last word must be free, and the tree not edited since `next_words`. `runs`: words that are the same in
+        both streams and need not be compared.
+        """
+        parts = [(int(first), int(count)) for first, count in parts if count]
+        self._words.link(parts)
+        inputs = [*self._words.next(), *self._words.now(), *self._counters, runs or _no_runs()]
+        launch.once(reduce_changed, inputs, step="mark", recorded=self._recorded)
+        self._words.advance(parts)
+        self._stamp = object()
         return int(self._changed[0])
 
     def reset(self, depth: int = 0) -> None:
@@ -203,11 +218,11 @@ class ConcurrentBinaryTree:
     def words(self) -> tuple[np.ndarray, np.ndarray]:
         """The nonzero words of the bitfield in order: index int64 [n] and bits uint64 [n], as `mark` takes them.
 
-        Views of the tree's own arrays, valid until the next edit.
+        Of a stream in one part they are views of the tree's own arrays, valid until the next edit.
         """
         if self._edited:
             self._fold()
-        return self._stream[0][: self._word_count], self._stream[1][: self._word_count]
+        return self._words.joined()
 
     def leaves(self) -> np.ndarray:
         """Heap ids of all leaves in order: uint64 [leaf_count]."""
@@ -218,43 +233,17 @@ class ConcurrentBinaryTree:
 
     def to_bytes(self) -> bytes:
         """The tree as bytes: a header, the nonzero words and a checksum, 16 bytes a word."""
-        index, bits = self.words()
-        data = _HEADER.pack(_MAGIC, _VERSION, self.max_depth, len(index))
-        data += index.astype("<i8").tobytes() + bits.astype("<u8").tobytes()
-        return data + struct.pack("<I", zlib.crc32(data))
+        return words_to_bytes(self.max_depth, *self.words())
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "ConcurrentBinaryTree":
         """The tree that `to_bytes` wrote. Raises TerrainError for anything else, before any large allocation."""
-        what = f"The saved tree of {len(data)} bytes"
-        if len(data) < _HEADER.size + 4 or data[:4] != _MAGIC:
-            raise TerrainError(f"{what} is not one that this add-on wrote; update the terrain to make it anew.")
-        _, version, max_depth, count = _HEADER.unpack_from(data)
-        if version != _VERSION or not MIN_DEPTH <= max_depth <= MAX_DEPTH:
-            raise TerrainError(
-                f"{what} has version {version} and depth {max_depth}; expected version {_VERSION} and depth "
-                f"{MIN_DEPTH} .. {MAX_DEPTH}; update the terrain to make it anew."
-            )
-        if len(data) != _HEADER.size + 16 * count + 4 or struct.unpack("<I", data[-4:])[0] != zlib.crc32(data[:-4]):
-            raise TerrainError(f"{what} is cut short or damaged ({count} words); update the terrain to make it anew.")
-        index = np.frombuffer(data, "<i8", count, _HEADER.size).astype(np.int64)
-        bits = np.frombuffer(data, "<u8", count, _HEADER.size + 8 * count).astype(np.uint64)
-        if not _is_tree(index, bits, 1 << max_depth):
-            raise TerrainError(f"{what} has leaves that do not form a tree; update the terrain to make it anew.")
+        max_depth, index, bits = words_from_bytes(data)
         tree = cls(max_depth)
         tree.mark(index, bits)
         return tree
 
     # Inside
-
-    def _as_warp(self, array: np.ndarray) -> wp.array:
-        """The array as Warp takes it, made once: that costs as much as a launch."""
-        if id(array) not in self._shared:
-            alive = [*self._next, *self._stream, self._block_counts, self._upper_counts, self._level_start]
-            ids = {id(a) for a in [*alive, self._changed]}
-            self._shared = {key: held for key, held in self._shared.items() if key in ids}
-            self._shared[id(array)] = array, shared(array, wp.dtype_from_numpy(array.dtype))
-        return self._shared[id(array)][1]
 
     def _cells_of(self, heap_id: int) -> tuple[int, int]:
         """First cell and number of cells of a node."""
@@ -268,9 +257,7 @@ class ConcurrentBinaryTree:
         """Nonzero words of a block, ascending: index to bits."""
         if block in self._edited:
             return self._edited[block]
-        index, bits = self._stream
-        first, end = np.searchsorted(index[: self._word_count], [block << 6, (block + 1) << 6])
-        return dict(zip(index[first:end].tolist(), bits[first:end].tolist(), strict=True))
+        return self._words.within(block << 6, (block + 1) << 6)
 
     def _flip(self, cell: int) -> None:
         """Turn one bit over and sum again above its word."""
@@ -279,6 +266,7 @@ class ConcurrentBinaryTree:
         before = words.get(word, 0)
         words[word] = before ^ 1 << (cell & 63)
         self._edited[block] = {w: bits for w, bits in sorted(words.items()) if bits}
+        self._stamp = object()
         delta = words[word].bit_count() - before.bit_count()
         node = block
         for level in reversed(self._levels):
@@ -287,33 +275,26 @@ class ConcurrentBinaryTree:
 
     def _fold(self) -> None:
         """Write the edited blocks into the stream of words."""
-        index, bits = self._stream[0][: self._word_count], self._stream[1][: self._word_count]
+        index, bits = self._words.joined()
         stays = ~np.isin(index >> 6, np.array(list(self._edited), np.int64))
         words = [item for block in self._edited.values() for item in block.items()]
-        index = np.concatenate([index[stays], np.array([w for w, _ in words], np.int64), [END_INDEX]])
-        bits = np.concatenate([bits[stays], np.array([b for _, b in words], np.uint64), np.zeros(1, np.uint64)])
+        index = np.concatenate([index[stays], np.array([w for w, _ in words], np.int64)])
+        bits = np.concatenate([bits[stays], np.array([b for _, b in words], np.uint64)])
         order = np.argsort(index, kind="stable")
-        self._stream = (index[order], bits[order])
-        self._word_count = len(index) - 1
+        self._words.next(len(index) + 1)
+        parts = self._words.write([(index[order], bits[order])])
+        self._words.link(parts)
+        self._words.advance(parts)
         self._edited = {}
 
 
-def pack_cells(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nonzero words of a bitfield whose set bits are `cells` (int64, ascending): index int64 and bits uint64."""
-    words = cells >> WORD_BITS
-    starts = np.flatnonzero(np.diff(words, prepend=-1))
-    bits = np.uint64(1) << (cells & 63).astype(np.uint64)
-    return words[starts], np.bitwise_or.reduceat(bits, starts) if len(cells) else bits
-
-
-def unpack_cells(index: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """The set bits of a stream of words: int64, ascending. Undoes `pack_cells`."""
-    cells = [np.empty(0, np.int64)]
-    for start in range(0, len(index), _CHUNK):
-        octets = bits[start : start + _CHUNK].astype("<u8").view(np.uint8)
-        word, bit = np.divmod(np.flatnonzero(np.unpackbits(octets, bitorder="little")), 64)
-        cells.append((index[start : start + _CHUNK][word] << WORD_BITS) + bit)
-    return np.concatenate(cells)
+@cache
+def _no_runs() -> Runs:
+    """Nothing known of two streams."""
+    runs = Runs()
+    runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")
+    runs.room = 1
+    return runs
 
 
 def _descend(counters: np.ndarray, group: int, leaf: int) -> tuple[int, int]:
@@ -321,14 +302,3 @@ def _descend(counters: np.ndarray, group: int, leaf: int) -> tuple[int, int]:
     ends = np.cumsum(counters[64 * group : 64 * group + 64], dtype=np.int64)
     child = int(np.searchsorted(ends, leaf, side="right"))
     return 64 * group + child, leaf - (int(ends[child - 1]) if child else 0)
-
-
-def _is_tree(index: np.ndarray, bits: np.ndarray, cell_count: int) -> bool:
-    """Whether the words are those of a tree: leaves of 2**j cells that begin at multiples of 2**j and leave no gap."""
-    if len(index) == 0 or index[0] != 0 or index[-1] >= cell_count >> WORD_BITS:
-        return False
-    if (np.diff(index) <= 0).any() or (bits == 0).any() or int(bits[0]) & 1 == 0:
-        return False
-    cells = unpack_cells(index, bits)
-    sizes = np.diff(cells, append=cell_count)
-    return bool(((sizes & (sizes - 1)) == 0).all() and ((cells & (sizes - 1)) == 0).all())

@@ -44,8 +44,11 @@ def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64
 
 
 @wp.func
-def take(w: Walk, subtree: Subtree, n: Written):
-    """Copy what the last frame has written of a subtree behind what there is."""
+def take(w: Walk, subtree: Subtree, n: Written, runs: wp.int64) -> wp.int64:
+    """Copy what the last frame has written of a subtree behind what there is; returns how many runs of words are noted.
+
+    Where there is no room for another run, the tree compares its words instead.
+    """
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         nothing = wp.uint16(0)
         copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, nothing, w.code, w.leaf_base + n.leaves)
@@ -54,6 +57,20 @@ def take(w: Walk, subtree: Subtree, n: Written):
         copy_words(
             w.last_word_index, w.last_word_bits, subtree.first_word, subtree.words, w.word_index, w.word_bits, first
         )
+        words = wp.int64(subtree.words)
+        entry = wp.int64(w.slot) * w.room + runs
+        follows = wp.bool(False)
+        if runs > wp.int64(0):
+            last = w.runs[entry - wp.int64(1)]
+            follows = last.first + last.count == first and last.before + last.count == subtree.first_word
+        if follows:
+            w.runs[entry - wp.int64(1)].count = last.count + words
+        elif runs < w.room:
+            w.runs[entry].first = first
+            w.runs[entry].before = subtree.first_word
+            w.runs[entry].count = words
+            runs += wp.int64(1)
+    return runs
 
 
 @wp.func

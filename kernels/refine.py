@@ -117,6 +117,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         mark = wp.int32(0)  # its number: what other subtrees remember has other bounds
         count = wp.int64(0)  # subtrees that are kept
         taken = wp.int64(0)
+        runs = wp.int64(0)  # of words that were taken
         kept, kept_cell, kept_depth, kept_leaves = next_kept(w, wp.int64(-1))
         place = w.slot * STACK
         for k in range(REMEMBERED):
@@ -163,7 +164,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 split = TAKEN
                                 n.words = flush(w, n.words, word, bits)
                                 word = wp.int64(-1)
-                                take(w, subtree, n)
+                                runs = take(w, subtree, n, runs)
                                 if end == wp.uint64(0):
                                     count = keep_taken(w, subtree, count, n)
                                 else:
@@ -415,6 +416,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         if keeps:
             w.kept_counts[w.slot] = count
             w.taken[w.slot] = taken
+            w.run_counts[w.slot] = runs
         c = 4 * w.slot
         w.counts[c] = n.leaves
         w.counts[c + 1] = n.vertices

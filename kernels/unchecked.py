@@ -210,3 +210,25 @@ def copy_words(
     out_bits: wp.array(dtype=wp.uint64),
     at: wp.int64,
 ): ...
+
+
+# Two streams of words (kernels/tree.py): milliseconds for those of 1 M leaves of one edge length 1.2, in Warp 1.6.
+
+
+@wp.func_native(
+    "const wp::int64 *a = indices.data + i, *b = old_indices.data + j; "
+    "const wp::uint64 *c = words.data + i, *d = old_words.data + j; "
+    "wp::int64 k = 0, most = stop - i; "
+    "while (k != most && a[k] == b[k] && c[k] == d[k] && a[k] != end) ++k; "
+    "return k;"
+)
+def count_same_words(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    i: wp.int64,
+    stop: wp.int64,
+    old_indices: wp.array(dtype=wp.int64),
+    old_words: wp.array(dtype=wp.uint64),
+    j: wp.int64,
+    end: wp.int64,
+) -> wp.int64: ...

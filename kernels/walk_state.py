@@ -6,6 +6,7 @@ import warp as wp
 from .band import Band
 from .block import Blocks
 from .coherence import Motion, Subtree
+from .tree import Run
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,7 +50,9 @@ class Walk:
     slack: wp.float64  # the part by which spans of a pixel may change before what a band says is in doubt
     kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on
     kept_counts: wp.array(dtype=wp.int64)
-    room: wp.int64
+    room: wp.int64  # of each slot's list
+    runs: wp.array(dtype=Run)  # of words that were taken: lists as those of `kept`
+    run_counts: wp.array(dtype=wp.int64)
     motion: Motion  # of the view since the last frame
     last_kept: wp.array(dtype=Subtree)  # as above, of the last frame
     last_counts: wp.array(dtype=wp.int64)

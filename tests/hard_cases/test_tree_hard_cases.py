@@ -9,7 +9,8 @@ import pytest
 from adaptive_terrain.cbt_terrain import bisection
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree, pack_cells
+from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.words import pack_cells
 from reference_bisection import assert_conforming
 
 

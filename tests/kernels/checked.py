@@ -188,6 +188,25 @@ def copy_words(
 
 
 @wp.func
+def count_same_words(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    i: wp.int64,
+    stop: wp.int64,
+    old_indices: wp.array(dtype=wp.int64),
+    old_words: wp.array(dtype=wp.uint64),
+    j: wp.int64,
+    end: wp.int64,
+) -> wp.int64:
+    k = wp.int64(0)
+    while i + k != stop and indices[i + k] == old_indices[j + k] and indices[i + k] != end:
+        if words[i + k] != old_words[j + k]:
+            break
+        k += wp.int64(1)
+    return k
+
+
+@wp.func
 def number_words(
     indices: wp.array(dtype=wp.int64),
     words: wp.array(dtype=wp.uint64),

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain.coherence import move
 from adaptive_terrain.cbt_terrain.criterion import Criterion, localise
 from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
-from adaptive_terrain.cbt_terrain.refinement import _move
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.kernels.coherence import Motion, Subtree
@@ -167,7 +167,7 @@ def test_spans_in_a_box_change_within_what_is_said(kind, spans_kernel):
             local.append(localise(view, placement, box, Criterion(), 1.0 + 0.01 * frame))
         asked, motion, subtree = Asked(), Motion(), Subtree()
         asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
-        _move(motion, *local, drift=0.0)
+        move(motion, *local, drift=0.0)
         subtree.low, subtree.high, subtree.stands = low, high, 1
         inner = np.sort(rng.uniform(low, high, (2_000, 2, 3)), axis=1)
         inner[0] = low, high

@@ -9,6 +9,7 @@ from .unchecked import (
     copy_points,
     copy_words,
     corners_at,
+    count_same_words,
     entry_at,
     height_at,
     number_at,
@@ -58,3 +59,10 @@ def pass_all(
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
     copy_points(pairs, first, count - 1, pairs, row)
     copy_words(entries, words, first, count - 1, entries, words, row)
+    # Words that were copied: as many as are the same, up to a place, up to an index.
+    at = wp.int64(4 * count + 1)
+    none = wp.int64(-1)
+    entries[at] = count_same_words(entries, words, row, none, entries, words, first, none)
+    entries[at + wp.int64(1)] = count_same_words(entries, words, row, row + wp.int64(5), entries, words, first, none)
+    index = entries[row + wp.int64(7)]
+    entries[at + wp.int64(2)] = count_same_words(entries, words, row, none, entries, words, first, index)

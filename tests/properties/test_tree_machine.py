@@ -4,7 +4,8 @@
 import bisect
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree, pack_cells
+from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.words import pack_cells
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule

@@ -119,10 +119,10 @@ def least_depth(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64:
 
 
 @wp.func
-def finest_framed_in(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64:
+def finest_framed_in(view: LocalView, d: Diamond, off: wp.float64, clear: wp.int32) -> wp.float64:
     """As `finest_in`, of what may be in the frustum where a part of the box is."""
-    pixel2 = finest_in(view, d, 0)
-    if view.kind == PERSPECTIVE:
+    pixel2 = finest_in(view, d, clear)
+    if clear == 0 and view.kind == PERSPECTIVE:
         ahead = least_depth(view, d, off)
         if ahead > wp.float64(0.0):
             pixel2 = larger(pixel2, view.pixel2 * (ahead * ahead))
@@ -130,41 +130,38 @@ def finest_framed_in(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64
 
 
 @wp.func
-def finest_over(asked: Asked, box: Diamond, off: wp.float64) -> wp.float64:
-    """As `finest_framed_in`, of any view."""
-    pixel2 = wp.float64(wp.inf)
-    if asked.view_count > 0:
-        pixel2 = finest_framed_in(asked.view, box, off)
-        for v in range(1, asked.view_count):
-            pixel2 = smaller(pixel2, finest_framed_in(asked.views[v], box, off))
-    return pixel2
-
-
-@wp.func
 def finest_framed(
-    domain: Domain, asked: Asked, d: Diamond, left: wp.vec2i, right: wp.vec2i, depth: wp.int32, off: wp.float64
+    domain: Domain,
+    asked: Asked,
+    d: Diamond,
+    left: wp.vec2i,
+    right: wp.vec2i,
+    depth: wp.int32,
+    off: wp.float64,
+    clear: wp.int32,
 ) -> wp.float64:
     """Squared metres of the finest pixel that any view has on what it sees of the two triangles at the longest edge
     from left to right, the diamond's; true heights may be `off` metres from the surface.
 
     Both triangles fill a cell, or one each side of an edge along an axis, which may be on the terrain's border. Of a
-    triangle's box, not the diamond's, what is below it has no more.
+    triangle's box, not the diamond's, what is below it has no more. `clear`: the frustum is known to hold the diamond.
     """
     x0 = wp.min(left[0], right[0])
     x1 = wp.max(left[0], right[0])
     y0 = wp.min(left[1], right[1])
     y1 = wp.max(left[1], right[1])
+    half_x = wp.where(x0 == x1, (y1 - y0) >> 1, 0)
+    half_y = wp.where(y0 == y1, (x1 - x0) >> 1, 0)
     pixel2 = wp.float64(wp.inf)
-    if x0 < x1 and y0 < y1:
-        pixel2 = finest_over(asked, box_between(domain, d, x0, y0, x1, y1, depth), off)
-    else:
-        half = (x1 - x0 + y1 - y0) >> 1
-        across_x = wp.where(x0 == x1, half, 0)
-        across_y = wp.where(y0 == y1, half, 0)
-        if x0 - across_x >= 0 and y0 - across_y >= 0:
-            below = box_between(domain, d, x0 - across_x, y0 - across_y, x1, y1, depth)
-            pixel2 = finest_over(asked, below, off)
-        if x1 + across_x <= domain.columns << domain.unit_bits and y1 + across_y <= domain.rows << domain.unit_bits:
-            above = box_between(domain, d, x0, y0, x1 + across_x, y1 + across_y, depth)
-            pixel2 = smaller(pixel2, finest_over(asked, above, off))
+    for side in range(wp.where(half_x + half_y > 0, 2, 1)):
+        west = x0 - (1 - side) * half_x
+        south = y0 - (1 - side) * half_y
+        east = x1 + side * half_x
+        north = y1 + side * half_y
+        inside = east <= domain.columns << domain.unit_bits and north <= domain.rows << domain.unit_bits
+        if west >= 0 and south >= 0 and inside:
+            box = box_between(domain, d, west, south, east, north, depth)
+            pixel2 = smaller(finest_framed_in(asked.view, box, off, clear), pixel2)
+            for v in range(1, asked.view_count):
+                pixel2 = smaller(finest_framed_in(asked.views[v], box, off, clear), pixel2)
     return pixel2

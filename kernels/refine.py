@@ -257,8 +257,12 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         if cell >= start:
                             near2 = m.pixel2 * limits.below
                             if m.metres2 > most.px2 * near2 or m.total2 > most.total_px2 * near2:
-                                off = m.rest + domain.source
-                                seen2 = finest_framed(domain, asked, m.diamond, left, right, depth, off)
+                                seen2 = m.pixel2
+                                if m.metres2 > worst.px2 * near2 or m.total2 > worst.total_px2 * near2:
+                                    off = m.rest + domain.source
+                                    seen2 = finest_framed(
+                                        domain, asked, m.diamond, left, right, depth, off, above.clear
+                                    )
                                 most.px2 = larger(most.px2, m.metres2 / seen2)
                                 worst.px2 = larger(worst.px2, m.metres2 / seen2)
                                 most.total_px2 = larger(most.total_px2, m.total2 / seen2)

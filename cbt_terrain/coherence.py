@@ -21,6 +21,7 @@ class Walked:
     slots: int
     room: int  # of subtrees, and of runs of words, in a slot
     stamp: object = None  # of the tree that it marked; None: of none yet
+    leaves: object = None  # that it has found
 
     def __post_init__(self):
         self.limit = self.asked.limit

@@ -52,7 +52,8 @@ class Leaves:
     `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
     square pixels of a triangle, squared metres of weighed error and of all error.
     `parts` float64 [2, 2]: own error and what resampling moved, metres before scaling, of the leaf that has the most
-    error in pixels and of the one that has it in metres.
+    error in pixels and of the one that has it in metres. `slots` int64 [slices]: rows of the walk's lists.
+    `after`: the leaves of the last frame if points were taken from them, `taken`: the runs of those.
     """
 
     counts: np.ndarray
@@ -62,6 +63,9 @@ class Leaves:
     base: np.ndarray
     bounds: np.ndarray
     parts: np.ndarray
+    slots: np.ndarray
+    after: "Leaves | None" = None
+    taken: "Runs | None" = None
     changed_words: int = 0
 
     @property
@@ -123,8 +127,9 @@ class Refinement:
         # Two sets that take turns, as the tree's streams do: setting arrays of a struct costs as much as launches.
         self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
         self._recorded: dict = {}
-        self._motion, self._runs = Motion(), Runs()
+        self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
         self._last: Walked | None = None
+        self._after: Leaves | None = None
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -143,6 +148,11 @@ class Refinement:
             self._relax(domain, asked, max_depth, max_leaves)
             walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
         leaves = self._leaves(walks, counts)
+        if self._last:
+            leaves.after, self._after, self._last.leaves = self._after, None, leaves
+            if leaves.after:
+                leaves.after.after = None  # or all leaves of a flight would stay
+            leaves.taken = self._listed(self._point_runs, "point_runs")
         leaves.changed_words = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
 
@@ -156,6 +166,7 @@ class Refinement:
                 self.buffers.swap(name, "last_" + name)
         drift = last.drift(domain, asked, max_depth, self.tree.stamp) if keeps and last else math.inf
         kept = drift <= MOST_DRIFT
+        self._after = last.leaves if kept else None
         if kept:
             move(self._motion, last.asked.view, asked.view, drift)
         while True:
@@ -236,7 +247,9 @@ class Refinement:
             "last_word_index": last_index,
             "last_word_bits": last_bits,
             "runs": get("runs", slices * _room_for(capacity), Run),
-            "run_counts": get("run_counts", slices, wp.int64),
+            "run_counts": get("runs_counts", slices, wp.int64),
+            "point_runs": get("point_runs", slices * _room_for(capacity), Run),
+            "point_run_counts": get("point_runs_counts", slices, wp.int64),
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
         while len(self._walk_structs[0]) < slices:
@@ -277,7 +290,7 @@ class Refinement:
         bounds = self.buffers.numpy("bounds")[: slices * 10].reshape(slices, 10)[used]
         parts = np.stack([bounds[bounds[:, 1].argmax(), 6:8], bounds[bounds[:, 5].argmax(), 8:]])
         bounds = bounds[:, :6].max(axis=0)
-        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts)
+        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts, used)
 
     def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its words changed."""
@@ -289,11 +302,8 @@ class Refinement:
             index[first:-1] = np.arange(squares, most, dtype=np.int64) << (self._cell_bits - 6)
             bits[first:-1] = 1
             parts.append((first, most - squares))
-        runs, last, get = None, self._last, self.buffers.get
-        if last:  # what a walk that keeps has taken
-            runs = self._runs
-            bind(runs, runs=get("runs", 1, Run), counts=get("run_counts", 1, wp.int64))
-            bind(runs, room=last.room, lists=last.slots)
+        last = self._last
+        runs = self._listed(self._runs, "runs") if last else None
         # A mark that is stopped leaves words and counters that do not agree: then the next refinement has a new tree.
         tree, self.tree = self.tree, None
         changed = tree.mark_written(parts, runs)
@@ -302,6 +312,13 @@ class Refinement:
             last.stamp = tree.stamp
         self._walk_structs = self._walk_structs[::-1]
         return changed
+
+    def _listed(self, runs: Runs, name: str) -> Runs:
+        """What a walk that keeps has taken."""
+        get, last = self.buffers.get, self._last
+        bind(runs, runs=get(name, 1, Run), counts=get(name + "_counts", 1, wp.int64))
+        bind(runs, room=last.room, lists=last.slots)
+        return runs
 
 
 def _room_for(leaves: int) -> int:

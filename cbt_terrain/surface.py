@@ -17,6 +17,10 @@ from . import launch
 from .buffers import Buffers, bind
 from .meshlet_template import template
 from .refinement import Leaves
+from .tree import no_runs
+
+# What becomes of points; the last frame's is kept for the next one.
+DISPLACED = ("positions", "normals", "uv")
 
 
 @dataclass(frozen=True)
@@ -53,9 +57,11 @@ class SurfaceBuilder:
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
         self._recorded: dict = {}
+        self._shown: Leaves | None = None  # whose points the positions are of
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
+        shown, self._shown = self._shown, None
         slices = leaves.counts.tolist()
         triangles, vertices, edges, _ = (sum(column) for column in zip(*slices, strict=True))
         prefix = "leaf_"
@@ -65,7 +71,9 @@ class SurfaceBuilder:
         if meshlet:
             triangles, vertices, edges = self._expand(runs, triangles, vertices, edges, meshlet)
             prefix, runs, point = "mesh_", [(0, vertices)], "mesh_point"
-        self._displace(runs, domain, vertices, point)
+        taking = shown is not None and leaves.after is shown
+        self._displace(runs, domain, vertices, point, leaves if taking else None)
+        self._shown = None if meshlet else leaves
         memory = self._buffers.numpy
         return Surface(
             memory("positions")[:vertices],
@@ -137,9 +145,30 @@ class SurfaceBuilder:
         launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=self._recorded)
         return triangles, all_vertices, all_edges
 
-    def _displace(self, runs: list[tuple[int, int]], domain: Domain, vertices: int, point: str) -> None:
-        """Positions, normals and uv of runs of points (base, count)."""
+    def _displace(
+        self, runs: list[tuple[int, int]], domain: Domain, vertices: int, point: str, taking: Leaves | None
+    ) -> None:
+        """Positions, normals and uv of runs of points (base, count); `taking`: leaves some of whose points are those
+        that the positions are of, if there are any."""
         get, p = self._buffers.get, self._points
+        if taking:
+            for name in DISPLACED:
+                self._buffers.swap(name, "last_" + name)
+            before = taking.after
+            first = np.cumsum([0, *before.counts[:-1, 1]])
+            bind(
+                p,
+                taken=taking.taken,
+                last_base=self._table("last_slice_base", before.base, wp.int64),
+                last_vertex=self._table("last_slice_vertex", first, wp.int64),
+                last_slices=len(before.base),
+                last_positions=get("last_positions", 1, wp.vec3f),
+                last_normals=get("last_normals", 1, wp.vec3f),
+                last_uv=get("last_uv", 1, wp.vec2f),
+            )
+        else:
+            bind(p, taken=no_runs())
+        slots = taking.slots.tolist() if taking else [0] * len(runs)
         pieces = self._pieces(vertices) if len(runs) == 1 else 1
         bind(
             p,
@@ -149,8 +178,8 @@ class SurfaceBuilder:
             uv=get("uv", vertices, wp.vec2f),
         )
         inputs, first = [], 0
-        for base, n in runs:
-            inputs += [[*_piece(n, k, pieces), base, first, domain, p] for k in range(pieces)]
+        for (base, n), slot in zip(runs, slots, strict=True):
+            inputs += [[*_piece(n, k, pieces), base, first, slot, domain, p] for k in range(pieces)]
             first += n
         kernel = smooth_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)

@@ -201,7 +201,7 @@ class ConcurrentBinaryTree:
         """
         parts = [(int(first), int(count)) for first, count in parts if count]
         self._words.link(parts)
-        inputs = [*self._words.next(), *self._words.now(), *self._counters, runs or _no_runs()]
+        inputs = [*self._words.next(), *self._words.now(), *self._counters, runs or no_runs()]
         launch.once(reduce_changed, inputs, step="mark", recorded=self._recorded)
         self._words.advance(parts)
         self._stamp = object()
@@ -289,7 +289,7 @@ class ConcurrentBinaryTree:
 
 
 @cache
-def _no_runs() -> Runs:
+def no_runs() -> Runs:
     """Nothing known of two streams."""
     runs = Runs()
     runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")

@@ -4,7 +4,8 @@
 import warp as wp
 
 from .criterion import Domain
-from .unchecked import height_at, pair_at, prefetch, put_vec2, put_vec3
+from .tree import Runs
+from .unchecked import copy_vec2s, copy_vec3s, height_at, pair_at, prefetch, put_vec2, put_vec3
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,6 +20,14 @@ class Points:
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
     uv: wp.array(dtype=wp.vec2f)
+    # Points that were in the last frame, and what became of them.
+    taken: Runs
+    last_base: wp.array(dtype=wp.int64)  # of each slice of it: its first point
+    last_vertex: wp.array(dtype=wp.int64)  # ... and that one's number
+    last_slices: wp.int32
+    last_positions: wp.array(dtype=wp.vec3f)
+    last_normals: wp.array(dtype=wp.vec3f)
+    last_uv: wp.array(dtype=wp.vec2f)
 
 
 @wp.func
@@ -99,11 +108,62 @@ def put_vertex(
     put_vec2(points.uv, o, wp.vec2f(u, wp.float32(wp.float64(p[1]) * per_height)))
 
 
+@wp.func
+def runs_of(points: Points, slot: wp.int32):
+    """Where the list of the points that slice `slot` has taken begins and ends."""
+    run = wp.int64(slot) * points.taken.room
+    run_end = run
+    if slot < points.taken.lists:
+        run_end = run + points.taken.counts[slot]
+    return run, run_end
+
+
+@wp.func
+def take_run(
+    points: Points,
+    run: wp.int64,
+    run_end: wp.int64,
+    v: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+):
+    """Copy what the last frame has of the points of a run from point v on; returns where they begin and end, both `end`
+    if there is none."""
+    begin = end
+    stop = end
+    if run < run_end:
+        taken = points.taken.runs[run]
+        first = taken.first - point_base
+        begin = wp.clamp(wp.int32(first), v, end)
+        stop = wp.clamp(wp.int32(first + taken.count), v, end)
+        if stop > begin:
+            s = wp.int32(0)
+            while s + 1 < points.last_slices and taken.before >= points.last_base[s + 1]:
+                s += 1
+            at = points.last_vertex[s] + taken.before - points.last_base[s] + wp.int64(begin) - first
+            count = stop - begin
+            to = vertex_base + begin
+            copy_vec3s(points.last_positions, at, count, points.positions, to)
+            copy_vec3s(points.last_normals, at, count, points.normals, to)
+            copy_vec2s(points.last_uv, at, count, points.uv, to)
+    return begin, stop
+
+
 @wp.kernel
 def displace(
-    first: wp.int32, end: wp.int32, point_base: wp.int64, vertex_base: wp.int32, domain: Domain, points: Points
+    first: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+    slot: wp.int32,
+    domain: Domain,
+    points: Points,
 ):
-    """Positions, normals and texture coordinates on the bilinear surface, about the local origin."""
+    """Positions, normals and texture coordinates on the bilinear surface, about the local origin.
+
+    `slot`: the list of points that were taken from the last frame.
+    """
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
     columns = domain.width
@@ -117,23 +177,29 @@ def displace(
     per_width = part / wp.float64(columns - 1)
     per_height = part / wp.float64(rows - 1)
     last = wp.int64(end - 1)
-    for v in range(first, end):
-        k = point_base + wp.int64(v)
-        q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
-        near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
-        prefetch(samples, near)
-        prefetch(samples, near - wp.int64(columns))
-        prefetch(samples, near + wp.int64(columns))
-        p = pair_at(points.point, k)
-        x = p[0]
-        y = p[1]
-        g = wp.vec3d()
-        if ((x | y) & (cell - 1)) == 0:
-            g = on_sample(samples, columns, rows, x >> bits, y >> bits)
-        else:
-            i = wp.min(x >> bits, columns - 2)
-            j = wp.min(y >> bits, rows - 2)
-            s = wp.float64(x - (i << bits)) * part
-            t = wp.float64(y - (j << bits)) * part
-            g = in_cell(samples, columns, rows, i, j, s, t)
-        put_vertex(points, vertex_base + v, domain, p, g, slope_x, slope_y, per_width, per_height)
+    run, run_end = runs_of(points, slot)
+    v = first
+    while v < end:
+        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        run += wp.int64(1)
+        for u in range(v, begin):
+            k = point_base + wp.int64(u)
+            q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
+            near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
+            prefetch(samples, near)
+            prefetch(samples, near - wp.int64(columns))
+            prefetch(samples, near + wp.int64(columns))
+            p = pair_at(points.point, k)
+            x = p[0]
+            y = p[1]
+            g = wp.vec3d()
+            if ((x | y) & (cell - 1)) == 0:
+                g = on_sample(samples, columns, rows, x >> bits, y >> bits)
+            else:
+                i = wp.min(x >> bits, columns - 2)
+                j = wp.min(y >> bits, rows - 2)
+                s = wp.float64(x - (i << bits)) * part
+                t = wp.float64(y - (j << bits)) * part
+                g = in_cell(samples, columns, rows, i, j, s, t)
+            put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
+        v = stop

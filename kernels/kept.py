@@ -7,6 +7,7 @@ from .band import Measured
 from .bounds import Bounds
 from .coherence import CROSSED, Subtree, stand_of
 from .criterion import Asked, coarsest
+from .tree import Run
 from .unchecked import copy_codes, copy_points, copy_words, put_word
 from .walk_state import Walk, Written
 
@@ -44,33 +45,45 @@ def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64
 
 
 @wp.func
-def take(w: Walk, subtree: Subtree, n: Written, runs: wp.int64) -> wp.int64:
-    """Copy what the last frame has written of a subtree behind what there is; returns how many runs of words are noted.
+def noted(
+    w: Walk, runs: wp.array(dtype=Run), count: wp.int64, first: wp.int64, before: wp.int64, entries: wp.int64
+) -> wp.int64:
+    """Note a run of what is taken, with the last one if it goes on; returns how many there are.
 
-    Where there is no room for another run, the tree compares its words instead.
+    Where there is no room for another run, what is in it counts as new.
     """
+    entry = wp.int64(w.slot) * w.room + count
+    follows = wp.bool(False)
+    if count > wp.int64(0):
+        last = runs[entry - wp.int64(1)]
+        follows = last.first + last.count == first and last.before + last.count == before
+    if follows:
+        runs[entry - wp.int64(1)].count = runs[entry - wp.int64(1)].count + entries
+    elif count < w.room:
+        runs[entry].first = first
+        runs[entry].before = before
+        runs[entry].count = entries
+        count += wp.int64(1)
+    return count
+
+
+@wp.func
+def take(w: Walk, subtree: Subtree, n: Written, runs: wp.int64, point_runs: wp.int64):
+    """Copy what the last frame has written of a subtree behind what there is; returns how many runs of words and of
+    points are noted."""
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         nothing = wp.uint16(0)
         copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, nothing, w.code, w.leaf_base + n.leaves)
-        copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, w.leaf_base + n.vertices)
+        first_point = w.leaf_base + n.vertices
+        copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, first_point)
         first = w.leaf_base + n.words
         copy_words(
             w.last_word_index, w.last_word_bits, subtree.first_word, subtree.words, w.word_index, w.word_bits, first
         )
-        words = wp.int64(subtree.words)
-        entry = wp.int64(w.slot) * w.room + runs
-        follows = wp.bool(False)
-        if runs > wp.int64(0):
-            last = w.runs[entry - wp.int64(1)]
-            follows = last.first + last.count == first and last.before + last.count == subtree.first_word
-        if follows:
-            w.runs[entry - wp.int64(1)].count = last.count + words
-        elif runs < w.room:
-            w.runs[entry].first = first
-            w.runs[entry].before = subtree.first_word
-            w.runs[entry].count = words
-            runs += wp.int64(1)
-    return runs
+        runs = noted(w, w.runs, runs, first, subtree.first_word, wp.int64(subtree.words))
+        points = wp.int64(subtree.vertices)
+        point_runs = noted(w, w.point_runs, point_runs, first_point, subtree.first_vertex, points)
+    return runs, point_runs
 
 
 @wp.func

@@ -118,6 +118,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         count = wp.int64(0)  # subtrees that are kept
         taken = wp.int64(0)
         runs = wp.int64(0)  # of words that were taken
+        point_runs = wp.int64(0)
         kept, kept_cell, kept_depth, kept_leaves = next_kept(w, wp.int64(-1))
         place = w.slot * STACK
         for k in range(REMEMBERED):
@@ -164,7 +165,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 split = TAKEN
                                 n.words = flush(w, n.words, word, bits)
                                 word = wp.int64(-1)
-                                runs = take(w, subtree, n, runs)
+                                runs, point_runs = take(w, subtree, n, runs, point_runs)
                                 if end == wp.uint64(0):
                                     count = keep_taken(w, subtree, count, n)
                                 else:
@@ -421,6 +422,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
             w.kept_counts[w.slot] = count
             w.taken[w.slot] = taken
             w.run_counts[w.slot] = runs
+            w.point_run_counts[w.slot] = point_runs
         c = 4 * w.slot
         w.counts[c] = n.leaves
         w.counts[c + 1] = n.vertices

@@ -15,7 +15,7 @@ END = wp.constant(wp.int64(END_INDEX))
 
 @wp.struct
 class Run:
-    """Words that lie in one row in two streams."""
+    """What lies in one row in two streams, words or points."""
 
     first: wp.int64  # entry in the new stream
     before: wp.int64  # ... and in the old one
@@ -24,7 +24,7 @@ class Run:
 
 @wp.struct
 class Runs:
-    """Lists of runs, in the order of the new stream."""
+    """Lists of runs, each in the order of the new stream."""
 
     runs: wp.array(dtype=Run)  # list k from entry k * room on
     counts: wp.array(dtype=wp.int64)

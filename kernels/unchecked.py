@@ -232,3 +232,21 @@ def count_same_words(
     j: wp.int64,
     end: wp.int64,
 ) -> wp.int64: ...
+
+
+@wp.func_native(
+    "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
+    "for (int k = 0; k < 3 * count; ++k) to[k] = from[k];"
+)
+def copy_vec3s(
+    vectors: wp.array(dtype=wp.vec3f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec3f), at: wp.int32
+): ...
+
+
+@wp.func_native(
+    "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
+    "for (int k = 0; k < 2 * count; ++k) to[k] = from[k];"
+)
+def copy_vec2s(
+    vectors: wp.array(dtype=wp.vec2f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2f), at: wp.int32
+): ...

@@ -52,7 +52,9 @@ class Walk:
     kept_counts: wp.array(dtype=wp.int64)
     room: wp.int64  # of each slot's list
     runs: wp.array(dtype=Run)  # of words that were taken: lists as those of `kept`
+    point_runs: wp.array(dtype=Run)  # of points
     run_counts: wp.array(dtype=wp.int64)
+    point_run_counts: wp.array(dtype=wp.int64)
     motion: Motion  # of the view since the last frame
     last_kept: wp.array(dtype=Subtree)  # as above, of the last frame
     last_counts: wp.array(dtype=wp.int64)

@@ -2,17 +2,18 @@
 """Displacement against numpy, meshlets against their definition, the welded arrays against their contract."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
 from adaptive_terrain.cbt_terrain.surface import SurfaceBuilder
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from fields import reference_heights, rough
-from invariants import assert_invariants
+from invariants import arrays, assert_invariants
 
 VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
 
@@ -103,3 +104,43 @@ def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkey
     updates = [terrain.update(criterion, [views[n % 2]]) for n in range(6)]
     assert all(update.changed for update in updates) and len(peaks) == 6
     assert updates[-1].surface.positions.nbytes > 80_000 and peaks[-1] < 20_000 < peaks[0]
+
+
+def flown(field, threads=2):
+    """A terrain after three frames of a slow flight, and the views of the next ones."""
+    terrain, views = Terrain(field, threads), [View.look((0.1 * n, -400.0, 120.0), (0, 0, 0)) for n in range(6)]
+    for view in views[:3]:
+        terrain.update(Criterion(error_px=0.2), [view])
+    return terrain, views[3:]
+
+
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+def test_points_that_stay_are_not_displaced_again(interpolation, monkeypatch):
+    """Heights that change unseen between two frames stay where points were taken from the last frame."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    field = replace(rough(129, 129), samples=rough(129, 129).samples.copy()).interpolated(interpolation)
+    terrain, views = flown(field)
+    field.samples[:] += 1000.0
+    raised = terrain.update(Criterion(error_px=0.2), [views[0]]).surface.positions[:, 2] > 500.0
+    assert 0.01 < raised.mean() < 0.5
+
+
+def test_an_interrupted_displacement_is_no_ones_last_frame(monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    terrain, views = flown(rough(129, 129))
+
+    slices = launch.slices
+
+    def stopped(*args, **options):
+        if options["step"] == "displace":
+            raise KeyboardInterrupt
+        slices(*args, **options)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(launch, "slices", stopped)
+        terrain.update(Criterion(error_px=0.2), [views[0]])
+    for name in ("positions", "last_positions"):
+        terrain._buffers.numpy(name)[:] = np.nan
+    again = terrain.update(Criterion(error_px=0.2), [views[1]]).surface
+    fresh = Terrain(rough(129, 129), 1).update(Criterion(error_px=0.2), [views[1]]).surface
+    assert arrays(again) == arrays(fresh)

@@ -173,6 +173,22 @@ def copy_points(
 
 
 @wp.func
+def copy_vec3s(
+    vectors: wp.array(dtype=wp.vec3f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec3f), at: wp.int32
+):
+    for k in range(count):
+        out[at + k] = vectors[first + wp.int64(k)]
+
+
+@wp.func
+def copy_vec2s(
+    vectors: wp.array(dtype=wp.vec2f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2f), at: wp.int32
+):
+    for k in range(count):
+        out[at + k] = vectors[first + wp.int64(k)]
+
+
+@wp.func
 def copy_words(
     indices: wp.array(dtype=wp.int64),
     words: wp.array(dtype=wp.uint64),

@@ -61,7 +61,6 @@ class SurfaceBuilder:
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
-        shown, self._shown = self._shown, None
         slices = leaves.counts.tolist()
         triangles, vertices, edges, _ = (sum(column) for column in zip(*slices, strict=True))
         prefix = "leaf_"
@@ -71,7 +70,7 @@ class SurfaceBuilder:
         if meshlet:
             triangles, vertices, edges = self._expand(runs, triangles, vertices, edges, meshlet)
             prefix, runs, point = "mesh_", [(0, vertices)], "mesh_point"
-        taking = shown is not None and leaves.after is shown
+        taking = leaves.after is not None and leaves.after is self._shown
         self._displace(runs, domain, vertices, point, leaves if taking else None)
         self._shown = None if meshlet else leaves
         memory = self._buffers.numpy

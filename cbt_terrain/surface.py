@@ -29,7 +29,7 @@ class Surface:
 
     `positions` float32 [V, 3], metres in the terrain's own space. `normals` float32 [V, 3], unit length.
     `uv` float32 [V, 2]: 0 .. 1 from west to east, south to north. `corner_verts`, `corner_edges` int32 [3 T]: edge c
-    of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `level` int32 [T]: bisections of a root
+    of a triangle parts from its corner c to the next. `edges` int32 [E, 2]. `level` int32 [T]: bisections of a root
     square.
     """
 
@@ -66,12 +66,12 @@ class SurfaceBuilder:
         prefix = "leaf_"
         self._weld_slices(leaves, domain, triangles, vertices, edges)
         # Points lie slice by slice; those of meshlets in one row.
-        runs, point = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)], "point"
+        parts, point = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)], "point"
         if meshlet:
-            triangles, vertices, edges = self._expand(runs, triangles, vertices, edges, meshlet)
-            prefix, runs, point = "mesh_", [(0, vertices)], "mesh_point"
+            triangles, vertices, edges = self._expand(parts, triangles, vertices, edges, meshlet)
+            prefix, parts, point = "mesh_", [(0, vertices)], "mesh_point"
         taking = leaves.after is not None and leaves.after is self._shown
-        self._displace(runs, domain, vertices, point, leaves if taking else None)
+        self._displace(parts, domain, vertices, point, leaves if taking else None)
         self._shown = None if meshlet else leaves
         memory = self._buffers.numpy
         return Surface(
@@ -117,7 +117,7 @@ class SurfaceBuilder:
             launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld", recorded=self._recorded)
 
     def _expand(
-        self, runs: list[tuple[int, int]], leaves: int, vertices: int, edges: int, meshlet: int
+        self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, meshlet: int
     ) -> tuple[int, int, int]:
         """Every leaf to 4**meshlet triangles; returns how many triangles, vertices and edges there are."""
         get, t, coarse, fine = self._buffers.get, template(meshlet), self._coarse, self._fine
@@ -131,7 +131,7 @@ class SurfaceBuilder:
         bind(fine, point=point, **self._mesh_arrays("mesh_", triangles, all_edges))
         # The leaves' own points first, in one row, where edges and leaves can look them up.
         source, to, first = self._buffers.numpy("point"), self._buffers.numpy("mesh_point"), 0
-        for base, count in runs:
+        for base, count in parts:
             to[first : first + count] = source[base : base + count]
             first += count
         pieces = self._pieces(triangles)
@@ -145,9 +145,9 @@ class SurfaceBuilder:
         return triangles, all_vertices, all_edges
 
     def _displace(
-        self, runs: list[tuple[int, int]], domain: Domain, vertices: int, point: str, taking: Leaves | None
+        self, parts: list[tuple[int, int]], domain: Domain, vertices: int, point: str, taking: Leaves | None
     ) -> None:
-        """Positions, normals and uv of runs of points (base, count); `taking`: leaves some of whose points are those
+        """Positions, normals and uv of points that lie in parts (base, count); `taking`: leaves some of whose points are those
         that the positions are of, if there are any."""
         get, p = self._buffers.get, self._points
         if taking:
@@ -167,8 +167,8 @@ class SurfaceBuilder:
             )
         else:
             bind(p, taken=no_runs())
-        slots = taking.slots.tolist() if taking else [0] * len(runs)
-        pieces = self._pieces(vertices) if len(runs) == 1 else 1
+        slots = taking.slots.tolist() if taking else [0] * len(parts)
+        pieces = self._pieces(vertices) if len(parts) == 1 else 1
         bind(
             p,
             point=get(point, 0, wp.vec2i),
@@ -177,7 +177,7 @@ class SurfaceBuilder:
             uv=get("uv", vertices, wp.vec2f),
         )
         inputs, first = [], 0
-        for (base, n), slot in zip(runs, slots, strict=True):
+        for (base, n), slot in zip(parts, slots, strict=True):
             inputs += [[*_piece(n, k, pieces), base, first, slot, domain, p] for k in range(pieces)]
             first += n
         kernel = smooth_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace

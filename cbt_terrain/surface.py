@@ -29,7 +29,7 @@ class Surface:
 
     `positions` float32 [V, 3], metres in the terrain's own space. `normals` float32 [V, 3], unit length.
     `uv` float32 [V, 2]: 0 .. 1 from west to east, south to north. `corner_verts`, `corner_edges` int32 [3 T]: edge c
-    of a triangle parts from its corner c to the next. `edges` int32 [E, 2]. `level` int32 [T]: bisections of a root
+    of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `level` int32 [T]: bisections of a root
     square.
     """
 
@@ -147,8 +147,10 @@ class SurfaceBuilder:
     def _displace(
         self, parts: list[tuple[int, int]], domain: Domain, vertices: int, point: str, taking: Leaves | None
     ) -> None:
-        """Positions, normals and uv of points that lie in parts (base, count); `taking`: leaves some of whose points are those
-        that the positions are of, if there are any."""
+        """Positions, normals and uv of points that lie in parts (base, count).
+
+        `taking`: leaves some of whose points are those that the positions are of, if there are any.
+        """
         get, p = self._buffers.get, self._points
         if taking:
             for name in DISPLACED:

@@ -129,7 +129,6 @@ class Refinement:
         self._recorded: dict = {}
         self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
         self._last: Walked | None = None
-        self._after: Leaves | None = None
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
         """Refine from the roots to at most `max_leaves` and mark the tree.
@@ -149,10 +148,10 @@ class Refinement:
             walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
         leaves = self._leaves(walks, counts)
         if self._last:
-            leaves.after, self._after, self._last.leaves = self._after, None, leaves
+            leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
+            self._last.leaves, self._last.after = leaves, None
             if leaves.after:
                 leaves.after.after = None  # or all leaves of a flight would stay
-            leaves.taken = self._listed(self._point_runs, "point_runs")
         leaves.changed_words = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
 
@@ -166,7 +165,6 @@ class Refinement:
                 self.buffers.swap(name, "last_" + name)
         drift = last.drift(domain, asked, max_depth, self.tree.stamp) if keeps and last else math.inf
         kept = drift <= MOST_DRIFT
-        self._after = last.leaves if kept else None
         if kept:
             move(self._motion, last.asked.view, asked.view, drift)
         while True:
@@ -183,7 +181,8 @@ class Refinement:
                 return None, None
             if counts[:, 0].max() <= self._capacity:
                 if keeps:
-                    self._last = Walked(domain, asked, max_depth, len(walks), _room_for(self._capacity))
+                    after = last.leaves if kept else None
+                    self._last = Walked(domain, asked, max_depth, len(walks), _room_for(self._capacity), after)
                 return walks, counts
             self._capacity = int(1.25 * counts[:, 0].max()) + 1024
 

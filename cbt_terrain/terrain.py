@@ -91,7 +91,7 @@ class Terrain:
     @property
     def buffer_bytes(self) -> int:
         """Address space of the engine's arrays; the system commits what is touched of it."""
-        return self._buffers.nbytes
+        return self._buffers.nbytes + (self.tree.nbytes if self.tree else 0)
 
     def update(
         self,

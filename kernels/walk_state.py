@@ -5,6 +5,7 @@ import warp as wp
 
 from .band import Band
 from .block import Blocks
+from .bounds import Bounds
 from .coherence import Motion, Subtree
 from .tree import Run
 
@@ -68,3 +69,24 @@ class Walk:
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
     bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py
+
+
+@wp.func
+def put_results(w: Walk, n: Written, worst: Bounds, in_pixels: wp.vec2f, in_metres: wp.vec2f):
+    """What the slice has written, the maxima over its leaves, and of the leaves that have the most error its parts."""
+    c = 4 * w.slot
+    w.counts[c] = n.leaves
+    w.counts[c + 1] = n.vertices
+    w.counts[c + 2] = n.edges
+    w.counts[c + 3] = n.words
+    b = 10 * w.slot
+    w.bounds[b] = worst.px2
+    w.bounds[b + 1] = worst.total_px2
+    w.bounds[b + 2] = worst.long_px2
+    w.bounds[b + 3] = worst.legs_px2 * wp.float64(0.5)
+    w.bounds[b + 4] = worst.metres2
+    w.bounds[b + 5] = worst.total2
+    w.bounds[b + 6] = wp.float64(in_pixels[0])
+    w.bounds[b + 7] = wp.float64(in_pixels[1])
+    w.bounds[b + 8] = wp.float64(in_metres[0])
+    w.bounds[b + 9] = wp.float64(in_metres[1])

@@ -31,7 +31,7 @@ from .fit_sweeps import FEW, Sweeps
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
-from .terms import DISPLACEMENT_ERROR, Terms, rounding
+from .terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
 from .terrain import Terrain, Update, box_of
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
@@ -127,24 +127,20 @@ class Fitter:
 
     def _hopeless(self, error_m: float) -> bool:
         """Whether what cannot be refined away is so much that the interpolating mesh does not hold the error."""
-        if self.field.resample_max * self.scale <= 0.5 * self._left(error_m):
+        if self.field.resample_max * self.scale <= 0.5 * left_of(error_m, self.source):
             return False
         criterion = Criterion(error_px=0.0, error_m=error_m)
         update = Terrain(self.field, self.threads).update(criterion, (), None, *self.placement)
-        return update.bound_m - update.terms_m.source > self._left(error_m)
+        return update.bound_m - update.terms_m.source > left_of(error_m, self.source)
 
     def within(self, error_m: float) -> float:
         """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
-        return max(error_m, self._left(error_m) + self.source)
-
-    def _left(self, error_m: float) -> float:
-        """What is left of an error for all but the source's rounding, as the criterion weighs it: `metres2_of`."""
-        return max(error_m - self.source, 0.8 * error_m)
+        return max(error_m, left_of(error_m, self.source) + self.source)
 
     def _mesh(self, error_m: float) -> mesh_kernels.Mesh:
         m = mesh_kernels.Mesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
-        left = self._left(error_m)
+        left = left_of(error_m, self.source)
         m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(), left / 2)
         m.aim, m.stretch = AIM, STRETCH
         return m
@@ -188,7 +184,7 @@ class Fitter:
             bound = min(bound, self.within(error_m))
             limited = "source" if bound > error_m else ""
         else:
-            own = parts[0] + shift > self._left(error_m)
+            own = parts[0] + shift > left_of(error_m, self.source)
             limited = "max_depth" if deepest else "precision" if own else "resampling"
         terms = Terms.shares(bound, *parts)
         return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)

@@ -109,7 +109,7 @@ def open_source(settings: ImportSettings) -> Raster:
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
     known = ", ".join((*DRIVERS, ".exr", ".npy", *RAW_SUFFIXES))
-    raise TerrainError(f"{path} is of no known kind: expected one of {known}.")
+    raise TerrainError(f"{path} is of no known kind of height map: expected one of {known}.")
 
 
 def check_file(path: Path) -> None:

@@ -57,7 +57,9 @@ def read_json(path: Path) -> dict:
             raise OSError("it is not a regular file")
         content = json.loads(file.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
-        raise TerrainError(f"There is no terrain store at {path}: import a height map into it first.") from None
+        raise TerrainError(
+            f"There is no terrain store at {path}: expected a folder that `import` has written."
+        ) from None
     except (OSError, ValueError, RecursionError) as reason:
         said = getattr(reason, "strerror", None) or reason
         raise TerrainError(f"The store {file} cannot be read ({said}): import it again.") from reason

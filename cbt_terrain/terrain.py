@@ -26,7 +26,7 @@ from .errors import TerrainError
 from .heightfield import HeightField
 from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .surface import Surface, SurfaceBuilder
-from .terms import Terms, position_rounding, rounding
+from .terms import Terms, left_of, position_rounding, rounding
 from .view import View
 
 # Relative; above what rounding does to a sum of metres.
@@ -147,7 +147,7 @@ class Terrain:
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
         local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
-        asked = _pack(criterion, local, edge_scale)
+        asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
@@ -177,7 +177,7 @@ class Terrain:
             math.sqrt(edge_px2) / edge_scale * stretch if measures_edges else None,
             area_px2 / edge_scale**2 * stretch**2 if measures_edges else None,
             relaxed,
-            _limited(asked, leaves.bounds.tolist(), relaxed, parts_px, parts_m, stretch),
+            _limited(asked, criterion.error_m, leaves.bounds.tolist(), relaxed, parts_px, parts_m, stretch),
             Terms.shares(bound_px, *parts_px) if views else None,
             Terms.shares(bound_m, *parts_m),
             ms,
@@ -235,7 +235,13 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 
 
 def _limited(
-    asked: Asked, bounds: list[float], relaxed: float, parts_px: list[float], parts_m: list[float], stretch: float
+    asked: Asked,
+    error_m: float,
+    bounds: list[float],
+    relaxed: float,
+    parts_px: list[float],
+    parts_m: list[float],
+    stretch: float,
 ) -> str:
     """What kept a bound above what was asked; `parts` are those of Terms, metres.
 
@@ -244,21 +250,29 @@ def _limited(
     error_px2, total_px2, edge_px2, area_px2, metres2, total_metres2 = bounds
     if relaxed > 1:
         return "max_triangles"
-    excess = (error_px2 / asked.error_px2, edge_px2 / asked.edge_px2, 2 * area_px2 / asked.area_px2)
-    if max(*excess, metres2 / asked.metres2) > 1:
+    edges = max(edge_px2 / asked.edge_px2, 2 * area_px2 / asked.area_px2)
+    over = [(math.sqrt(total_px2 / asked.error_px2), parts_px)]
+    over += [(math.sqrt(total_metres2) / error_m, parts_m)] if error_m else []
+    over = [(ratio, parts) for ratio, parts in over if ratio > 1]
+    # What cannot be refined away may be too much alone: then no depth would do.
+    alone = [(ratio, parts) for ratio, parts in over if ratio * sum(parts[1:]) > sum(parts)]
+    if edges > 1 or not alone and max(error_px2 / asked.error_px2, metres2 / asked.metres2) > 1:
         return "max_depth"
-    over = [(total_px2 / asked.error_px2, parts_px), (total_metres2 / asked.metres2, parts_m)]
-    over = [(math.sqrt(ratio), parts) for ratio, parts in over if ratio > 1]
     if not over:
-        return "precision" if stretch * stretch * max(excess[1:]) > 1 else ""
+        return "precision" if stretch * stretch * edges > 1 else ""
+    first = 1 if alone else 0
     for count, reason in enumerate(("resampling", "precision"), 2):
-        if any(ratio * sum(parts[:count]) > sum(parts) for ratio, parts in over):
+        if any(ratio * sum(parts[first:count]) > sum(parts) for ratio, parts in alone or over):
             return reason
     return "source"
 
 
-def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float) -> Asked:
-    """What is asked, in spans of a pixel as the kernels measure them; an edge has `edge_scale` of them a pixel."""
+def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float, source: float) -> Asked:
+    """What is asked, in spans of a pixel as the kernels measure them; an edge has `edge_scale` of them a pixel.
+
+    `source`: metres that the source's own heights may be off. An error in metres is asked for as the kernels weigh it
+    with that (`metres2_of`), so that all of it holds.
+    """
     asked = Asked()
 
     def squared(value: float) -> float:
@@ -268,7 +282,8 @@ def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float) -> As
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
     asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * edge_scale)
     asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * edge_scale)
-    asked.metres2 = squared(criterion.error_m * (1 - 2 * MARGIN))
+    left = left_of(criterion.error_m, source)
+    asked.metres2 = squared(min(left + source, 1.25 * left) * (1 - 2 * MARGIN))
     asked.limit = 1.0
     views = views or [LocalView()]
     asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")

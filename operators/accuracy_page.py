@@ -37,7 +37,7 @@ WORDS = (
     "error. *Faces*: angles of triangles to the surface's normals; *shading*: of the normals that are rendered. "
     "*Pareto front* (rings): every setting that costs less, with the same interpolation, has an error that is larger "
     "by a fiftieth at least; fits, which are made once, take part for triangles only. A sweep makes no mesh of more "
-    "than 8 million triangles: beyond it rows are held back by the triangle limit. Steps: *refine* decides and lists "
+    "than 8.4 million triangles: beyond it rows are held back by the triangle limit. Steps: *refine* decides and lists "
     "the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* "
     "Blender's mesh; *engine* is all but ingest, with what lies between its steps."
 )

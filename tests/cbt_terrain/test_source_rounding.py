@@ -63,9 +63,9 @@ FILES = {
 
 
 def most_for(field, asked: float) -> float:
-    """The bound that an update may have: what was asked, where the rounding of the source leaves four fifths of it to
-    the rest, and resampling a quarter of those to the error itself."""
-    left = max(asked - field.source_max, 0.8 * asked)
+    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most,
+    and resampling leaves a quarter of the rest to the error itself."""
+    left = asked - field.source_max if field.source_max <= 0.5 * asked else 0.8 * asked
     return (max(left, field.resample_max + 0.25 * left) + field.source_max) * (1 + 1e-4)
 
 
@@ -131,9 +131,31 @@ def test_a_fit_holds_for_the_heights_before_the_file_rounded_them(tmp_path, shap
 def test_a_fit_that_the_source_keeps_from_the_error_still_needs_fewer_triangles():
     heights = 30.0 * np.sin(np.indices((129, 129)) / 9.0).sum(axis=0)
     field = from_array(heights, 10.0, source_max=0.5)
-    fitted, plain = fit(field, 1.0), Terrain(field).update(Criterion(error_px=0.0, error_m=1.0))
+    fitted, plain = fit(field, 0.9), Terrain(field).update(Criterion(error_px=0.0, error_m=0.9))
     assert fitted.limited == plain.limited == "source" and fitted.rounds > 0
-    assert fitted.triangles < plain.triangles and 1.0 < fitted.bound_m <= 1.3 * (1 + 1e-6)
+    assert fitted.triangles < plain.triangles and 0.9 < fitted.bound_m <= 1.22 * (1 + 1e-6)
+
+
+def test_an_error_of_twice_the_rounding_and_more_holds_in_full():
+    heights = 30.0 * np.sin(np.indices((129, 129)) / 9.0).sum(axis=0)
+    field = from_array(heights, 10.0, source_max=0.5)
+    for asked in (1.0, 1.7, 2.6, 8.0):
+        for update in (fit(field, asked), Terrain(field).update(Criterion(error_px=0.0, error_m=asked))):
+            assert update.limited == "" and 0.6 * asked < update.bound_m <= asked
+
+
+@pytest.mark.parametrize(
+    ("moved", "source", "limited"),
+    [(3.0, 0.0, "resampling"), (0.0, 0.5, "source"), (3.0, 0.5, "resampling"), (0.0, 0.0, "max_depth")],
+)
+def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(moved, source, limited):
+    asked = 0.1
+    field = from_array(30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
+    if moved:
+        field = replace(field, moved=np.full_like(field.error_for(0), moved), resample_max=moved)
+    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked, max_depth=6))
+    assert update.bound_m > asked and update.terms_m.geometric > asked
+    assert update.limited == limited
 
 
 def test_rounded_samples_move_a_bicubic_surface_by_more_than_themselves():

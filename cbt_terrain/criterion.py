@@ -77,12 +77,13 @@ def unit_asked(criterion: Criterion) -> str:
 
 
 def localise(
-    view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float
+    view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float, off: float = 0.0
 ) -> LocalView:
     """The view from the terrain's own space, as the kernels read it.
 
     `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
-    terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view.
+    terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view. What is seen
+    of true heights may be `off` metres of height from the surface; the frustum is wider by that.
     """
     to_camera = view.world_to_camera @ placement
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -95,6 +96,7 @@ def localise(
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * float(np.linalg.norm(stretch * (box[1] - box[0]))), 1e-150)
     planes = frustum_planes(view, criterion.guard_deg) @ to_camera
+    planes[:, 3] += np.abs(planes[:, 2]) * off
     # What rounding could put on the wrong side of a plane is inside.
     planes[:, 3] += 1e-12 * (np.abs(planes[:, :3]) @ np.abs(box).max(axis=0) + np.abs(planes[:, 3]))
     factor = min(criterion.off_screen_factor, LARGEST)

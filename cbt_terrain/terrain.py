@@ -146,7 +146,8 @@ class Terrain:
             off = max(largest_offset(v, placement, rounded) for v in views)
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
-        local = [localise(v, placement, box, criterion, s) for v, s in zip(views, scales, strict=True)]
+        unsure = domain.rounding + domain.source + self.field.resample_max * abs(vertical_scale)
+        local = [localise(v, placement, box, criterion, s, unsure) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
@@ -248,12 +249,12 @@ def _limited(
     `stretch`: of the edges' bounds by rounding, beyond what was allowed for.
     """
     error_px2, total_px2, edge_px2, area_px2, metres2, total_metres2 = bounds
-    if relaxed > 1:
-        return "max_triangles"
     edges = max(edge_px2 / asked.edge_px2, 2 * area_px2 / asked.area_px2)
     over = [(math.sqrt(total_px2 / asked.error_px2), parts_px)]
     over += [(math.sqrt(total_metres2) / error_m, parts_m)] if error_m else []
     over = [(ratio, parts) for ratio, parts in over if ratio > 1]
+    if relaxed > 1:
+        return "max_triangles" if over or edges > 1 else ""
     # What cannot be refined away may be too much alone: then no depth would do.
     alone = [(ratio, parts) for ratio, parts in over if ratio * sum(parts[1:]) > sum(parts)]
     if edges > 1 or not alone and max(error_px2 / asked.error_px2, metres2 / asked.metres2) > 1:

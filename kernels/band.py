@@ -273,7 +273,7 @@ def unmeasured_below(domain: Domain, asked: Asked, band: Band, m: Measured, max_
         long2, legs2 = sizes(asked, domain.unit_bits, band.leaf_depth)
         most.long_px2 = (long2 + m.climb2) / band.fine2
         most.legs_px2 = (legs2 + m.climb2) / band.fine2
-    if band.even_depth > 0:
+    if band.even_depth != 0:
         total = m.own + band.rest
         weighed = smaller(total, WEIGHED * m.own)
         most.px2 = weighed * weighed / band.fine2

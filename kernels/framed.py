@@ -92,8 +92,8 @@ def box_between(
 
 
 @wp.func
-def least_depth(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64:
-    """Metres of depth that whatever is in the box, and `off` metres of height from the frustum at most, has at least.
+def least_depth(view: LocalView, d: Diamond) -> wp.float64:
+    """Metres of depth that whatever is in the box and in the frustum has at least.
 
     Linear programming with one plane of the frustum at a time: for any multiplier that is not negative, the least of
     depth less multiplier times distance from the plane, over the box, is a lower bound (weak duality). It is greatest
@@ -102,12 +102,11 @@ def least_depth(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64:
     found = wp.float64(-wp.inf)
     for p in range(view.plane_count):
         plane = view.planes[p]
-        offset = plane[3] + wp.abs(plane[2]) * off
         for axis in range(3):
             multiplier = view.depth[axis] / plane[axis]
             if multiplier > wp.float64(0.0) and multiplier < wp.float64(wp.inf):
-                least = view.depth[3] - multiplier * offset
-                size = wp.abs(view.depth[3]) + wp.abs(multiplier * offset)
+                least = view.depth[3] - multiplier * plane[3]
+                size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
                 for k in range(3):
                     if k != axis:
                         factor = view.depth[k] - multiplier * plane[k]
@@ -119,11 +118,11 @@ def least_depth(view: LocalView, d: Diamond, off: wp.float64) -> wp.float64:
 
 
 @wp.func
-def finest_framed_in(view: LocalView, d: Diamond, off: wp.float64, clear: wp.int32) -> wp.float64:
+def finest_framed_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
     """As `finest_in`, of what may be in the frustum where a part of the box is."""
     pixel2 = finest_in(view, d, clear)
     if clear == 0 and view.kind == PERSPECTIVE:
-        ahead = least_depth(view, d, off)
+        ahead = least_depth(view, d)
         if ahead > wp.float64(0.0):
             pixel2 = larger(pixel2, view.pixel2 * (ahead * ahead))
     return pixel2
@@ -137,11 +136,10 @@ def finest_framed(
     left: wp.vec2i,
     right: wp.vec2i,
     depth: wp.int32,
-    off: wp.float64,
     clear: wp.int32,
 ) -> wp.float64:
     """Squared metres of the finest pixel that any view has on what it sees of the two triangles at the longest edge
-    from left to right, the diamond's; true heights may be `off` metres from the surface.
+    from left to right, the diamond's.
 
     Both triangles fill a cell, or one each side of an edge along an axis, which may be on the terrain's border. Of a
     triangle's box, not the diamond's, what is below it has no more. `clear`: the frustum is known to hold the diamond.
@@ -161,7 +159,7 @@ def finest_framed(
         inside = east <= domain.columns << domain.unit_bits and north <= domain.rows << domain.unit_bits
         if west >= 0 and south >= 0 and inside:
             box = box_between(domain, d, west, south, east, north, depth)
-            pixel2 = smaller(finest_framed_in(asked.view, box, off, clear), pixel2)
+            pixel2 = smaller(finest_framed_in(asked.view, box, clear), pixel2)
             for v in range(1, asked.view_count):
-                pixel2 = smaller(finest_framed_in(asked.views[v], box, off, clear), pixel2)
+                pixel2 = smaller(finest_framed_in(asked.views[v], box, clear), pixel2)
     return pixel2

@@ -261,10 +261,10 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             if m.metres2 > most.px2 * near2 or m.total2 > most.total_px2 * near2:
                                 seen2 = m.pixel2
                                 if m.metres2 > worst.px2 * near2 or m.total2 > worst.total_px2 * near2:
-                                    off = m.rest + domain.source
-                                    seen2 = finest_framed(
-                                        domain, asked, m.diamond, left, right, depth, off, above.clear
-                                    )
+                                    seen2 = finest_framed(domain, asked, m.diamond, left, right, depth, above.clear)
+                                    if keeps:
+                                        if above.clear == 0:  # the next frustum cuts off another part
+                                            fall = wp.float64(0.0)
                                 most.px2 = larger(most.px2, m.metres2 / seen2)
                                 worst.px2 = larger(worst.px2, m.metres2 / seen2)
                                 most.total_px2 = larger(most.total_px2, m.total2 / seen2)

@@ -11,11 +11,11 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, off: wp.float64, found: wp.array(dtype=wp.float64)):
+def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, found: wp.array(dtype=wp.float64)):
     d = Diamond()
     d.low = low
     d.high = high
-    found[0] = least_depth(view, d, off)
+    found[0] = least_depth(view, d)
 
 
 @wp.kernel

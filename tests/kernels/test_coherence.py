@@ -127,6 +127,24 @@ def test_what_was_kept_does_not_outlive_what_was_asked():
         assert result(flown, *args) == result(Terrain(field, 1), *args), change
 
 
+def test_a_kept_subtree_bounds_what_its_band_leaves_in_doubt():
+    """Edges beside an error: of leaves that depths alone decide, of one depth or another, no error is read."""
+    field = rough(193, 65, 723175170, relief=20.0)
+    criterion = Criterion(error_px=3.0, edge_px=10.0, max_depth=16)
+    world_to_camera = [
+        [-0.262655742907219, -0.9648896106383656, 0.0, 418.7928],
+        [0.8570916667597162, -0.23331171357873948, 0.4593032974821801, -168.8673],
+        [-0.44317697987249816, 0.12063864881991741, 0.8882795060801505, -1254.5498],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+    flown, fresh = Terrain(field, 1), Terrain(field, 1)
+    for zoom in (1.0, 1.0011073):
+        scale = np.diag([0.002067294784540973 * zoom, 0.003675190728072841 * zoom, -2e-7, 1.0])
+        view = View(world_to_camera, scale, (960, 540), ORTHOGRAPHIC, (0.1, 1e7))
+        found = result(flown, criterion, view, 1.0, 0.0)
+    assert taken(flown) > 0 and found == result(fresh, criterion, view, 1.0, 0.0)
+
+
 def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
     """A camera that only turns: spans of what is behind it stay, and only the frustum says that it is seen now."""
     field, criterion = rough(129, 129, 8, relief=20.0), Criterion(error_px=1.0, guard_deg=0.0, max_depth=17)

@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.heightfield import from_array
 from adaptive_terrain.cbt_terrain.refinement import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
-from fields import project, reference_heights, rough, scattered, screen_error
+from fields import mesh_heights, project, reference_heights, rough, scattered, screen_error
 from twins import load
 
 
@@ -33,13 +33,14 @@ def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):
         high = low + rng.random(3) * size
         placement = np.diag([*(10.0 ** rng.uniform(-0.5, 0.5, 3)), 1.0])
         placement[0, 1] = rng.normal() * 0.2
-        local = localise(view, placement, np.array([[-1e4] * 3, [1e4] * 3]), Criterion(guard_deg=0.0), 1.0)
         off = rng.choice([0.0, 0.1, 1.0]) * size * rng.random()
+        local = localise(view, placement, np.array([[-1e4] * 3, [1e4] * 3]), Criterion(guard_deg=0.0), 1.0, off)
+        exact = localise(view, placement, np.array([[-1e4] * 3, [1e4] * 3]), Criterion(guard_deg=0.0), 1.0)
         found = wp.zeros(1, dtype=wp.float64, device="cpu")
-        wp.launch(kernels.depth_of_box, 1, inputs=[local, wp.vec3d(*low), wp.vec3d(*high), off, found], device="cpu")
+        wp.launch(kernels.depth_of_box, 1, inputs=[local, wp.vec3d(*low), wp.vec3d(*high), found], device="cpu")
         points = np.c_[rng.uniform(low, high, (4_000, 3)), np.ones(4_000)]
         true = points + off * rng.uniform(-1, 1, (4_000, 1)) * [0, 0, 1, 0]
-        planes = np.array([[float(local.planes[p, k]) for k in range(4)] for p in range(local.plane_count)])
+        planes = np.array([[float(exact.planes[p, k]) for k in range(4)] for p in range(exact.plane_count)])
         depths = (points @ np.array([float(part) for part in local.depth]))[(true @ planes.T >= 0).all(axis=1)]
         if len(depths) > 100:
             assert depths.min() >= found.numpy()[0]
@@ -80,5 +81,8 @@ def test_low_over_the_ground_a_bound_is_that_of_the_nearest_ground_in_the_frame(
     seen = moved[0][1] & moved[1][1]
     apart = np.linalg.norm(moved[0][0] - moved[1][0], axis=1)[seen].max() / 2
     assert screen_error(view, field, update.surface, plane) <= update.bound_px
+    mesh, _ = project(view, np.c_[plane, mesh_heights(update.surface, plane)])
+    for true, in_frame in moved:
+        assert np.linalg.norm(true - mesh, axis=1)[in_frame].max() <= update.bound_px
     assert apart <= update.bound_px <= 1.0 + 1.6 * apart
     assert update.limited == ("source" if source_max else "")

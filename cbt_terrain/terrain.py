@@ -82,6 +82,7 @@ class Terrain:
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
+        self._stamp: object = None
 
     @property
     def tree(self):
@@ -108,12 +109,16 @@ class Terrain:
         """
         placement = np.eye(4) if placement is None else np.array(placement, np.float64)
         key = (criterion, tuple(v.key() for v in views), placement.tobytes(), vertical_scale, vertical_offset)
-        if key == self._asked_key:
+        if key == self._asked_key and not self._edited():
             return Update(**{**self._last.__dict__, "changed": False, "ms": {}})
         with launch.stopwatch() as ms, launch.timed("total"):
             update = self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
-        self._asked_key, self._last = key, update
+        self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
         return update
+
+    def _edited(self) -> bool:
+        """Whether the tree is another one than the last update left."""
+        return self.tree is None or self.tree.stamp is not self._stamp
 
     def _update(self, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
         box = box_of(self.field, vertical_scale, vertical_offset)
@@ -152,9 +157,10 @@ class Terrain:
         asked.diagonal2, asked.axis2 = lengths
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
+        edited = self._edited()
         leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
         # The same leaves displaced the same way are the same mesh.
-        changed = bool(leaves.changed_words) or shape != shape_key
+        changed = bool(leaves.changed_words) or shape != shape_key or edited
         surface = self._last.surface if self._last else None
         if changed:
             surface = self._builder.build(leaves, domain, criterion.meshlet)

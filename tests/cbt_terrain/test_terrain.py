@@ -79,3 +79,18 @@ def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, step, thr
         assert update.changed and update.leaves == fresh.leaves == terrain.tree.leaf_count
         assert arrays(update.surface) == arrays(fresh.surface) and update.bound_px == fresh.bound_px
         terrain.update(criterion, [views[0]])
+
+
+def test_an_edit_of_the_tree_does_not_outlive_an_update():
+    """The same view again marks its leaves again; leaves that another view will want are no mesh of it yet."""
+    terrain, other, fresh = (Terrain(rough(65, 65), 1) for _ in range(3))
+    criterion = Criterion(error_px=2.0, max_depth=12)
+    a, b = (View.look((x, -300.0, 200.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 60.0))
+    words = [array.copy() for array in (terrain.update(criterion, [a]), terrain.tree.words())[1]]
+    terrain.tree.split(int(terrain.tree.leaves().min()))
+    assert terrain.update(criterion, [a]).changed and not terrain.update(criterion, [a]).changed
+    assert all(map(np.array_equal, terrain.tree.words(), words))
+    other.update(criterion, [b])
+    terrain.tree.mark(*other.tree.words())
+    update = terrain.update(criterion, [b])
+    assert update.changed and arrays(update.surface) == arrays(fresh.update(criterion, [b]).surface)

@@ -213,7 +213,7 @@ class Refinement:
         if self.threads < 2 or leaves < launch.SLICE_ITEMS:
             return [0, end]
         inner = [tree.cell_of_leaf(leaves * i // self.threads) >> 6 << 6 for i in range(1, self.threads)]
-        return [0, *sorted(set(inner) - {0}), end]
+        return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]  # an edited tree may have leaves anywhere
 
     def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[Walk]:
         """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""

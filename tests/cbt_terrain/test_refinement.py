@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain import launch
 from adaptive_terrain.cbt_terrain.bisection import from_tree_id
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -212,10 +213,11 @@ def test_extreme_requests_are_the_finest_and_the_coarsest_mesh():
     finest = Terrain(field, 1).update(Criterion(error_px=1e-12, max_depth=9), [view]).triangles
     for tiny in (1e-300, 1e-45, 1e-38):
         update = Terrain(field, 1).update(Criterion(error_px=tiny, max_depth=9), [view])
-        assert update.triangles == finest and update.limited == "max_depth"
+        assert update.triangles == finest and update.limited == "precision", "no depth would hold it"
         budget = Terrain(field, 1).update(Criterion(error_px=tiny, max_triangles=200), [view])
         assert 100 < budget.triangles <= 200 and budget.limited == "max_triangles"
         assert Terrain(field, 1).update(Criterion(error_px=0, error_m=tiny, max_depth=9)).triangles > 100
+    assert Terrain(field, 1).update(Criterion(error_px=0.1, max_depth=5), [view]).limited == "max_depth"
     for criterion in (Criterion(error_px=1e300), Criterion(error_px=0, edge_px=1e300, off_screen_factor=1e300)):
         assert Terrain(field, 1).update(criterion, [view]).triangles == 2
 
@@ -225,3 +227,17 @@ def test_axes_in_one_plane_are_refused():
     flat[:3, 2] = flat[:3, 0] * (1 + 1e-16)
     with pytest.raises(TerrainError, match="scale|axes"):
         Terrain(rough(9, 9), 1).update(Criterion(), [View.look((0, -100, 50), (0, 0, 0))], flat)
+
+
+def test_an_edited_tree_cuts_nothing_outside_the_squares(monkeypatch):
+    """Three squares in a tree for four, its leaves evenly over all four."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    field, view = rough(65, 193), View.look((0.0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
+    terrain, criterion = Terrain(field, 7), Criterion(error_px=4.0, max_depth=12)
+    assert (field.lattice.squares, field.lattice.square_bits) == (3, 2)
+    terrain.update(criterion, [view])
+    for depth in range(6):
+        terrain.tree.reset(depth)
+        cuts = terrain._refinement._cuts()
+        assert cuts == sorted(set(cuts)) and cuts[0] == 0 and cuts[-1] == 3 << terrain._refinement._cell_bits
+        assert terrain.update(criterion, [view]).leaves == Terrain(field, 1).update(criterion, [view]).leaves

@@ -108,11 +108,11 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
                 least = view.depth[3] - multiplier * plane[3]
                 size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
                 for k in range(3):
+                    reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
+                    size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
                     if k != axis:
                         factor = view.depth[k] - multiplier * plane[k]
-                        reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
                         least += smaller(factor * d.low[k], factor * d.high[k])
-                        size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
                 found = larger(found, least - MARGIN * size)
     return found
 

@@ -31,6 +31,13 @@ def test_a_row_known_to_fall_short_is_held_to_what_was_recorded(recorded):
     assert goals.failures([good, bad]) == [bad]
 
 
+def test_a_row_that_falls_short_by_less_than_the_slack_is_held_to_its_goal(recorded):
+    goal = goals.GOALS["ingest", 1_000_000]
+    recorded["ingest", 1_000_000] = (1.4 * goal, "the writer is slow")
+    good, bad = ingest(1.49 * goal), ingest(1.51 * goal)
+    assert goals.failures([good, bad]) == [bad]
+
+
 class Made:
     """A measurement with made-up ratios, one for each time that it is taken; the last one stays."""
 

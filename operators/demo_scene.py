@@ -50,6 +50,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         bpy.ops.wm.save_as_mainfile(filepath=file)
         settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
         bpy.ops.wm.save_as_mainfile(filepath=file)
+    Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
     return scene, obj
 
 

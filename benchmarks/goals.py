@@ -58,7 +58,7 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_error", 1_000_000): (
         0.6,
         "nine leaves in ten are taken from the last frame; by its profile two fifths of the time look whether they may "
-        "be, and copy them; a quarter measures diamonds of the rest, a tenth compares the tree's words.",
+        "be, and copy them; most of the rest measures diamonds of the others and reads their errors.",
     ),
     ("surface", 1_000_000): (
         0.65,

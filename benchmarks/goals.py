@@ -56,7 +56,7 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("refine_2t", 500_000): (0.31, EDGES),
     ("refine_2t", 1_000_000): (0.2, EDGES),
     ("refine_error", 1_000_000): (
-        0.6,
+        0.62,
         "nine leaves in ten are taken from the last frame; by its profile two fifths of the time look whether they may "
         "be, and copy them; most of the rest measures diamonds of the others and reads their errors.",
     ),

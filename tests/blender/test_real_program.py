@@ -42,6 +42,8 @@ def test_a_geotiff_becomes_a_terrain(scene, dem):
     low, high = dem["heights"].min(), dem["heights"].max()
     assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
     assert path.exists()
+    panel = [label.strip() for label, _ in terrain["panel"]]
+    assert "by the source's rounding" in panel
 
 
 def test_an_exr_becomes_a_terrain(program, dem, tmp_path):

@@ -33,11 +33,16 @@ for file in files:
     start = time.perf_counter()
     assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
     vertices = [v.co.z for v in mesh.vertices]
+    session, panel = (
+        next(module for name, module in sys.modules.items() if name.endswith(f"adaptive_terrain.operators.{part}"))
+        for part in ("session", "statistics_panel")
+    )
     result["terrains"][file] = {
         "import_s": time.perf_counter() - start,
         "triangles": len(mesh.polygons),
         "heights": [min(vertices), max(vertices)],
         "validate": mesh.validate(verbose=True),
+        "panel": panel.statistics_lines(session.record_of(terrain).status),
         "store": bpy.path.abspath(settings.store),
     }
     if len(files) > 1:

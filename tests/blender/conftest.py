@@ -85,8 +85,8 @@ def program(bare_program, extension_zip):
 
 @pytest.fixture(scope="session")
 def dem(tmp_path_factory):
-    """A real DEM (Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it) as GeoTIFF of whole metres and as
-    EXR."""
+    """A real DEM (Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it) as GeoTIFF, also of whole metres,
+    and as EXR."""
     import OpenEXR
     import rasterio
     from matplotlib import cbook
@@ -98,9 +98,12 @@ def dem(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dem")
     west, east, south, north = (float(data[key]) for key in ("xmin", "xmax", "ymin", "ymax"))
     transform = from_bounds(west, south, east, north, columns, rows)
-    profile = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "int16"}
+    profile = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "float32"}
     with rasterio.open(folder / "dem.tif", "w", crs="EPSG:4326", transform=transform, **profile) as tif:
+        tif.write(heights[None])
+    profile["dtype"] = "int16"
+    with rasterio.open(folder / "whole.tif", "w", crs="EPSG:4326", transform=transform, **profile) as tif:
         tif.write(heights[None].astype(np.int16))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Y": heights}).write(str(folder / "dem.exr"))
-    return {"tif": folder / "dem.tif", "exr": folder / "dem.exr", "heights": heights}
+    return {"tif": folder / "dem.tif", "exr": folder / "dem.exr", "whole": folder / "whole.tif", "heights": heights}

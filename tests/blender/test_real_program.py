@@ -42,8 +42,12 @@ def test_a_geotiff_becomes_a_terrain(scene, dem):
     low, high = dem["heights"].min(), dem["heights"].max()
     assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
     assert path.exists()
-    panel = [label.strip() for label, _ in terrain["panel"]]
-    assert "by the source's rounding" in panel
+
+
+def test_the_panel_shows_the_rounding_of_whole_metres(program, dem, tmp_path):
+    said = program.script("import_dem.py", tmp_path / "whole.blend", dem["whole"])
+    [terrain] = said["terrains"].values()
+    assert "by the source's rounding" in [label.strip() for label, _ in terrain["panel"]]
 
 
 def test_an_exr_becomes_a_terrain(program, dem, tmp_path):

@@ -157,16 +157,22 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
 
 
 @wp.func
-def carried(asked: Asked, motion: Motion, kept: Subtree):
-    """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was."""
+def carried(asked: Asked, motion: Motion, kept: Subtree, clear: wp.int32):
+    """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
+
+    `clear`: the frustum is known to hold it.
+    """
     least, most, holds = span_change(asked.view, motion, kept)
     kept.fall = kept.fall + least
     kept.rise = kept.rise - most
     rounded = ROUNDED * kept.coarse
     if not (kept.fall > rounded and kept.rise > rounded and kept.fine + least > rounded):
         holds = 0
-    if holds == 1 and stand_of(asked.view, kept.low, kept.high) != kept.stands:
-        holds = 0
+    if holds == 1:
+        stands = CLEAR
+        if clear == 0:
+            stands = stand_of(asked.view, kept.low, kept.high)
+        holds = wp.where(stands == kept.stands, 1, 0)
     if holds == 1:
         # Pixels grow as spans fall: by most where spans are finest, by least where they are coarsest.
         drift = wp.float64(4.0) * motion.drift

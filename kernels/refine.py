@@ -160,7 +160,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         while kept_cell < at or (kept_cell == at and kept_depth < depth):
                             kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
                         if kept_cell == at and kept_depth == depth:
-                            subtree, holds = carried(asked, w.motion, w.last_kept[kept])
+                            subtree, holds = carried(asked, w.motion, w.last_kept[kept], w.bands[held].clear)
                             # Where one of its leaves may have the most of all, that is found out anew.
                             if holds == 1 and within(subtree.most, worst) and cell >= start and at + size <= w.end_cell:
                                 split = TAKEN

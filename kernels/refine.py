@@ -105,8 +105,10 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         bits = wp.uint64(0)
         worst = Bounds()  # maxima over the leaves
         # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
-        in_metres = wp.vec2f()
-        in_pixels = wp.vec2f()
+        own_in_metres = wp.float32(0.0)
+        moved_in_metres = wp.float32(0.0)
+        own_in_pixels = wp.float32(0.0)
+        moved_in_pixels = wp.float32(0.0)
         # The subtree that is open: where it ends (0: none is), what there was before it, by how much spans may change
         # in it, and what its leaves have at most: never more than the maxima so far.
         end = wp.uint64(0)
@@ -172,8 +174,16 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 else:
                                     fall = smaller(fall, subtree.fall)
                                     rise = smaller(rise, subtree.rise)
-                                    most = joined(most, subtree.most)
-                                n = with_subtree(n, subtree)
+                                    most.px2 = larger(most.px2, subtree.most.px2)
+                                    most.total_px2 = larger(most.total_px2, subtree.most.total_px2)
+                                    most.long_px2 = larger(most.long_px2, subtree.most.long_px2)
+                                    most.legs_px2 = larger(most.legs_px2, subtree.most.legs_px2)
+                                    most.metres2 = larger(most.metres2, subtree.most.metres2)
+                                    most.total2 = larger(most.total2, subtree.most.total2)
+                                n.leaves += wp.int64(subtree.leaves)
+                                n.vertices += wp.int64(subtree.vertices)
+                                n.edges += wp.int64(subtree.edges)
+                                n.words += wp.int64(subtree.words)
                                 taken += wp.int64(subtree.leaves)
                             kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
                 x = (left_x + right_x) >> 1
@@ -232,15 +242,29 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 word = wp.int64(-1)
                                 open_subtree(asked, w, count, at, depth, m)
                                 end = at + size
-                                first = n
+                                first.leaves = n.leaves
+                                first.vertices = n.vertices
+                                first.edges = n.edges
+                                first.words = n.words
                                 fall = w.slack * span
                                 rise = w.slack * span
-                                most = Bounds()
+                                most.px2 = wp.float64(0.0)
+                                most.total_px2 = wp.float64(0.0)
+                                most.long_px2 = wp.float64(0.0)
+                                most.legs_px2 = wp.float64(0.0)
+                                most.metres2 = wp.float64(0.0)
+                                most.total2 = wp.float64(0.0)
                                 most_error = wp.float32(-1.0)
                                 mark += 1
                             if not m.metres2 > asked.limit * asked.metres2:
                                 rise = smaller(rise, turning_span(limits, m) - span)
-                            most = joined(most, unmeasured_below(domain, asked, band, m, w.max_depth))
+                            b = unmeasured_below(domain, asked, band, m, w.max_depth)
+                            most.px2 = larger(most.px2, b.px2)
+                            most.total_px2 = larger(most.total_px2, b.total_px2)
+                            most.long_px2 = larger(most.long_px2, b.long_px2)
+                            most.legs_px2 = larger(most.legs_px2, b.legs_px2)
+                            most.metres2 = larger(most.metres2, b.metres2)
+                            most.total2 = larger(most.total2, b.total2)
                             band.mark = mark
                         band.x = x
                         band.y = y
@@ -270,7 +294,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 most.total_px2 = larger(most.total_px2, m.total2 / seen2)
                                 if m.total2 / seen2 > worst.total_px2:
                                     worst.total_px2 = m.total2 / seen2
-                                    in_pixels = wp.vec2f(error, m.moved)
+                                    own_in_pixels = error
+                                    moved_in_pixels = m.moved
                             if asked.measures_edges == 1:
                                 if long2 > most.long_px2 * near2:
                                     most.long_px2 = larger(most.long_px2, long2 / m.pixel2)
@@ -344,7 +369,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             worst.metres2 = larger(worst.metres2, metres2)
                             if total2 > worst.total2:
                                 worst.total2 = total2
-                                in_metres = wp.vec2f(error, moved)
+                                own_in_metres = error
+                                moved_in_metres = moved
                         room = wp.where(n.leaves < w.leaf_capacity, 1, 0)
                         code = leaf_word(state, depth)
                         if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
@@ -424,7 +450,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
             w.taken[w.slot] = taken
             w.run_counts[w.slot] = runs
             w.point_run_counts[w.slot] = point_runs
-        put_results(w, n, worst, in_pixels, in_metres)
+        in_pixels = wp.vec2f(own_in_pixels, moved_in_pixels)
+        put_results(w, n, worst, in_pixels, wp.vec2f(own_in_metres, moved_in_metres))
 
     walk.__qualname__ = name
     return wp.kernel(walk)

@@ -229,7 +229,6 @@ class Refinement:
             "word_bits": word_bits,
             "stack": get("walk_stack", stacks, wp.vec4i),
             "aside": get("walk_aside", stacks, wp.int32),
-            "errors": get("walk_errors", stacks, wp.float32),
             "bands": get("walk_bands", stacks, Band),
             "remembered": get("walk_remembered", slices * REMEMBERED, Band),
             "blocks": _blocks(),

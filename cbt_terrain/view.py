@@ -132,6 +132,16 @@ class View:
         return cls(matrix, projection, resolution, kind, clip)
 
 
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """The inverse of a float64 [n, n] matrix. Raises numpy's LinAlgError where there is none.
+
+    Column by column: `np.linalg.inv` of numpy 1 has OpenBLAS wake a thread for all of them together, which then spins
+    for a tenth of a second on a core that the kernels need.
+    """
+    size = len(matrix)
+    return np.linalg.solve(np.broadcast_to(matrix, (size, size, size)), np.eye(size)[:, :, None])[:, :, 0].T
+
+
 def _check_resolution(resolution: tuple[float, float]) -> None:
     if not all(0 < pixels <= MAX_PIXELS for pixels in resolution):
         raise TerrainError(f"The resolution is {resolution}; expected 1 to {MAX_PIXELS:,} pixels each way.")

@@ -3,8 +3,6 @@
 
 import warp as wp
 
-from .criterion import larger
-
 wp.set_module_options({"enable_backward": False})
 
 
@@ -18,18 +16,6 @@ class Bounds:
     legs_px2: wp.float64
     metres2: wp.float64  # weighed
     total2: wp.float64
-
-
-@wp.func
-def joined(a: Bounds, b: Bounds) -> Bounds:
-    """Bounds of both sets."""
-    a.px2 = larger(a.px2, b.px2)
-    a.total_px2 = larger(a.total_px2, b.total_px2)
-    a.long_px2 = larger(a.long_px2, b.long_px2)
-    a.legs_px2 = larger(a.legs_px2, b.legs_px2)
-    a.metres2 = larger(a.metres2, b.metres2)
-    a.total2 = larger(a.total2, b.total2)
-    return a
 
 
 @wp.func

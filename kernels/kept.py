@@ -87,16 +87,6 @@ def take(w: Walk, subtree: Subtree, n: Written, runs: wp.int64, point_runs: wp.i
 
 
 @wp.func
-def with_subtree(n: Written, subtree: Subtree) -> Written:
-    """How much is written with the subtree's leaves."""
-    n.leaves += wp.int64(subtree.leaves)
-    n.vertices += wp.int64(subtree.vertices)
-    n.edges += wp.int64(subtree.edges)
-    n.words += wp.int64(subtree.words)
-    return n
-
-
-@wp.func
 def keep_taken(w: Walk, subtree: Subtree, count: wp.int64, n: Written) -> wp.int64:
     """Keep what `take` has copied for the next frame too; returns how many subtrees are kept."""
     if count < w.room:

@@ -27,7 +27,7 @@ from .band import (
     unmeasured_below,
 )
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
-from .bounds import Bounds, joined, within
+from .bounds import Bounds, within
 from .coherence import carried
 from .criterion import (
     Asked,
@@ -62,8 +62,8 @@ from .curve import (
     touches_border,
 )
 from .framed import finest_framed
-from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take, with_subtree
-from .unchecked import corners_at, height_at, number_at, put, put_code, put_corners, put_height, put_pair
+from .kept import close_subtree, flush, keep_taken, next_kept, open_subtree, take
+from .unchecked import corners_at, number_at, put, put_code, put_corners, put_pair
 from .walk_state import STACK, Walk, Written, put_results
 
 wp.set_module_options({"enable_backward": False})
@@ -105,10 +105,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         bits = wp.uint64(0)
         worst = Bounds()  # maxima over the leaves
         # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
-        own_in_metres = wp.float32(0.0)
-        moved_in_metres = wp.float32(0.0)
-        own_in_pixels = wp.float32(0.0)
-        moved_in_pixels = wp.float32(0.0)
+        in_metres = wp.vec2f()
+        in_pixels = wp.vec2f()
         # The subtree that is open: where it ends (0: none is), what there was before it, by how much spans may change
         # in it, and what its leaves have at most: never more than the maxima so far.
         end = wp.uint64(0)
@@ -148,8 +146,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
             top = wp.int32(1)
             w.stack[place] = wp.vec4i(x0 + side, y0 + side, x0, y0 + side)
             w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
-            error = error_at(domain, x0 + (side >> 1), y0 + (side >> 1), 1)
-            w.errors[place] = error
             held = place  # the band that holds here
             w.bands[place] = nothing_certain()
             inside = wp.int32(1)
@@ -174,6 +170,8 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 else:
                                     fall = smaller(fall, subtree.fall)
                                     rise = smaller(rise, subtree.rise)
+                                    # Field by field: what is assigned whole inside of branches, Warp copies after
+                                    # every one of them, taken or not. That was 8 % of the walk.
                                     most.px2 = larger(most.px2, subtree.most.px2)
                                     most.total_px2 = larger(most.total_px2, subtree.most.total_px2)
                                     most.long_px2 = larger(most.long_px2, subtree.most.long_px2)
@@ -193,6 +191,9 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                 right = wp.vec2i(right_x, right_y)
                 above = w.bands[held]
                 below = above.even_depth  # of the band for what is below
+                error = wp.float32(0.0)  # where only depths decide, errors need not be read
+                if above.even_depth == 0 and split == 0:
+                    error = error_at(domain, x, y, depth)
                 own = wp.float64(error) * domain.error_scale
                 known = wp.int32(1)
                 if split == 0:
@@ -294,8 +295,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 most.total_px2 = larger(most.total_px2, m.total2 / seen2)
                                 if m.total2 / seen2 > worst.total_px2:
                                     worst.total_px2 = m.total2 / seen2
-                                    own_in_pixels = error
-                                    moved_in_pixels = m.moved
+                                    in_pixels = wp.vec2f(error, m.moved)
                             if asked.measures_edges == 1:
                                 if long2 > most.long_px2 * near2:
                                     most.long_px2 = larger(most.long_px2, long2 / m.pixel2)
@@ -332,11 +332,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         split = BLOCK
                 if split == 1:
                     depth += 1
-                    near_error = wp.float32(0.0)  # where only depths decide, errors need not be read
-                    next_error = wp.float32(0.0)
                     if below == 0:
-                        near_error = error_at(domain, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1, depth)
-                        next_error = error_at(domain, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1, depth)
                         if leaves_tile(domain, depth):  # the children's children, a step ahead: 65 ns a leaf become 60
                             fetch_ahead(domain, (left_x + x) >> 1, (left_y + y) >> 1, depth + 1)
                             fetch_ahead(domain, (apex_x + x) >> 1, (apex_y + y) >> 1, depth + 1)
@@ -344,8 +340,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                     if cell + (size >> wp.uint64(1)) > start:
                         put_corners(w.stack, place + top, wp.vec4i(x, y, right_x, right_y))
                         put(w.aside, wp.int64(place + top), right_state(state, cell) | (depth << 3) | (held << 9))
-                        put_height(w.errors, place + top, next_error)
-                        error = near_error
                         top += 1
                         state = left_state(state)
                         right_x = apex_x
@@ -354,7 +348,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         state = right_state(state, cell)
                         left_x = apex_x
                         left_y = apex_y
-                        error = next_error
                         cell += size >> wp.uint64(1)
                     apex_x = x
                     apex_y = y
@@ -369,8 +362,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             worst.metres2 = larger(worst.metres2, metres2)
                             if total2 > worst.total2:
                                 worst.total2 = total2
-                                own_in_metres = error
-                                moved_in_metres = moved
+                                in_metres = wp.vec2f(error, moved)
                         room = wp.where(n.leaves < w.leaf_capacity, 1, 0)
                         code = leaf_word(state, depth)
                         if cell == wp.uint64(0):  # the curve enters the square through the upper end of its left side
@@ -438,7 +430,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         right_x = corners[2]
                         right_y = corners[3]
                         put_aside = number_at(w.aside, place + top)
-                        error = height_at(w.errors, wp.int64(place + top))
                         state = put_aside & 7
                         depth = (put_aside >> 3) & 63
                         held = put_aside >> 9
@@ -450,8 +441,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
             w.taken[w.slot] = taken
             w.run_counts[w.slot] = runs
             w.point_run_counts[w.slot] = point_runs
-        in_pixels = wp.vec2f(own_in_pixels, moved_in_pixels)
-        put_results(w, n, worst, in_pixels, wp.vec2f(own_in_metres, moved_in_metres))
+        put_results(w, n, worst, in_pixels, in_metres)
 
     walk.__qualname__ = name
     return wp.kernel(walk)

@@ -43,7 +43,6 @@ class Walk:
     word_bits: wp.array(dtype=wp.uint64)
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
-    errors: wp.array(dtype=wp.float32)
     bands: wp.array(dtype=Band)
     remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
     blocks: Blocks

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from ..cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View, inverse
 
 KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}
 
@@ -145,7 +145,7 @@ def _world_to_camera(camera) -> np.ndarray:
     matrix[:3, :3] /= lengths
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-6:
         raise TerrainError(f"The camera {camera.name!r} is sheared flat; expected three different axes.")
-    return np.linalg.inv(matrix)
+    return inverse(matrix)
 
 
 def _radians_per_pixel(data, resolution: tuple[int, int]) -> float:

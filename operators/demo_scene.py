@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ..cbt_terrain.view import inverse
 from . import session
 from .console import quiet
 from .demo_materials import HAZE, Nodes, land_material, level_material, plain_material, sea_material
@@ -62,7 +63,7 @@ def _add_camera(scene, path, frames: range):
     camera.rotation_mode = "QUATERNION"
     for frame in frames:
         view = path.view(frame, (1, 1))
-        matrix = Matrix(np.linalg.inv(view.world_to_camera).tolist())
+        matrix = Matrix(inverse(view.world_to_camera).tolist())
         camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
         camera.data.angle = 2 * math.atan(1 / view.projection[0, 0])
         camera.keyframe_insert("location", frame=frame)

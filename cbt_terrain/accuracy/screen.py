@@ -24,7 +24,7 @@ from ...kernels.accuracy import screen as screen_kernels
 from .. import launch
 from ..buffers import shared
 from ..errors import TerrainError
-from ..view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
+from ..view import KINDS, ORTHOGRAPHIC, PANORAMIC, View, inverse
 from .mesh import Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
@@ -90,7 +90,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     to_terrain[:2, 3] = g.west, g.south
     matrix = view.world_to_camera @ np.asarray(placement, np.float64) @ to_terrain
     try:
-        back = np.linalg.inv(matrix)
+        back = inverse(matrix)
     except np.linalg.LinAlgError:
         back = np.full((4, 4), np.inf)
     if not np.isfinite(matrix).all() or not np.isfinite(back).all():

@@ -42,11 +42,6 @@ def put_corners(a: wp.array(dtype=wp.vec4i), i: wp.int32, value: wp.vec4i):
 
 
 @wp.func
-def put_height(a: wp.array(dtype=wp.float32), i: wp.int32, value: wp.float32):
-    a[i] = value
-
-
-@wp.func
 def corners_at(a: wp.array(dtype=wp.vec4i), i: wp.int32) -> wp.vec4i:
     return a[i]
 

@@ -19,7 +19,6 @@ from .unchecked import (
     put,
     put_code,
     put_corners,
-    put_height,
     put_pair,
     put_word,
 )
@@ -47,7 +46,7 @@ def pass_all(
         put_code(codes, to, code_at(codes, wp.int64(k)) + wp.uint16(k))
         put(numbers, to, number_at(numbers, k) - k)
         put_word(entries, words, to, entry_at(entries, k) + wp.int64(k), wp.uint64(number_at(numbers, k + 1)))
-        put_height(heights, 2 * count + k, height_at(heights, wp.int64(k)) * wp.float32(k))
+        heights[2 * count + k] = height_at(heights, wp.int64(k)) * wp.float32(k)
         put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
         put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)

@@ -10,6 +10,7 @@ from . import (
     bake_terrain,
     command_line,
     export_terrain,
+    freed_memory,
     handlers,
     import_terrain,
     live,
@@ -58,3 +59,4 @@ def unregister() -> None:
     for module in reversed(MODULES):
         module.unregister()
     session.clear()
+    freed_memory.let_go()

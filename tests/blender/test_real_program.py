@@ -59,6 +59,13 @@ def test_an_exr_becomes_a_terrain(program, dem, tmp_path):
     assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
 
 
+def test_freed_pages_are_held_and_given_back(program):
+    """The program's allocator is jemalloc, that of the bpy module glibc's."""
+    found = program.script("freed_pages.py")
+    assert found["held"] < 0.02 * found["before"] and found["again"] < 0.02 * found["before"], found
+    assert found["after"] > 0.5 * found["before"] > 100, found
+
+
 def test_command_line_exports_frames(program, scene, tmp_path):
     export = ["--command", "adaptive_terrain", "export", "--scene", scene[0], "--frames", "1-3", "--format", "npz,ply"]
     program.run(*export, "--out", tmp_path)

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an allocator makes of memory that is freed: page faults of large arrays that come and go.
+
+Imported by a test of the bpy module and, as a script, by the real Blender program, which has another allocator.
+"""
+
+import resource
+
+import numpy as np
+
+ARRAYS, BYTES, PAGE = 8, 12 << 20, 4096  # a mesh of a million triangles
+
+
+def faults() -> int:
+    """Page faults while arrays are allocated, touched and freed, when as many were freed just before."""
+    _touch_arrays()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    _touch_arrays()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+def _touch_arrays() -> None:
+    for array in [np.empty(BYTES, np.uint8) for _ in range(ARRAYS)]:
+        array[::PAGE] = 1
+
+
+def measured(memory) -> dict[str, int]:
+    """Faults before memory is held by `memory` (operators/freed_memory.py), meanwhile and after, and held again."""
+    found = {"before": faults()}
+    memory.hold()
+    found["held"] = faults()
+    memory.let_go()
+    found["after"] = faults()
+    memory.hold()
+    found["again"] = faults()
+    memory.let_go()
+    return found

@@ -13,6 +13,7 @@ from ..kernels import weld as weld_kernels
 from ..kernels import weld_state
 from ..kernels.criterion import Domain
 from ..kernels.smooth import displace as smooth_kernels
+from ..kernels.tree import Run, Runs
 from . import launch
 from .buffers import Buffers, bind
 from .meshlet_template import template
@@ -47,6 +48,15 @@ class Surface:
         return self.corner_verts.reshape(-1, 3)
 
 
+@dataclass(frozen=True)
+class _Meshlets:
+    """What a surface of meshlets is made of."""
+
+    domain: Domain
+    leaves: int
+    inner: int  # the first point that is inside of a leaf
+
+
 class SurfaceBuilder:
     """Builds surfaces in memory of its own: once that is large enough, a build allocates no array."""
 
@@ -57,22 +67,34 @@ class SurfaceBuilder:
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
         self._recorded: dict = {}
-        self._shown: Leaves | None = None  # whose points the positions are of
+        self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
+        self._inner_runs = Runs()
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
         slices = leaves.counts.tolist()
         triangles, vertices, edges, _ = (sum(column) for column in zip(*slices, strict=True))
-        prefix = "leaf_"
-        self._weld_slices(leaves, domain, triangles, vertices, edges)
-        # Points lie slice by slice; those of meshlets in one row.
-        parts, point = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)], "point"
+        shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
         if meshlet:
-            triangles, vertices, edges = self._expand(parts, triangles, vertices, edges, meshlet)
-            prefix, parts, point = "mesh_", [(0, vertices)], "mesh_point"
-        taking = leaves.after is not None and leaves.after is self._shown
-        self._displace(parts, domain, vertices, point, leaves if taking else None)
-        self._shown = None if meshlet else leaves
+            self._buffers.swap("leaf_level", "last_leaf_level")
+        self._weld_slices(leaves, domain, triangles, vertices, edges)
+        prefix, point, slots = "leaf_", "point", None
+        # Points lie slice by slice; those of meshlets in one row, what is inside of leaves last.
+        parts = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)]
+        showing = leaves
+        if meshlet:
+            t = template(meshlet)
+            showing = _Meshlets(domain, triangles, vertices + edges * (t.segments - 1))
+            if t.inner_points and isinstance(shown, _Meshlets) and shown.domain is domain:
+                slots = self._take_inside(shown, showing, t.inner_points)
+            triangles, vertices, edges = self._expand(parts, triangles, vertices, edges, t)
+            prefix, point = "mesh_", "mesh_point"
+            parts = [(0, showing.inner), (showing.inner, vertices - showing.inner)]
+        elif shown is not None and leaves.after is shown:
+            slots = self._take_points(leaves)
+        pieces = self._pieces(vertices) if meshlet or len(parts) == 1 else 1
+        self._displace(parts, pieces, domain, point, slots)
+        self._shown = showing
         memory = self._buffers.numpy
         return Surface(
             memory("positions")[:vertices],
@@ -117,10 +139,10 @@ class SurfaceBuilder:
             launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld", recorded=self._recorded)
 
     def _expand(
-        self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, meshlet: int
+        self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, t: meshlet_kernels.Template
     ) -> tuple[int, int, int]:
-        """Every leaf to 4**meshlet triangles; returns how many triangles, vertices and edges there are."""
-        get, t, coarse, fine = self._buffers.get, template(meshlet), self._coarse, self._fine
+        """Every leaf to the template's triangles; returns how many triangles, vertices and edges there are."""
+        get, coarse, fine = self._buffers.get, self._coarse, self._fine
         n = t.segments
         triangles = leaves * t.triangles
         all_vertices = vertices + edges * (n - 1) + leaves * t.inner_points
@@ -144,33 +166,53 @@ class SurfaceBuilder:
         launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=self._recorded)
         return triangles, all_vertices, all_edges
 
-    def _displace(
-        self, parts: list[tuple[int, int]], domain: Domain, vertices: int, point: str, taking: Leaves | None
-    ) -> None:
-        """Positions, normals and uv of points that lie in parts (base, count).
+    def _take_points(self, leaves: Leaves) -> list[int]:
+        """Have the points of leaves that were taken from the last frame copied; returns each slice's list of runs."""
+        before = leaves.after
+        self._take(leaves.taken, before.base, np.cumsum([0, *before.counts[:-1, 1]]))
+        return leaves.slots.tolist()
 
-        `taking`: leaves some of whose points are those that the positions are of, if there are any.
+    def _take_inside(self, before: "_Meshlets", now: "_Meshlets", points: int) -> list[int]:
+        """As `_take_points`, of what is inside of leaves that are in both, so many points each; returns the list of all
+        other points and that of these."""
+        get, runs = self._buffers.get, self._inner_runs
+        room = min(before.leaves, now.leaves)
+        bind(runs, runs=get("inner_runs", room, Run), counts=get("inner_run_counts", 1, wp.int64), room=room, lists=1)
+        levels = [get(name, 1, wp.int32) for name in ("last_leaf_level", "leaf_level")]
+        inputs = [before.leaves, now.leaves, *levels, before.inner, now.inner, points, runs.runs, runs.counts]
+        launch.once(meshlet_kernels.points_that_stay, inputs, step="meshlets", recorded=self._recorded)
+        nothing = np.zeros(1, np.int64)
+        self._take(runs, nothing, nothing)
+        return [1, 0]
+
+    def _take(self, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
+        """Have runs of points copied from the last frame, in which slices' points lie from `base` on and have numbers
+        from `first` on."""
+        for name in DISPLACED:
+            self._buffers.swap(name, "last_" + name)
+        get = self._buffers.get
+        bind(
+            self._points,
+            taken=runs,
+            last_base=self._table("last_slice_base", base, wp.int64),
+            last_vertex=self._table("last_slice_vertex", first, wp.int64),
+            last_slices=len(base),
+            last_positions=get("last_positions", 1, wp.vec3f),
+            last_normals=get("last_normals", 1, wp.vec3f),
+            last_uv=get("last_uv", 1, wp.vec2f),
+        )
+
+    def _displace(
+        self, parts: list[tuple[int, int]], pieces: int, domain: Domain, point: str, slots: list[int] | None
+    ) -> None:
+        """Positions, normals and uv of points that lie in parts (base, count), each part in so many pieces.
+
+        `slots`: each part's list of the runs that are copied from the last frame; None where nothing is.
         """
-        get, p = self._buffers.get, self._points
-        if taking:
-            for name in DISPLACED:
-                self._buffers.swap(name, "last_" + name)
-            before = taking.after
-            first = np.cumsum([0, *before.counts[:-1, 1]])
-            bind(
-                p,
-                taken=taking.taken,
-                last_base=self._table("last_slice_base", before.base, wp.int64),
-                last_vertex=self._table("last_slice_vertex", first, wp.int64),
-                last_slices=len(before.base),
-                last_positions=get("last_positions", 1, wp.vec3f),
-                last_normals=get("last_normals", 1, wp.vec3f),
-                last_uv=get("last_uv", 1, wp.vec2f),
-            )
-        else:
+        get, p, vertices = self._buffers.get, self._points, sum(n for _, n in parts)
+        if slots is None:
             bind(p, taken=no_runs())
-        slots = taking.slots.tolist() if taking else [0] * len(parts)
-        pieces = self._pieces(vertices) if len(parts) == 1 else 1
+            slots = [0] * len(parts)
         bind(
             p,
             point=get(point, 0, wp.vec2i),

@@ -10,9 +10,12 @@ each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 
 
 import warp as wp
 
+from .tree import Run
 from .unchecked import look_up, look_up_pairs, number_row, pair_at, put_pair
 
 wp.set_module_options({"enable_backward": False})
+
+DEEPEST = wp.constant(34)  # MAX_TREE_DEPTH
 
 
 @wp.struct
@@ -139,3 +142,52 @@ def expand(
         look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)
         look_up(t.sides, c * odd, c, numbers, lines, out.corner_edges, c * leaf)
         number_row(out.level, leaf * t.triangles, t.triangles, level + t.levels, 0)
+
+
+@wp.kernel
+def points_that_stay(
+    before: wp.int32,
+    now: wp.int32,
+    last_level: wp.array(dtype=wp.int32),
+    level: wp.array(dtype=wp.int32),
+    last_first: wp.int32,
+    first: wp.int32,
+    points: wp.int32,
+    runs: wp.array(dtype=Run),
+    count: wp.array(dtype=wp.int64),
+):
+    """Runs of the points inside of leaves, so many each, that are in both of two meshes, and how many runs there are.
+
+    Levels in curve order say where a leaf begins, and with that all of it. `last_first` and `first` are the numbers of
+    the first such point. One serial thread.
+    """
+    i = wp.int32(0)
+    j = wp.int32(0)
+    end_i = wp.int64(0)  # of the leaf at hand, along the curve
+    end_j = wp.int64(0)
+    found = wp.int64(0)
+    goes_on = wp.bool(False)  # the run of the leaf before
+    if now > 0 and before > 0:
+        end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
+        end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])
+    while i < now and j < before:
+        stays = end_i == end_j and level[i] == last_level[j]
+        if stays:
+            if not goes_on:
+                runs[found].first = wp.int64(first) + wp.int64(points) * wp.int64(i)
+                runs[found].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
+                runs[found].count = wp.int64(0)
+                found += wp.int64(1)
+            runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
+        goes_on = stays
+        next_i = end_i <= end_j
+        next_j = end_j <= end_i
+        if next_i:
+            i += 1
+            if i < now:
+                end_i += wp.int64(1) << wp.int64(DEEPEST - level[i])
+        if next_j:
+            j += 1
+            if j < before:
+                end_j += wp.int64(1) << wp.int64(DEEPEST - last_level[j])
+    count[0] = found

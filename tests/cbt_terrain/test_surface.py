@@ -2,6 +2,7 @@
 """Displacement against numpy, meshlets against their definition, the welded arrays against their contract."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,31 +106,47 @@ def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkey
     assert updates[-1].surface.positions.nbytes > 80_000 and peaks[-1] < 20_000 < peaks[0]
 
 
-def flown(field, threads=2):
-    """A terrain after three frames of a slow flight, and the views of the next ones."""
+def flown(field, meshlet=0, threads=2):
+    """A terrain after three frames of a slow flight, what it was asked for, and the views of the next ones."""
     terrain, views = Terrain(field, threads), [View.look((0.1 * n, -400.0, 120.0), (0, 0, 0)) for n in range(6)]
+    asked = Criterion(error_px=0.2, meshlet=meshlet)
     for view in views[:3]:
-        terrain.update(Criterion(error_px=0.2), [view])
-    return terrain, views[3:]
+        terrain.update(asked, [view])
+    return terrain, asked, views[3:]
 
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-def test_points_that_stay_are_not_displaced_again(interpolation, monkeypatch):
+@pytest.mark.parametrize("meshlet", [0, 1, 3])
+def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkeypatch):
     """Positions that change unseen between two frames stay changed where points were taken from the last frame."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field = rough(129, 129).interpolated(interpolation)
-    terrain, views = flown(field)
+    terrain, asked, views = flown(field, meshlet)
     terrain._buffers.numpy("positions")[:, 2] += 1000.0
-    heights = terrain.update(Criterion(error_px=0.2), [views[0]]).surface.positions[:, 2]
-    fresh = Terrain(field, 1).update(Criterion(error_px=0.2), [views[0]]).surface.positions[:, 2]
+    heights = terrain.update(asked, [views[0]]).surface.positions[:, 2]
+    fresh = Terrain(field, 1).update(asked, [views[0]]).surface.positions[:, 2]
     raised = heights > 500.0
-    assert 0.5 < raised.mean() < 1.0
+    # 4 triangles for a leaf have no point inside of it
+    assert raised.mean() == 0 if meshlet == 1 else 0.2 < raised.mean() < 1.0
     assert np.array_equal(heights, np.where(raised, fresh + np.float32(1000.0), fresh))
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_flights_of_meshlets_are_those_of_single_frames(meshlet, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    field = rough(65, 129)
+    terrain, asked, views = flown(field, meshlet)
+    again = replace(asked, meshlet=2 - meshlet)
+    for view in views:
+        for criterion in (asked, asked, again):
+            assert arrays(terrain.update(criterion, [view]).surface) == arrays(
+                Terrain(field, 1).update(criterion, [view]).surface
+            )
 
 
 def test_an_interrupted_displacement_is_no_ones_last_frame(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    terrain, views = flown(rough(129, 129))
+    terrain, asked, views = flown(rough(129, 129))
 
     slices = launch.slices
 
@@ -140,9 +157,9 @@ def test_an_interrupted_displacement_is_no_ones_last_frame(monkeypatch):
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(launch, "slices", stopped)
-        terrain.update(Criterion(error_px=0.2), [views[0]])
+        terrain.update(asked, [views[0]])
     for name in ("positions", "last_positions"):
         terrain._buffers.numpy(name)[:] = np.nan
-    again = terrain.update(Criterion(error_px=0.2), [views[1]]).surface
-    fresh = Terrain(rough(129, 129), 1).update(Criterion(error_px=0.2), [views[1]]).surface
+    again = terrain.update(asked, [views[1]]).surface
+    fresh = Terrain(rough(129, 129), 1).update(asked, [views[1]]).surface
     assert arrays(again) == arrays(fresh)

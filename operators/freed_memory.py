@@ -4,7 +4,7 @@
 Blender frees a mesh's arrays and allocates the next one's, 80 MB for a million triangles. Its allocator gives what is
 freed back to the system, which then has to clear and to map every page anew: writing a mesh takes 38 ms with glibc and
 48 ms with jemalloc (what Blender's programs use on Linux) where it takes 18 ms and 20 ms in pages that were held. So
-both are told to hold what is freed, and to go on as before soon after the last mesh.
+both are told to hold what is freed, and to go on as before soon after the last mesh, or when a render begins.
 """
 
 import ctypes

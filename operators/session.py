@@ -17,10 +17,11 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.store import open_store
 from ..cbt_terrain.terms import Terms
 from ..cbt_terrain.terrain import Terrain
+from . import freed_memory
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
-from .request import VIEWPORT, Request, gather
+from .request import RENDER, VIEWPORT, Request, gather
 
 
 @dataclasses.dataclass
@@ -199,6 +200,8 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms
+    if mode == RENDER:  # a render needs the memory, and takes longer than fresh pages do
+        freed_memory.let_go()
     record.status = Status(
         mode=mode,
         request=request,

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("bpy")
 
-from adaptive_terrain.operators import freed_memory  # noqa: E402
+from adaptive_terrain.operators import freed_memory, session  # noqa: E402
 
 SCRIPT = """
 import json, sys
@@ -28,6 +28,17 @@ def test_freed_pages_are_held_and_given_back():
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["held"] < 0.02 * found["before"] and found["again"] < 0.02 * found["before"], found
     assert found["after"] > 0.5 * found["before"] > 100, found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the allocators of other systems are left alone")
+def test_a_live_mesh_holds_freed_memory_and_a_render_gives_it_back(scene, add_terrain, monkeypatch):
+    monkeypatch.setattr(freed_memory, "LARGE", 1)
+    terrain = add_terrain()
+    freed_memory.let_go()
+    session.update_object(terrain)
+    assert freed_memory._let_go is not None
+    session.update_object(terrain, mode="RENDER")
+    assert freed_memory._let_go is None
 
 
 def test_memory_is_given_back_when_no_mesh_came_for_a_while(monkeypatch):

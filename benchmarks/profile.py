@@ -135,7 +135,7 @@ def _outside(library: str, symbol: str) -> str:
 def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callable[[], object], tuple[str, ...]]]:
     """Row, size, which scene of it, seconds, the work, and the kernels that count (none named: everything counts)."""
     from ..operators.frame_sources import need_bpy
-    from . import cycles, cycles_frame, engine, in_blender, scale, scenes
+    from . import cycles, cycles_frame, engine, in_blender, scenes
 
     flat, rough = scenes.flat(), scenes.rough()
     walk = KERNELS_OF_REFINEMENT
@@ -149,9 +149,7 @@ def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callabl
     for depth in (engine.DEPTHS[0], engine.DEPTHS[-1]):
         flight = engine.flight_at(flat, engine.DEPTHS[0], depth)
         yield "depth", engine.DEPTH_SIZE, f"depth {depth}", SECONDS, _lap(flight), walk
-    need_bpy("A profile of the rows scale_ingest and cycles")
-    for size in (scale.SIZES[0], scale.SIZES[-1]):
-        yield "scale_ingest", size, "", SECONDS, in_blender.writers(rough, size)[0], ()
+    need_bpy("A profile of the rows cycles")
     store = in_blender.keep(rough, folder / "rough")
     for mode in (cycles.EDGE, cycles.ERROR):
         render, triangles = _renders(*cycles_frame.render_scene(mode, str(store), "", cycles.PIXEL))

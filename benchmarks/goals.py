@@ -74,8 +74,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("cycles_edge", ANY_SIZE): (
         2.3,
-        "our bound holds for the longest edge of every triangle and takes 19 million of them; by the profile three "
-        "fifths of the time are Cycles' tree of so many, a sixth the system's pages for it.",
+        "our bound holds for the longest edge of every triangle and takes 19 million of them; by the profile two "
+        "thirds of the time are Cycles' tree of so many.",
     ),
     ("cycles_edge_memory", ANY_SIZE): (3.7, "the same 19 million triangles."),
     ("cycles_error", ANY_SIZE): (

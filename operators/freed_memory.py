@@ -34,15 +34,19 @@ def hold() -> None:
     _last = time.monotonic()
     if _let_go is None:
         _let_go = _hold_jemalloc() or _hold_glibc()
-        if not bpy.app.background:
+        if _let_go is not None and not bpy.app.background:
             bpy.app.timers.register(_tick, first_interval=IDLE_S, persistent=True)
 
 
 def let_go() -> None:
     """Give back what is held, and let the allocator do as before."""
-    global _let_go
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
+    _give_back()
+
+
+def _give_back() -> None:
+    global _let_go
     if _let_go is not None:
         _let_go()
     _let_go = None
@@ -52,7 +56,7 @@ def _tick() -> float | None:
     """A timer: seconds until it is to be called again, None for never."""
     left = _last + IDLE_S - time.monotonic()
     if left <= 0:
-        let_go()
+        _give_back()
     return left if left > 0 else None
 
 

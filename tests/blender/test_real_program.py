@@ -62,7 +62,7 @@ def test_an_exr_becomes_a_terrain(program, dem, tmp_path):
 def test_freed_pages_are_held_and_given_back(program):
     """The program's allocator is jemalloc, that of the bpy module glibc's."""
     found = program.script("freed_pages.py")
-    assert found["held"] < 0.02 * found["before"] and found["again"] < 0.02 * found["before"], found
+    assert max(found["held"], found["again"]) < 0.1 * found["before"], found
     assert found["after"] > 0.5 * found["before"] > 100, found
 
 

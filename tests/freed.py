@@ -12,8 +12,8 @@ ARRAYS, BYTES, PAGE = 8, 12 << 20, 4096  # a mesh of a million triangles
 
 
 def faults() -> int:
-    """Page faults while arrays are allocated, touched and freed, when as many were freed just before: the fewest of some
-    times, because other threads of the process have faults too."""
+    """Page faults while arrays are allocated, touched and freed, when as many were freed just before: the fewest of
+    some times, because other threads of the process have faults too."""
     found = []
     for _ in range(5):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -25,7 +25,7 @@ from .tree import ConcurrentBinaryTree
 # Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
 PLANE_BITS = 23
 # Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
-MAX_TREE_DEPTH = 34
+MAX_TREE_DEPTH = curve.DEEPEST
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 MAX_MESHLET = 4

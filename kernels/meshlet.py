@@ -10,12 +10,11 @@ each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 
 
 import warp as wp
 
+from .curve import DEEPEST
 from .tree import Run
 from .unchecked import look_up, look_up_pairs, number_row, pair_at, put_pair
 
 wp.set_module_options({"enable_backward": False})
-
-DEEPEST = wp.constant(34)  # MAX_TREE_DEPTH
 
 
 @wp.struct
@@ -158,8 +157,8 @@ def points_that_stay(
 ):
     """Runs of the points inside of leaves, so many each, that are in both of two meshes, and how many runs there are.
 
-    Levels in curve order say where a leaf begins, and with that all of it. `last_first` and `first` are the numbers of
-    the first such point. One serial thread.
+    Levels in curve order say where a leaf begins, and with that all of it; of two that overlap, those of one level are
+    the same. `last_first` and `first` are the numbers of the first such point. One serial thread.
     """
     i = wp.int32(0)
     j = wp.int32(0)
@@ -171,7 +170,7 @@ def points_that_stay(
         end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
         end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])
     while i < now and j < before:
-        stays = end_i == end_j and level[i] == last_level[j]
+        stays = level[i] == last_level[j]
         if stays:
             if not goes_on:
                 runs[found].first = wp.int64(first) + wp.int64(points) * wp.int64(i)

@@ -12,7 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
-from . import accuracy_report, live, measuring, session
+from . import accuracy_report, freed_memory, live, measuring, session
 from .request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
@@ -55,6 +55,7 @@ def on_frame_change(scene, depsgraph) -> None:
 
 @persistent
 def on_render_pre(scene, _unused=None) -> None:
+    freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
 
 

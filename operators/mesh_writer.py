@@ -13,7 +13,7 @@ from ..cbt_terrain import launch
 from ..cbt_terrain.buffers import shared
 from ..cbt_terrain.errors import TerrainError
 from ..kernels import ingest
-from . import freed_memory, mesh_memory
+from . import mesh_memory
 from .mesh_cleanup import clean_up
 
 UV_LAYER = "UVMap"
@@ -73,8 +73,6 @@ def _check_writable(mesh) -> None:
 def _write_geometry(mesh, surface) -> None:
     """Everything but the shading."""
     triangles = len(surface.level)
-    if triangles >= freed_memory.LARGE:
-        freed_memory.hold()
     mesh.clear_geometry()
     mesh.vertices.add(len(surface.positions))
     mesh.edges.add(len(surface.edges))

@@ -59,4 +59,4 @@ def unregister() -> None:
     for module in reversed(MODULES):
         module.unregister()
     session.clear()
-    freed_memory.let_go()
+    freed_memory.unregister()

@@ -21,7 +21,7 @@ from . import freed_memory
 from .mesh_writer import write_mesh, write_mesh_bmesh
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
-from .request import RENDER, VIEWPORT, Request, gather
+from .request import VIEWPORT, Request, gather
 
 
 @dataclasses.dataclass
@@ -190,6 +190,8 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
     ms = dict(update.ms)
     if written:
         start = time.perf_counter()
+        if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
+            freed_memory.hold()
         record.shown = None
         how = {"smooth": request.smooth, "overlay": record.overlay}
         if request.cleanup.active:
@@ -200,8 +202,6 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms
-    if mode == RENDER:  # a render needs the memory, and takes longer than fresh pages do
-        freed_memory.let_go()
     record.status = Status(
         mode=mode,
         request=request,

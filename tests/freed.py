@@ -32,9 +32,9 @@ def measured(memory) -> dict[str, int]:
     found = {"before": faults()}
     memory.hold()
     found["held"] = faults()
-    memory.let_go()
+    memory.give_back()
     found["after"] = faults()
     memory.hold()
     found["again"] = faults()
-    memory.let_go()
+    memory.give_back()
     return found

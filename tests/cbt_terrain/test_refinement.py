@@ -241,3 +241,17 @@ def test_an_edited_tree_cuts_nothing_outside_the_squares(monkeypatch):
         cuts = terrain._refinement._cuts()
         assert cuts == sorted(set(cuts)) and cuts[0] == 0 and cuts[-1] == 3 << terrain._refinement._cell_bits
         assert terrain.update(criterion, [view]).leaves == Terrain(field, 1).update(criterion, [view]).leaves
+
+
+def test_threads_share_the_curve_by_cost(monkeypatch):
+    """Where the last slices cost 3 to 1 a leaf, the next cut is within the first of them."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    field, view = rough(65, 129), View.look((0.0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
+    terrain = Terrain(field, 2)
+    leaves = terrain.update(Criterion(error_px=1.0), [view]).leaves
+    refinement = terrain._refinement
+    for costs, share in (((3, 1), 1 / 3), ((1, 3), 2 / 3), ((1, 1), 1 / 2)):
+        half = leaves // 2
+        refinement._last.work = np.array([half, leaves - half]), np.array(costs) * half
+        _, cut, _ = refinement._cuts()
+        assert cut == refinement.tree.cell_of_leaf(int(share * leaves)) >> 6 << 6

@@ -131,22 +131,23 @@ def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkey
     assert np.array_equal(heights, np.where(raised, fresh + np.float32(1000.0), fresh))
 
 
-@pytest.mark.parametrize("meshlet", [0, 2])
-def test_flights_of_meshlets_are_those_of_single_frames(meshlet, monkeypatch):
+def test_meshlets_that_follow_others_are_those_of_a_single_frame(monkeypatch):
+    """Another level, another scale, a frame without meshlets: nothing of the last frame fits then."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field = rough(65, 129)
-    terrain, asked, views = flown(field, meshlet)
-    again = replace(asked, meshlet=2 - meshlet)
-    for view in views:
-        for criterion in (asked, asked, again):
-            assert arrays(terrain.update(criterion, [view]).surface) == arrays(
-                Terrain(field, 1).update(criterion, [view]).surface
-            )
+    terrain, asked, views = flown(field, meshlet=2)
+    for meshlet, scale in ((2, 1.0), (2, 1.0), (3, 1.0), (3, 2.0), (3, 2.0), (0, 2.0), (2, 2.0), (2, 2.0), (1, 2.0)):
+        criterion = replace(asked, meshlet=meshlet)
+        views.append(View.look((0.1 * len(views), -400.0, 120.0), (0, 0, 0)))
+        flown_one = terrain.update(criterion, [views[-1]], vertical_scale=scale).surface
+        single = Terrain(field, 1).update(criterion, [views[-1]], vertical_scale=scale).surface
+        assert arrays(flown_one) == arrays(single), (meshlet, scale)
 
 
-def test_an_interrupted_displacement_is_no_ones_last_frame(monkeypatch):
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_an_interrupted_displacement_is_no_ones_last_frame(meshlet, monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    terrain, asked, views = flown(rough(129, 129))
+    terrain, asked, views = flown(rough(129, 129), meshlet)
 
     slices = launch.slices
 
@@ -157,7 +158,7 @@ def test_an_interrupted_displacement_is_no_ones_last_frame(monkeypatch):
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(launch, "slices", stopped)
-        terrain.update(asked, [views[0]])
+        terrain.update(asked, [View.look((60.0, -300.0, 100.0), (0, 0, 0))])
     for name in ("positions", "last_positions"):
         terrain._buffers.numpy(name)[:] = np.nan
     again = terrain.update(asked, [views[1]]).surface

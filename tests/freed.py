@@ -8,7 +8,8 @@ import resource
 
 import numpy as np
 
-ARRAYS, BYTES, PAGE = 8, 12 << 20, 4096  # a mesh of a million triangles
+# Larger than what glibc keeps in its heap by itself, where it may happen to stay.
+ARRAYS, BYTES, PAGE = 3, 40 << 20, 4096
 
 
 def faults() -> int:

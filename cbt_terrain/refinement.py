@@ -218,7 +218,9 @@ class Refinement:
         if self.threads < 2 or leaves < launch.SLICE_ITEMS:
             return [0, end]
         shares = np.arange(1, self.threads) / self.threads
-        ends, costs = ([0, leaves],) * 2 if self._last is None else (np.cumsum([0, *of]) for of in self._last.work)
+        ends = costs = np.array([0, leaves])
+        if self._last is not None:
+            ends, costs = (np.cumsum([0, *of]) for of in self._last.work)
         at = np.interp(shares * costs[-1], costs, ends).astype(np.int64)
         inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) >> 6 << 6 for leaf in at.tolist()]
         return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]  # an edited tree may have leaves anywhere

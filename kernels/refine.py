@@ -171,7 +171,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                     fall = smaller(fall, subtree.fall)
                                     rise = smaller(rise, subtree.rise)
                                     # Field by field: what is assigned whole inside of branches, Warp copies after
-                                    # every one of them, taken or not. That was 8 % of the walk.
+                                    # every one of them, taken or not. That was 7 % of the walk.
                                     most.px2 = larger(most.px2, subtree.most.px2)
                                     most.total_px2 = larger(most.total_px2, subtree.most.total_px2)
                                     most.long_px2 = larger(most.long_px2, subtree.most.long_px2)

@@ -15,11 +15,11 @@ from functools import cache
 
 import bpy
 
-# Fewer triangles lie in arrays that allocators hold by themselves.
+# Fewer triangles have less than 2,000 pages, a microsecond each.
 LARGE = 100_000
 IDLE_S = 5.0  # after the last mesh
 
-# <malloc.h> of glibc. Its own thresholds grow to 32 MB and twice that; before 2.35 it takes none that is larger.
+# <malloc.h> of glibc. Its own thresholds grow to 32 MB and twice that; older ones take none that is larger.
 _TRIM, _MMAP = -1, -3
 _HELD, _MMAP_LIMIT, _TRIM_LIMIT = 1 << 30, 32 << 20, 64 << 20
 _FOREVER_MS = -1

@@ -10,6 +10,7 @@ _NUMPY = {
     wp.vec4i: (np.int32, 4),
     wp.vec2f: (np.float32, 2),
     wp.vec3f: (np.float32, 3),
+    wp.vec3d: (np.float64, 3),
 }
 
 

@@ -241,6 +241,7 @@ class Refinement:
             "aside": get("walk_aside", stacks, wp.int32),
             "bands": get("walk_bands", stacks, Band),
             "remembered": get("walk_remembered", slices * REMEMBERED, Band),
+            "limits": get("walk_limits", stacks, wp.vec3d),
             "blocks": _blocks(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
             "counts": get("counts", slices * 4, wp.int64),

@@ -30,6 +30,11 @@ wp.set_module_options({"enable_backward": False})
 REMEMBER_BITS = wp.constant(10)
 REMEMBERED = wp.constant(1 << 10)  # diamonds that a walk remembers: 8 in 10 of those that it meets again
 NOT_SPLIT = wp.constant(-1)
+# Instead of an even depth, where only depths decide: which ones is in doubt, or may be found without measuring, since
+# the frustum holds the ground and its squared range of heights is at most LEVEL of the squared edges of its leaves.
+IN_DOUBT = wp.constant(-1)
+LEVEL_GROUND = wp.constant(-2)
+LEVEL = wp.constant(wp.float64(0.1))
 WEIGHED = wp.constant(wp.float64(5.0))  # times its own error, at most: see `metres2_of`
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
@@ -76,7 +81,7 @@ class Band:
     rest: wp.float64  # metres of error that cannot be refined away, at most; the source's rounding too
     split_depth: wp.int32  # above it edges ask for a split; or NOT_SPLIT
     leaf_depth: wp.int32  # from it on they do not
-    even_depth: wp.int32  # where only depths decide and in no doubt: the leaves'; -1: in doubt; 0: errors count
+    even_depth: wp.int32  # where only depths decide and in no doubt: the leaves'; see IN_DOUBT; 0: errors count
     clear: wp.int32  # the frustum holds the box
     mark: wp.int32  # in which subtree it was measured (kernels/coherence.py)
     x: wp.int32  # the diamond's split vertex
@@ -261,7 +266,14 @@ def band_below(
         band.split_depth = splits_below(asked, depth, max_depth, m.long2, m.legs2, coarse2)
         band.clear = inside
         if calm:
-            band.even_depth = wp.where(band.split_depth == band.leaf_depth, band.leaf_depth, -1)
+            band.even_depth = IN_DOUBT
+            if band.split_depth == band.leaf_depth:
+                band.even_depth = band.leaf_depth
+            elif inside == 1:
+                height = m.diamond.high[2] - m.diamond.low[2]
+                long2, _legs2 = sizes(asked, domain.unit_bits, band.leaf_depth)
+                if height * height <= LEVEL * long2:
+                    band.even_depth = LEVEL_GROUND
     return band
 
 

@@ -8,7 +8,7 @@ from .bounds import Bounds
 from .coherence import CROSSED, Subtree, stand_of
 from .criterion import Asked, coarsest
 from .tree import Run
-from .unchecked import copy_codes, copy_points, copy_words, put_word
+from .unchecked import copy_codes, copy_points, copy_words
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})
@@ -32,16 +32,6 @@ def next_kept(w: Walk, kept: wp.int64):
         depth = w.last_kept[i].depth
         leaves = w.last_kept[i].leaves
     return i, cell, depth, leaves
-
-
-@wp.func
-def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64:
-    """Write the word of the tree that is at hand, if there is one (not -1); returns how many words there are."""
-    if word >= wp.int64(0):
-        if words < w.leaf_capacity:
-            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
-        words += wp.int64(1)
-    return words
 
 
 @wp.func

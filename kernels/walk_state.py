@@ -8,6 +8,7 @@ from .block import Blocks
 from .bounds import Bounds
 from .coherence import Motion, Subtree
 from .tree import Run
+from .unchecked import put_word
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,6 +46,7 @@ class Walk:
     aside: wp.array(dtype=wp.int32)
     bands: wp.array(dtype=Band)
     remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
+    limits: wp.array(dtype=wp.vec3d)  # from entry slot * STACK on, of each depth: kernels/footprint.py
     blocks: Blocks
     # Coherence from frame to frame: see kernels/kept.py.
     slack: wp.float64  # the part by which spans of a pixel may change before what a band says is in doubt
@@ -68,6 +70,16 @@ class Walk:
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
     bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py
+
+
+@wp.func
+def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64:
+    """Write the word of the tree that is at hand, if there is one (not -1); returns how many words there are."""
+    if word >= wp.int64(0):
+        if words < w.leaf_capacity:
+            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
+        words += wp.int64(1)
+    return words
 
 
 @wp.func

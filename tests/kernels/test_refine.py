@@ -87,6 +87,7 @@ def measuring_all(tmp_path):
         (limits, "\n        ".join(lines)),
         (met, "if met.x == -2:"),
         ("if kept_cell <= at:", "if kept_cell == -1:"),
+        ("if below == LEVEL_GROUND", "if below == 1 << 30"),
     ]
     for here, there in changes:
         assert source.count(here) == 1
@@ -104,20 +105,71 @@ def test_bands_and_blocks_decide_as_measuring_does(kind, measuring_all, monkeypa
     assert [updated(*scene) for scene in scenes(kind)] == fast
 
 
+def level_scenes() -> list[tuple]:
+    """Ground that hardly rises, seen from near and far, edges and areas asked for."""
+    rng, found = np.random.default_rng(23), []
+    for k in range(60):
+        shape = SHAPES[k % 4] if k % 3 else (129, 129)
+        slope = (0.0, 0.003, 0.03)[k % 3]
+        z = np.add.outer(np.arange(shape[0]) * slope, np.arange(shape[1]) * -slope)
+        z[:, : shape[1] // 2] += (0.0, 1e-4, 3.0)[k // 2 % 3] * rng.standard_normal((shape[0], shape[1] // 2))
+        field = from_array(z.astype(np.float32), *10 ** rng.uniform(-1, 3, 2))
+        size = (field.lattice.width * field.lattice.step_x, field.lattice.height * field.lattice.step_y)
+        kind = ("PERSPECTIVE", PANORAMIC)[k // 4 % 2]
+        view = View.look(
+            rng.uniform(-0.6, 0.6, 3) * [*size, 10 ** rng.uniform(-3, 0.3) * max(size)],
+            rng.uniform(-0.5, 0.5, 3) * [*size, 0],
+            kind=kind,
+            **({"fov_deg": 360} if kind == PANORAMIC else {}),
+        )
+        px = float(10 ** rng.uniform(0.3, 2))
+        asked = ({"edge_px": px}, {"area_px": px**2}, {"edge_px": px, "area_px": 0.3 * px**2})[k % 3]
+        limits = {"max_triangles": int(rng.choice([500, 60_000])), "max_depth": [None, 7, 14][rng.integers(3)]}
+        found.append((field, Criterion(error_px=0.0, **asked, **limits), [view], float(rng.choice([1.0, -2.0, 0.0]))))
+    return found
+
+
+def test_level_ground_is_walked_as_measuring_does(measuring_all, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    fast = [updated(*scene) for scene in level_scenes()]
+    monkeypatch.setattr(refinement, "kernels", measuring_all)
+    assert [updated(*scene) for scene in level_scenes()] == fast
+
+
+def codes(terrain: Terrain, view: View, edge_px: float, monkeypatch) -> np.ndarray:
+    """Words of the leaves, which nothing is made of: they may be wrong."""
+    surface = Terrain(terrain.field, 1).update(Criterion(error_px=8.0), [view]).surface
+    monkeypatch.setattr(terrain._builder, "build", lambda *_: surface)
+    leaves = terrain.update(Criterion(error_px=0.0, edge_px=edge_px), [view]).leaves
+    return terrain._buffers.numpy("code")[:leaves].copy()
+
+
+def test_level_ground_has_a_walk_of_its_own(tmp_path, monkeypatch):
+    """What that walk writes shows: with another depth in its words, others come out."""
+    folder = Path(kernels.__file__).parent
+    source = (folder / "level_ground.py").read_text()
+    assert source.count("wp.uint16(word))") == 1
+    (tmp_path / "wrong_ground.py").write_text(source.replace("wp.uint16(word))", "wp.uint16(word ^ wp.uint32(4096)))"))
+    load("wrong_ground", tmp_path / "wrong_ground.py")
+    source = (folder / "refine.py").read_text()
+    (tmp_path / "wrong_refine.py").write_text(source.replace("from .level_ground", "from .wrong_ground"))
+    view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
+    field = from_array(np.zeros((257, 257), np.float32))
+    right = codes(Terrain(field, 1), view, 80.0, monkeypatch)
+    monkeypatch.setattr(refinement, "kernels", load("wrong_refine", tmp_path / "wrong_refine.py"))
+    assert (codes(Terrain(field, 1), view, 80.0, monkeypatch) != right).mean() > 0.5
+
+
 def test_even_ground_comes_from_blocks(monkeypatch):
     """What the table holds shows in the mesh: with another state in it, another mesh would come out."""
     view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
-    terrain = Terrain(from_array(np.zeros((257, 257), np.float32)), 1)
-    update = terrain.update(Criterion(error_px=0.0, edge_px=20.0), [view])
-    code = terrain._buffers.numpy("code")[: update.leaves].copy()
+    field = from_array(np.zeros((257, 257), np.float32))
+    right = codes(Terrain(field, 1), view, 4.0, monkeypatch)
     table = refinement._blocks().code.numpy()
     kept = table.copy()
     try:
         table[:] ^= 0x1000  # a bit of the depth
-        other = Terrain(terrain.field, 1)
-        monkeypatch.setattr(other._builder, "build", lambda leaves, *_: update.surface)
-        other.update(Criterion(error_px=0.0, edge_px=20.0), [view])
-        changed = other._buffers.numpy("code")[: update.leaves] != code
+        changed = codes(Terrain(field, 1), view, 4.0, monkeypatch) != right
     finally:
         table[:] = kept
     assert changed.mean() > 0.25

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The walk through a subtree on level ground, where only edge lengths ask and no error is news.
+
+A loop of its own for what is most of a plain: a diamond takes a fifth of the instructions that measuring takes, and
+nothing is remembered for its other triangle. Nanoseconds a leaf with it and without, over flat ground: 14 and 39 at
+50,000 leaves, 4 and 13.5 at 1 M.
+"""
+
+import warp as wp
+
+from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
+from .criterion import Asked, Domain, diamond_at, finest, larger, sizes, too_coarse
+from .curve import HYP_LEG, leaf_word, left_state, right_state
+from .footprint import Plan, heights_between, limits_at, most_below, put_limits, spans
+from .unchecked import corners_at, number_at, put, put_code, put_corners, put_pair
+from .walk_state import STACK, Walk, Written, flush
+
+wp.set_module_options({"enable_backward": False})
+
+# Instead of being split as a triangle of the walk: two leaves at once, or more of them, from a table.
+PAIR = wp.constant(2)
+BLOCK = wp.constant(3)
+INSIDE = wp.constant(wp.uint64(1))  # a cell other than the square's first
+
+
+@wp.func
+def put_leaf(w: Walk, leaf: wp.int64, vertex: wp.int64, word: wp.uint32, apex: wp.vec2i, right: wp.vec2i):
+    """Write a leaf's word and its new vertex, which stays only if it is new."""
+    put_code(w.code, w.leaf_base + leaf, wp.uint16(word))
+    new = right
+    if (word & wp.uint32(6)) == wp.uint32(HYP_LEG):
+        new = apex
+    put_pair(w.point, w.leaf_base + vertex, new)
+
+
+@wp.func
+def walk_level_ground(
+    domain: Domain,
+    asked: Asked,
+    w: Walk,
+    plan: Plan,
+    n: Written,
+    longest_px2: wp.float64,
+    largest_px2: wp.float64,
+    tree_word: wp.int64,
+    tree_bits: wp.uint64,
+    first_cell: wp.uint64,
+    left: wp.vec2i,
+    apex: wp.vec2i,
+    right: wp.vec2i,
+    first_state: wp.int32,
+    first_depth: wp.int32,
+    leaf_depth: wp.int32,
+    bottom: wp.int32,
+):
+    """Refine a triangle whose cells fill neither end of the slice and nothing of the square's border.
+
+    longest_px2, largest_px2: maxima so far. tree_word, tree_bits: the word of the tree at hand. first_cell: of all
+    squares in a row. leaf_depth: from it on nothing is split. bottom: the first free entry of the stacks.
+    Returns what is written then, the word of the tree with its bits, and the maxima.
+    """
+    x = (left[0] + right[0]) >> 1
+    y = (left[1] + right[1]) >> 1
+    ground = diamond_at(domain, x, y, first_depth)
+    heights = heights_between(asked, plan, ground.low[2], ground.high[2])
+    climb2 = ground.rise * ground.rise
+    limits = w.slot * STACK
+    climb = climb2 * put_limits(domain, asked, longest_px2, largest_px2, w.max_depth, w.limits, limits)
+    leaves = n.leaves
+    vertices = n.vertices
+    words = n.words
+    word = tree_word
+    bits = tree_bits
+    cell = first_cell
+    depth = first_depth
+    state = first_state
+    ends = wp.min(leaf_depth, w.max_depth + 1)  # from this depth on there are only leaves, and no new maxima
+    left_x = left[0]
+    left_y = left[1]
+    apex_x = apex[0]
+    apex_y = apex[1]
+    right_x = right[0]
+    right_y = right[1]
+    top = bottom
+    inside = wp.int32(1)
+    while inside == 1 and leaves <= w.leaf_limit:
+        split = wp.int32(0)
+        x = (left_x + right_x) >> 1
+        y = (left_y + right_y) >> 1
+        if depth < ends:
+            limit = limits_at(w.limits, limits + depth)
+            least, most = spans(plan, heights, x, y, limit[0])
+            if most < limit[1]:
+                split = 1
+            elif not least >= limit[2] + climb:
+                d = diamond_at(domain, x, y, depth)
+                pixel2 = finest(asked, d, 1)
+                long2, legs2 = sizes(asked, domain.unit_bits, depth)
+                long2 += d.rise * d.rise
+                legs2 += d.rise * d.rise
+                split = wp.int32(depth < w.max_depth and too_coarse(asked, pixel2, wp.float64(0.0), long2, legs2))
+                if split == 0 and (long2 > longest_px2 * pixel2 or legs2 > largest_px2 * pixel2):
+                    longest_px2 = larger(longest_px2, long2 / pixel2)
+                    largest_px2 = larger(largest_px2, legs2 / pixel2)
+                    climbs = put_limits(domain, asked, longest_px2, largest_px2, w.max_depth, w.limits, limits)
+                    climb = climb2 * climbs
+            if split == 1:
+                while ends > depth + 1 and least >= limits_at(w.limits, limits + ends - 1)[2] + climb:
+                    ends -= 1
+                if ends == depth + 1:
+                    split = PAIR
+                elif ends <= w.max_depth and ends - depth <= MAX_BISECTIONS and w.cell_bits - depth >= 6:
+                    if most_below(plan, heights, x, y, limit[0]) < limits_at(w.limits, limits + ends - 1)[1]:
+                        split = BLOCK
+        if split == 1:
+            depth += 1
+            put_corners(w.stack, top, wp.vec4i(x, y, right_x, right_y))
+            put(w.aside, wp.int64(top), right_state(state, INSIDE) | (depth << 3) | (ends << 9))
+            top += 1
+            state = left_state(state)
+            right_x = apex_x
+            right_y = apex_y
+            apex_x = x
+            apex_y = y
+        else:
+            size = wp.uint64(1) << wp.uint64(w.cell_bits - depth)
+            if split == BLOCK:
+                levels = ends - depth
+                even = wp.int64(1) << wp.int64(levels)
+                words = flush(w, words, word, bits)
+                word = wp.int64(-1)
+                if leaves + even <= w.leaf_capacity:
+                    write_block(
+                        w.blocks,
+                        state,
+                        levels,
+                        wp.vec2i(left_x, left_y),
+                        wp.vec2i(apex_x, apex_y),
+                        wp.vec2i(right_x, right_y),
+                        wp.uint16(leaf_word(0, ends)),
+                        w.code,
+                        w.leaf_base + leaves,
+                        w.point,
+                        w.leaf_base + vertices,
+                    )
+                    words += wp.int64(write_words(cell, size, levels, w.word_index, w.word_bits, w.leaf_base + words))
+                leaves += even
+                vertices += wp.int64(new_vertices(w.blocks, state, levels))
+            else:
+                if wp.int64(cell >> wp.uint64(6)) != word:
+                    words = flush(w, words, word, bits)
+                    word = wp.int64(cell >> wp.uint64(6))
+                    bits = wp.uint64(0)
+                bits = bits | (wp.uint64(1) << (cell & wp.uint64(63)))
+                if split == PAIR:
+                    second = cell + (size >> wp.uint64(1))
+                    if wp.int64(second >> wp.uint64(6)) != word:
+                        words = flush(w, words, word, bits)
+                        word = wp.int64(second >> wp.uint64(6))
+                        bits = wp.uint64(0)
+                    bits = bits | (wp.uint64(1) << (second & wp.uint64(63)))
+                    state_0 = left_state(state)
+                    state_1 = right_state(state, INSIDE)
+                    vertex_1 = vertices + wp.int64(1 - (state_0 & 1))
+                    if leaves + wp.int64(1) < w.leaf_capacity:
+                        middle = wp.vec2i(x, y)
+                        word_0 = leaf_word(state_0, depth + 1)
+                        word_1 = leaf_word(state_1, depth + 1)
+                        put_leaf(w, leaves, vertices, word_0, middle, wp.vec2i(apex_x, apex_y))
+                        put_leaf(w, leaves + wp.int64(1), vertex_1, word_1, middle, wp.vec2i(right_x, right_y))
+                    vertices = vertex_1 + wp.int64(1 - (state_1 & 1))
+                    leaves += wp.int64(2)
+                else:
+                    if leaves < w.leaf_capacity:
+                        corner = wp.vec2i(apex_x, apex_y)
+                        put_leaf(w, leaves, vertices, leaf_word(state, depth), corner, wp.vec2i(right_x, right_y))
+                    vertices += wp.int64(1 - (state & 1))
+                    leaves += wp.int64(1)
+            cell += size
+            if top == bottom:
+                inside = 0
+            else:
+                top -= 1
+                left_x = right_x
+                left_y = right_y
+                corners = corners_at(w.stack, top)
+                apex_x = corners[0]
+                apex_y = corners[1]
+                right_x = corners[2]
+                right_y = corners[3]
+                put_aside = number_at(w.aside, top)
+                state = put_aside & 7
+                depth = (put_aside >> 3) & 63
+                ends = put_aside >> 9
+    after = Written()
+    after.leaves = leaves
+    after.vertices = vertices
+    after.edges = n.edges + (leaves - n.leaves) + (vertices - n.vertices)
+    after.words = words
+    return after, word, bits, longest_px2, largest_px2

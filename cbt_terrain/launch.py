@@ -57,12 +57,15 @@ def together(jobs: Sequence[Callable[[], None]]) -> None:
     """Run the jobs side by side, the first on the calling thread; the first exception is raised after all have
     ended."""
     global _pool
-    if len(jobs) > 1 and _pool is None:
+    if len(jobs) < 2:
+        for job in jobs:
+            job()
+        return
+    if _pool is None:
         _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="adaptive_terrain")
     futures = [_pool.submit(job) for job in jobs[1:]]
     try:
-        if jobs:
-            jobs[0]()
+        jobs[0]()
     finally:
         _wait_for(futures)
     for future in futures:

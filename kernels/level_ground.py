@@ -27,9 +27,7 @@ INSIDE = wp.constant(wp.uint64(1))  # a cell other than the square's first
 def put_leaf(w: Walk, leaf: wp.int64, vertex: wp.int64, word: wp.uint32, apex: wp.vec2i, right: wp.vec2i):
     """Write a leaf's word and its new vertex, which stays only if it is new."""
     put_code(w.code, w.leaf_base + leaf, wp.uint16(word))
-    new = right
-    if (word & wp.uint32(6)) == wp.uint32(HYP_LEG):
-        new = apex
+    new = wp.where((word & wp.uint32(6)) == wp.uint32(HYP_LEG), apex, right)
     put_pair(w.point, w.leaf_base + vertex, new)
 
 

@@ -29,6 +29,8 @@ from .profiles import (
     DISPLACE,
     ERRORS,
     FILE,
+    FOOTPRINT,
+    GROUND,
     KEPT,
     LEAF,
     MERGED,
@@ -56,17 +58,24 @@ CALLED = {
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
     **dict.fromkeys(("band_below", "remembered_at", "not_split"), BAND),
+    **dict.fromkeys(("plan_of", "heights_between", "put_limits", "limits_at", "spans", "most_below"), FOOTPRINT),
     **dict.fromkeys(("next_kept", "carried", "within", "take", "keep_taken"), KEPT),
     **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
     **dict.fromkeys(("write_block", "write_words", "new_vertices"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
-    **dict.fromkeys(("is_apart", "is_whole", "leaf_word", "flush", "end_of_entry", "third_edge"), LEAF),
+    **dict.fromkeys(
+        ("is_apart", "is_inside", "is_whole", "leaf_word", "put_leaf", "flush", "end_of_entry", "third_edge"), LEAF
+    ),
     "border_role": LEAF,
 }
+# What is left of functions that call those.
+LOOPS = {"measured_at": PIXEL, "walk_level_ground": GROUND}
 # The walk's own lines, from each of these on, in their order.
 LINES = (
     ("if kept_cell <= at:", KEPT),
     ("x = (left_x + right_x) >> 1", BAND_TEST),
+    ("if below == LEVEL_GROUND", GROUND),
+    ("error = wp.float32(0.0)", BAND_TEST),
     ("memory = wp.int32(0)", BAND),
     ("m = measured_at(", PIXEL),
     ("band = band_below(", BAND),
@@ -94,7 +103,7 @@ def part_of(sample: Sample) -> str:
             return MERGED
         if len(sample.frames) > 1:
             called = [CALLED[name] for _, name, _ in sample.frames[1:] if name in CALLED]
-            return called[0] if called else PIXEL if sample.frames[1][1] == "measured_at" else DESCENT
+            return called[0] if called else LOOPS.get(sample.frames[1][1], DESCENT)
         return walk_part(sample.frames[0][2])
     if module:
         return MODULES.get(module, OTHER)

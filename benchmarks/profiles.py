@@ -9,6 +9,7 @@ DESCENT, BAND_TEST, BAND = "walk: stack and branches", "walk: errors against ban
 ERRORS, BOX, PIXEL = "walk: errors read", "walk: boxes of diamonds", "walk: pixels on a box"
 LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not attributed"
 KEPT = "walk: subtrees kept and taken"
+GROUND, FOOTPRINT = "walk: level ground", "walk: footprints"
 COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"
 SYSTEM, COPY, PYTHON = "the system: memory's pages", "memory copied or cleared", "Python and numpy"
 OUR_WRITER, BLENDER = "our mesh writer's kernels", "Blender"
@@ -24,6 +25,8 @@ MEANING = {
     BAND: "the coarsest pixel on the box and the depths that are certain below it",
     LEAF: "codes, points and the tree's words of single leaves",
     BLOCK: "leaves of even depth copied from a table",
+    GROUND: "subtrees on level ground where only edges ask: stack, branches, what is carried along",
+    FOOTPRINT: "what a pixel spans at a diamond's footprint, held against the limits of its depth",
     KEPT: "what the last frame has found copied, what the next one may copy noted",
     MERGED: "instructions that the compiler made of several lines",
     COUNTERS: "the tree's words compared with the last ones, counters above changed ones",

@@ -3,8 +3,7 @@
 
 Boxes, errors and what resampling moved are nested, so what holds for the diamond holds for those below it. The curve
 meets a diamond twice, once from either triangle; what it was found to be is remembered for the second time, until
-another one takes its place. Nanoseconds a leaf with memory and without: 40.2 and 50.2 at 50,000 leaves of one edge
-length, 14.8 and 17.9 at 1 M, 54.7 and 57.6 at 1 M of one error.
+another one takes its place: 54.7 nanoseconds a leaf with that memory and 57.6 without, for 1 M leaves of one error.
 """
 
 import warp as wp

@@ -43,10 +43,6 @@ class Heights:
     most_depth: wp.float64
 
 
-@wp.func_native("return a.data[i];")
-def limits_at(a: wp.array(dtype=wp.vec3d), i: wp.int32) -> wp.vec3d: ...
-
-
 @wp.func
 def plan_of(domain: Domain, asked: Asked, max_depth: wp.int32) -> Plan:
     """The first view's."""

@@ -11,8 +11,8 @@ import warp as wp
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import Asked, Domain, diamond_at, finest, larger, sizes, too_coarse
 from .curve import HYP_LEG, leaf_word, left_state, right_state
-from .footprint import Plan, heights_between, limits_at, most_below, put_limits, spans
-from .unchecked import corners_at, number_at, put, put_code, put_corners, put_pair
+from .footprint import Plan, heights_between, most_below, put_limits, spans
+from .unchecked import corners_at, limits_at, number_at, put, put_code, put_corners, put_pair
 from .walk_state import STACK, Walk, Written, flush
 
 wp.set_module_options({"enable_backward": False})

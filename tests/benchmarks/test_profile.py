@@ -11,7 +11,19 @@ from pathlib import Path
 
 import pytest
 from adaptive_terrain.benchmarks import goals, profile, profiles, sampling
-from adaptive_terrain.benchmarks.profiles import BLOCK, BOX, COPY, DESCENT, LEAF, MERGED, OTHER, SYSTEM, WELD
+from adaptive_terrain.benchmarks.profiles import (
+    BLOCK,
+    BOX,
+    COPY,
+    DESCENT,
+    FOOTPRINT,
+    GROUND,
+    LEAF,
+    MERGED,
+    OTHER,
+    SYSTEM,
+    WELD,
+)
 from adaptive_terrain.benchmarks.sampling import Sample
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.kernels import refine
@@ -56,6 +68,9 @@ def test_a_sample_belongs_to_one_part():
     assert profile.part_of(in_walk(line=line_of("put_code(w.code"))) == LEAF
     assert profile.part_of(in_walk(line=line_of("top -= 1"))) == DESCENT
     assert profile.part_of(in_walk(line=line_of("created = new_vertices("))) == BLOCK
+    assert profile.part_of(in_walk("walk_level_ground")) == GROUND
+    assert profile.part_of(in_walk(line=line_of("n.edges = after.edges"))) == GROUND
+    assert profile.part_of(in_walk("walk_level_ground", "spans")) == FOOTPRINT
     assert profile.part_of(Sample("refine.walk")) == MERGED
     assert profile.part_of(Sample("weld_border.weld_border")) == WELD
     assert profile.part_of(Sample(library="[kernel.kallsyms]", symbol="clear_page_erms")) == SYSTEM

@@ -52,6 +52,11 @@ def number_at(a: wp.array(dtype=wp.int32), i: wp.int32) -> wp.int32:
 
 
 @wp.func
+def limits_at(a: wp.array(dtype=wp.vec3d), i: wp.int32) -> wp.vec3d:
+    return a[i]
+
+
+@wp.func
 def put_word(
     index: wp.array(dtype=wp.int64), bits: wp.array(dtype=wp.uint64), i: wp.int64, word: wp.int64, value: wp.uint64
 ):

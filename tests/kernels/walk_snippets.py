@@ -12,6 +12,7 @@ from .unchecked import (
     count_same_words,
     entry_at,
     height_at,
+    limits_at,
     number_at,
     number_words,
     pair_at,
@@ -36,6 +37,7 @@ def pass_all(
     heights: wp.array(dtype=wp.float32),
     pairs: wp.array(dtype=wp.vec2i),
     corners: wp.array(dtype=wp.vec4i),
+    limits: wp.array(dtype=wp.vec3d),
 ):
     """Write entries 2 * count .. 3 * count - 1 of every array one by one from those before, then further ones in rows.
 
@@ -48,6 +50,7 @@ def pass_all(
         put_word(entries, words, to, entry_at(entries, k) + wp.int64(k), wp.uint64(number_at(numbers, k + 1)))
         heights[2 * count + k] = height_at(heights, wp.int64(k)) * wp.float32(k)
         put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
+        limits[2 * count + k] = limits_at(limits, k) * wp.float64(0.5)
         put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)

@@ -127,9 +127,9 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._step = 0
-        # Two sets that take turns, as the tree's streams do: setting arrays of a struct costs as much as launches.
+        # Two sets that take turns, as the tree's streams do: setting arrays and structs costs as much as launches.
         self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
-        self._recorded: dict = {}
+        self._recorded: tuple[dict, dict] = {}, {}
         self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
         self._last: Walked | None = None
 
@@ -178,7 +178,7 @@ class Refinement:
                     walk.slack = SLACK
                 walk.motion = self._motion
             kernel = kernels.keeping_walk if keeps else kernels.walk
-            launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded)
+            launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None
@@ -202,7 +202,7 @@ class Refinement:
 
         def count(step: int) -> int:
             asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget", recorded=self._recorded)
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget", recorded=self._recorded[0])
             return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum())
 
         self._step = _lowest(count, max_leaves, self._step)
@@ -319,7 +319,7 @@ class Refinement:
         self.tree = tree
         if last:
             last.stamp = tree.stamp
-        self._walk_structs = self._walk_structs[::-1]
+        self._walk_structs, self._recorded = self._walk_structs[::-1], self._recorded[::-1]
         return changed
 
     def _listed(self, runs: Runs, name: str) -> Runs:

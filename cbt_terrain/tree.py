@@ -69,7 +69,7 @@ class ConcurrentBinaryTree:
         self._counters = [shared(self._block_counts, wp.uint16), *longs]
         self._words = WordStreams()
         self._edited: dict[int, dict[int, int]] = {}  # blocks that `split` and `merge` lay over the words
-        self._recorded: dict = {}
+        self._recorded: tuple[dict, dict] = {}, {}  # for either of the two streams
         self.reset()
 
     # Count: O(1)
@@ -202,7 +202,8 @@ class ConcurrentBinaryTree:
         parts = [(int(first), int(count)) for first, count in parts if count]
         self._words.link(parts)
         inputs = [*self._words.next(), *self._words.now(), *self._counters, runs or no_runs()]
-        launch.once(reduce_changed, inputs, step="mark", recorded=self._recorded)
+        launch.once(reduce_changed, inputs, step="mark", recorded=self._recorded[0])
+        self._recorded = self._recorded[::-1]
         self._words.advance(parts)
         self._stamp = object()
         return int(self._changed[0])

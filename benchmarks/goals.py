@@ -58,8 +58,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("surface", 1_000_000): (
         0.5,
-        "from minute to minute 0.33 to 0.52: half of it is the refinement for an error, as above, on two threads; the rest is welding and displacement, "
-        "with normals and uv, most of that the latency of reading samples.",
+        "from minute to minute 0.33 to 0.52: half of it is the refinement for an error, as above, on two threads; the "
+        "rest is welding and displacement, with normals and uv, most of that the latency of reading samples.",
     ),
     ("depth", 500_000): (
         1.75,

@@ -17,6 +17,7 @@ from ..kernels.criterion import Asked, Domain
 from ..kernels.tree import Run, Runs
 from ..kernels.walk_state import STACK, Walk
 from . import launch
+from .budget import Budget, limit_of
 from .buffers import Buffers, bind, shared
 from .coherence import MOST_DRIFT, Walked, move
 from .heightfield import HeightField
@@ -31,11 +32,6 @@ DEPTH_BELOW_CELLS = 8
 MAX_MESHLET = 4
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
 MAX_TRIANGLES = 1 << 26
-# A budget relaxes what was asked in steps of 2^(1/32): finer ones would only cost more counting walks.
-STEPS_PER_OCTAVE = 32
-MAX_STEP = 160 * STEPS_PER_OCTAVE
-# Octaves of leaves for an octave of error, on most ground: only how soon a budget is found depends on it.
-LEAVES_PER_ERROR = 1.2
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
 SLACK = 0.05
 # What a leaf costs that is taken from the last frame, of one that is found anew: 8 ns of 91, by a fit to flights of
@@ -126,14 +122,15 @@ class Refinement:
         self.tree: ConcurrentBinaryTree | None = None
         self._cell_bits = 0
         self._capacity = 4096
-        self._step = 0
+        self._budget = Budget(self.lattice, buffers, threads)
+        self._step: int | None = None  # of the last refinement, None before the first
         # Two sets that take turns, as the tree's streams do: setting arrays and structs costs as much as launches.
         self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
         self._recorded: tuple[dict, dict] = {}, {}
         self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
         self._last: Walked | None = None
 
-    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> tuple[Leaves, float]:
+    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, budget: bool = False):
         """Refine from the roots to at most `max_leaves` and mark the tree.
 
         Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
@@ -143,12 +140,17 @@ class Refinement:
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
-        asked.limit, walks = 1.0, None
-        if self._step == 0:
-            walks, counts = self._walk(domain, asked, max_depth, max_leaves)
-        if walks is None:
-            self._relax(domain, asked, max_depth, max_leaves)
-            walks, counts = self._walk(domain, asked, max_depth, max(max_leaves, 2 * self.lattice.squares))
+        asked.limit, walks, most = 1.0, None, max_leaves
+        # Where the last refinement kept to the budget as asked, this one may, too.
+        tried = self._step == 0 or not budget
+        if tried:
+            walks, counts = self._walk(domain, asked, max_depth, most)
+        start, self._step = self._step or None, 0
+        while walks is None:
+            most = max(max_leaves, 2 * self.lattice.squares)
+            self._step = self._budget.lowest_step(domain, asked, max_depth, most, start, int(tried))
+            asked.limit, tried = limit_of(self._step), True
+            walks, counts = self._walk(domain, asked, max_depth, most)
         leaves = self._leaves(walks, counts)
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
@@ -190,23 +192,6 @@ class Refinement:
                     self._last = Walked(domain, asked, max_depth, len(walks), room, work, after)
                 return walks, counts
             self._capacity = int(1.25 * counts[:, 0].max()) + 1024
-
-    def _relax(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int) -> None:
-        """Set `asked.limit` to the finest step that gives at most `max_leaves`.
-
-        The leaf count falls as the limit rises, so the answer, the lowest fitting step, does not depend on where the
-        search starts; it starts at the last answer because cameras move little.
-        """
-        # Counted to twice as many, so that the count says how far away the answer is.
-        walks = self._walks(self._cuts(), max_depth, 2 * max_leaves, capacity=0)
-
-        def count(step: int) -> int:
-            asked.limit = 2.0 ** (2 * step / STEPS_PER_OCTAVE)
-            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="budget", recorded=self._recorded[0])
-            return int(self.buffers.numpy("counts")[: 4 * len(walks) : 4].sum())
-
-        self._step = _lowest(count, max_leaves, self._step)
-        asked.limit = 2.0 ** (2 * self._step / STEPS_PER_OCTAVE) if self._step <= MAX_STEP else np.inf
 
     def _cuts(self) -> list[int]:
         """Where the curve is cut for the threads: evenly by what the last refinement has cost; any cut gives the same.
@@ -333,28 +318,6 @@ class Refinement:
 def _room_for(leaves: int) -> int:
     """Subtrees that a slot of so many leaves may keep."""
     return leaves // 8 + 8
-
-
-def _lowest(count, most: int, start: int) -> int:
-    """Smallest step from 0 to MAX_STEP whose count is `most` or less, MAX_STEP + 1 if none is; counts fall with steps.
-
-    Each count says how far away the answer may be; two neighbours, one that fits and one that does not, prove it.
-    """
-    low, high = -1, MAX_STEP + 1  # low does not fit, high does
-    step, stride = min(start, MAX_STEP), 1
-    while high - low > 1:
-        found = count(step)
-        away = STEPS_PER_OCTAVE / LEAVES_PER_ERROR * math.log2(max(found, 1) / max(most, 1))
-        if found <= most:
-            high = step
-            step = min(step + math.ceil(away), high - stride)
-        else:
-            low = step
-            step = max(step + math.floor(away), low + stride)
-        stride *= 2
-        if (low >= 0 and high <= MAX_STEP and stride > 4) or not low < step < high:
-            step = (low + high) // 2 if low >= 0 and high <= MAX_STEP else min(max(step, low + 1), high - 1)
-    return high
 
 
 @cache

@@ -158,7 +158,9 @@ class Terrain:
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         edited = self._edited()
-        leaves, relaxed = self._refinement.run(domain, asked, depth, _max_leaves(criterion))
+        leaves, relaxed = self._refinement.run(
+            domain, asked, depth, _max_leaves(criterion), criterion.max_triangles is not None
+        )
         # The same leaves displaced the same way are the same mesh.
         changed = bool(leaves.changed_words) or shape != shape_key or edited
         surface = self._last.surface if self._last else None

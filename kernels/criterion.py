@@ -374,8 +374,16 @@ def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
 
 
 @wp.func
+def too_coarse_at(
+    asked: Asked, limit: wp.float64, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64
+):
+    """As `too_coarse`, of `limit` times what is asked."""
+    px2 = limit * pixel2
+    coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
+    return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
+
+
+@wp.func
 def too_coarse(asked: Asked, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64):
     """Whether a diamond is to be split, where a pixel spans sqrt(pixel2): criteria combine by or."""
-    px2 = asked.limit * pixel2
-    coarse = metres2 > px2 * asked.error_px2 or metres2 > asked.limit * asked.metres2
-    return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
+    return too_coarse_at(asked, asked.limit, pixel2, metres2, long2, legs2)

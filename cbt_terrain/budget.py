@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keeping to a number of leaves: by how much what is asked has to be coarsened."""
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ..kernels.count import CELLS, MARKS, STEPS_PER_OCTAVE, Cell, Count, count
+from ..kernels.criterion import Asked, Domain
+from . import launch
+from .buffers import Buffers, bind, shared
+from .lattice import Lattice
+
+MAX_STEP = 160 * STEPS_PER_OCTAVE
+# What follows only says how soon a budget is found.
+# Where a step is known near which the answer may be, so many steps are counted; a quarter of them are finer.
+WINDOW = 4
+# Where nothing is known, passes look for these parts of the budget, one after the other: each foretells the next.
+PARTS = (1 / 128, 1 / 12, 1.0)
+FEWEST = 16
+# Splits rise as fast as over the last octave of them, or the last third of one: rather too coarse than too fine.
+RECENT = (0.5, 0.8)
+# Octaves of splits for an octave of error, on most ground.
+SPLITS_PER_ERROR = 1.2
+LEAST = 0.6
+
+
+def limit_of(step: int) -> float:
+    """What squares of what is asked are multiplied by; infinity beyond MAX_STEP."""
+    return 2.0 ** (2 * step / STEPS_PER_OCTAVE) if step <= MAX_STEP else math.inf
+
+
+class Budget:
+    """Counts leaves of one lattice and finds the step that keeps to a number of them."""
+
+    def __init__(self, lattice: Lattice, buffers: Buffers, threads: int):
+        self._lattice, self._buffers, self._threads = lattice, buffers, threads
+        self._limits = shared(np.array([limit_of(step) for step in range(MAX_STEP + 2)]), wp.float64)
+        self._marks = np.zeros(0)  # places, in squares along the quadtree, evenly by what the last pass has measured
+        self._structs: list[Count] = []
+        self._recorded: dict = {}
+
+    def lowest_step(self, domain: Domain, asked: Asked, max_depth: int, most: int, start: int | None, low: int) -> int:
+        """The finest step that gives at most `most` leaves, not finer than `low`; MAX_STEP + 1 if none does.
+
+        start: a step near which it may be (None: anywhere). It changes how long the search takes, not the answer. But
+        without it, 0 is only a step that may fit: a refinement finds that out as soon as counting does.
+        """
+        roots = 2 * self._lattice.squares
+
+        def splits(finest: int, coarsest: int, most: int) -> tuple[int, np.ndarray]:
+            return self._splits(domain, asked, max_depth, finest, coarsest, most)
+
+        return lowest(splits, most - roots, start, low)
+
+    def _splits(self, domain: Domain, asked: Asked, max_depth: int, finest: int, coarsest: int, most: int):
+        """The first step from `finest` to `coarsest` with at most `most` triangles that are split, and how many there
+        are at each step from it on; `coarsest` + 1 and none if there is no such step."""
+        cell_bits, steps = max_depth + max_depth % 2, len(self._limits)
+        cuts = self._cuts(cell_bits, most)
+        slices, spacing = len(cuts) - 1, most // 64 + 1
+        get, numpy = self._buffers.get, self._buffers.numpy
+        arrays = {
+            "limits": self._limits,
+            "stack": get("count_stack", slices * CELLS, Cell),
+            "last_steps": get("count_last_steps", slices * steps, wp.int64),
+            "from_step": get("count_from_step", slices, wp.int32),
+            "marks": get("count_marks", slices * MARKS, wp.uint64),
+            "measured": get("count_measured", slices, wp.int64),
+        }
+        last_steps = numpy("count_last_steps")[: slices * steps].reshape(slices, steps)
+        last_steps[:] = 0
+        while len(self._structs) < slices:
+            self._structs.append(Count())
+        for slot, struct in enumerate(self._structs[:slices]):
+            bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
+            bind(struct, slot=slot, finest=finest, coarsest=coarsest, most=most, spacing=spacing, **arrays)
+        inputs = [[domain, asked, asked, struct] for struct in self._structs[:slices]]
+        launch.slices(count, inputs, step="budget", recorded=self._recorded)
+        noted = np.minimum(numpy("count_measured")[:slices] // spacing, MARKS)
+        marks = numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)
+        self._marks = np.concatenate([row[:n] for row, n in zip(marks, noted, strict=True)]) / 2.0**cell_bits
+        first = int(numpy("count_from_step")[:slices].max())
+        splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
+        more = int(np.count_nonzero(splits > most))  # each slice knows of its own alone
+        return first + more, splits[more:]
+
+    def _cuts(self, cell_bits: int, most: int) -> list[int]:
+        """Where the quadtree is cut for the threads: evenly by what the last pass has measured; any cut does."""
+        end = self._lattice.squares << cell_bits
+        if self._threads < 2 or most < launch.SLICE_ITEMS or len(self._marks) < self._threads:
+            return [0, end]
+        at = [self._marks[len(self._marks) * k // self._threads] for k in range(1, self._threads)]
+        return [0, *sorted({cut for cut in (int(mark * 2.0**cell_bits) for mark in at) if 0 < cut < end}), end]
+
+
+def lowest(splits, most: int, start: int | None, low: int) -> int:
+    """The finest step at which at most `most` triangles are split, MAX_STEP + 1 if there is none.
+
+    splits: see `Budget._splits`; they fall as steps rise. start, low: see `Budget.lowest_step`.
+    """
+    known = np.zeros(MAX_STEP + 2, np.int64)  # splits, where they have been counted
+    stride = 1  # so far at least from a step where all fits
+    high = MAX_STEP + 1  # fits, and no step finer than `low` does
+    goals = [min(most, max(int(most * part), FEWEST)) for part in PARTS]
+    goal, finest, coarsest = goals[0], low, MAX_STEP
+    if start is not None:
+        goal, finest = most, min(max(start - WINDOW // 4, low), MAX_STEP)
+        coarsest = min(finest + WINDOW, MAX_STEP)
+    while low < high:
+        if finest == 0 and goal == most and start is None:
+            return 0
+        first, found = splits(finest, coarsest, goal)
+        known[first : coarsest + 1] = found
+        if goal == most and first > finest:
+            low = max(low, first)
+        if len(found):
+            high = min(high, first)
+            reached = goal if first > finest else int(found[0])
+            goal = next((later for later in goals if later > 1.3 * reached), most)
+            finest, coarsest = max(low, min(_foretold(known, first, goal), first - stride)), min(high, MAX_STEP)
+            stride *= 2
+        elif goal < most or coarsest == MAX_STEP:  # not even there
+            goal, finest, coarsest = most, min(first, MAX_STEP), MAX_STEP
+        else:  # somewhere far away
+            goal, finest, coarsest = goals[0], low, MAX_STEP
+    return high
+
+
+def _foretold(known: np.ndarray, step: int, goal: int) -> int:
+    """A step finer than `step` at which there may be `goal` splits or a few more."""
+    here = max(known[step], 1)
+    slopes = []
+    for part in RECENT:
+        fewer = np.flatnonzero((known[step:] > 0) & (known[step:] <= part * here))
+        slopes += [math.log2(here / known[step + fewer[0]]) / fewer[0]] if len(fewer) else []
+    slope = max(*slopes, LEAST / STEPS_PER_OCTAVE) if slopes else SPLITS_PER_ERROR / STEPS_PER_OCTAVE
+    return step - 1 - max(0, math.ceil(math.log2(max(goal, 1) / here) / slope))

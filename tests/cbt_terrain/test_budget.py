@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A triangle budget: the finest step that fits, from wherever the search begins, and few leaves counted for it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain.budget import MAX_STEP, STEPS_PER_OCTAVE, limit_of, lowest
+from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.kernels import refine
+from fields import random_view, rough
+from invariants import arrays
+
+SHAPES = [(65, 65), (33, 129), (100, 37), (129, 129), (5, 3)]
+
+
+def scene(seed: int):
+    """A field, views, what is asked, and a number of triangles that is too few for it, mostly by far."""
+    rng = np.random.default_rng(seed)
+    height, width = SHAPES[rng.integers(len(SHAPES))]
+    if rng.random() < 0.7:
+        field = rough(height, width, seed, relief=float(rng.choice([2.0, 30.0, 200.0])))
+    else:
+        flat = rng.random() < 0.5
+        field = from_array((rng.random((height, width)) > 0.97).astype(np.float32) * (0.0 if flat else 20.0), 10.0)
+    field = field.interpolated(INTERPOLATIONS[rng.integers(2)])
+    px = float(10 ** rng.uniform(-3, 0))
+    asked = [
+        {"error_px": px},
+        {"error_px": 0.0, "edge_px": 8 * px},
+        {"error_px": 0.0, "area_px": 60 * px * px},
+        {"error_px": px, "edge_px": 20 * px},
+        {"error_px": 0.0, "error_m": px},
+    ][rng.integers(5)]
+    views = [random_view(rng, field) for _ in range(rng.integers(1, 3))]
+    meshlet, budget = int(rng.choice([0, 0, 2])), int(10 ** rng.uniform(2.5, 4.5))
+    return field, views, Criterion(**asked, max_triangles=budget, meshlet=meshlet, max_depth=24), budget >> 2 * meshlet
+
+
+def step_of(relaxed: float) -> int:
+    """The step that a refinement was coarsened by; the one beyond all where nothing fits."""
+    return round(STEPS_PER_OCTAVE * math.log2(relaxed)) if relaxed < math.inf else MAX_STEP + 1
+
+
+def moved(view, rng):
+    """The view a thousandth of its distance further on."""
+    shift = np.eye(4)
+    shift[:3, 3] = 1e-3 * np.linalg.norm(view.world_to_camera[:3, 3]) * rng.normal(size=3)
+    return replace(view, world_to_camera=shift @ view.world_to_camera)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Per launch: the step's name, and leaves that were counted or made."""
+    launched, slices = [], launch.slices
+
+    def noted(kernel, inputs, *, step, **rest):
+        slices(kernel, inputs, step=step, **rest)
+        walks = [values[-1] for values in inputs]
+        if step == "budget":
+            launched.append((step, int(walks[0].last_steps.numpy()[: len(walks) * (MAX_STEP + 2)].sum())))
+        if step == "refine":
+            launched.append((step, int(walks[0].counts.numpy()[: 4 * len(walks) : 4].sum())))
+
+    monkeypatch.setattr(launch, "slices", noted)
+    return launched
+
+
+def walked(terrain: Terrain, called: list, step: int) -> int:
+    """Leaves of the refinement that was `called`, at a step, by the walk itself."""
+    domain, asked, depth = called[-1][:3]
+    refinement = terrain._refinement
+    asked.limit = limit_of(step)
+    walks = refinement._walks([0, refinement.lattice.squares << refinement._cell_bits], depth, 1 << 30, 0)
+    launch.slices(refine.walk, [[domain, asked, walks[0]]], step="count")
+    return int(refinement.buffers.numpy("counts")[0])
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_step_is_the_finest_that_fits(monkeypatch, threads):
+    """By the walk: 60 scenes, their counts at the step, at the one before it, and far from both."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    coarsened = 0
+    for seed in range(60):
+        field, views, criterion, most = scene(seed)
+        terrain, called = Terrain(field, threads), []
+        run = terrain._refinement.run
+        terrain._refinement.run = lambda *args, run=run, called=called: called.append(args) or run(*args)
+        update = terrain.update(criterion, views)
+        step, most = step_of(update.relaxed), max(most, 2 * field.lattice.squares)
+        assert walked(terrain, called, step) == update.leaves <= most
+        assert step == 0 or walked(terrain, called, step - 1) > most
+        coarsened += step > 0
+        domain, asked, depth = called[-1][:3]
+        first, splits = terrain._refinement._budget._splits(domain, asked, depth, step, MAX_STEP, most)
+        assert first == step
+        for further in (0, 1, 7, 40, 300):
+            if step + further <= MAX_STEP:
+                assert splits[further] + 2 * field.lattice.squares == walked(terrain, called, step + further)
+    assert coarsened > 40
+
+
+def test_the_answer_does_not_depend_on_what_came_before():
+    """Views, criteria and budgets one after the other: each mesh is the one that a new terrain makes."""
+    for seed in range(8):
+        field, _, _, _ = scene(seed)
+        flown = Terrain(field, 2)
+        for other in range(6):
+            _, views, criterion, _ = scene(seed + 100 * other)
+            update, fresh = flown.update(criterion, views), Terrain(field, 1).update(criterion, views)
+            assert (update.relaxed, update.bound_px, update.bound_m) == (fresh.relaxed, fresh.bound_px, fresh.bound_m)
+            assert arrays(update.surface) == arrays(fresh.surface)
+
+
+def a_curve(rng) -> np.ndarray:
+    """Splits at each step: smooth, in stairs, or none from some step on."""
+    steps = np.arange(MAX_STEP + 2)
+    octaves = rng.uniform(2, 24) - rng.uniform(0.2, 3.0) * steps / STEPS_PER_OCTAVE
+    if rng.random() < 0.4:
+        octaves = np.floor(octaves / 2) * 2
+    splits = np.floor(2.0 ** np.minimum(octaves, 40)).astype(np.int64)
+    if rng.random() < 0.1:
+        splits[:] = splits[0]  # none fits but the smallest mesh
+    splits[-1] = 0
+    return splits
+
+
+def test_the_search_finds_the_finest_step_from_anywhere():
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        splits, most = a_curve(rng), int(10 ** rng.uniform(0, 6)) - 1
+        expected = int(np.argmax(splits <= most))
+        for start in (None, expected, *rng.integers(1, MAX_STEP + 2, 3), expected + int(rng.integers(-40, 40))):
+            passes = []
+
+            def counted(finest, coarsest, goal, splits=splits, passes=passes):
+                assert 0 <= finest <= coarsest <= MAX_STEP and len(passes) < 40
+                passes.append(finest)
+                first = finest + int(np.count_nonzero(splits[finest : coarsest + 1] > goal))
+                return first, splits[first : coarsest + 1]
+
+            found = lowest(counted, most, None if start is None else max(1, int(start)), 0)
+            if found == 0 and start is None:  # a guess, which may be wrong
+                found = lowest(counted, most, None, 1) if expected else 0
+            assert found == expected
+        if 4 <= expected <= MAX_STEP:
+            passes.clear()
+            assert lowest(counted, most, expected, 0) == expected and len(passes) == 1
+
+
+def test_a_search_counts_few_times_the_budget(counted):
+    """Leaves counted, in parts of the budget: a first search, one after a jump of the camera, and those of a flight.
+
+    Of a leaf that is counted none of the rest is made: it takes about half the time of one that is refined.
+    """
+    first, jumps, flights = [], [], []
+    for seed in range(200, 240):
+        field, views, criterion, most = scene(seed)
+        rng = np.random.default_rng(seed)
+        if most < 1000:
+            continue
+        terrain = Terrain(field, 1)
+        for parts, eyes in ((first, 1), (jumps, 4), (flights, 6)):
+            for _ in range(eyes):
+                if parts is jumps:
+                    views = [random_view(rng, field)]
+                if parts is flights:
+                    views = [moved(view, rng) for view in views]
+                counted.clear()
+                if terrain.update(criterion, views).limited == "max_triangles":
+                    parts.append(sum(leaves for step, leaves in counted if step == "budget") / most)
+                    assert [step for step, _ in counted].count("refine") <= 3
+    for parts, usual, most_ever in ((first, 2.6, 8.0), (jumps, 2.2, 7.0), (flights, 1.2, 2.5)):
+        assert len(parts) > 10 and np.median(parts) < usual and max(parts) < most_ever

@@ -134,22 +134,24 @@ class Refinement:
         """Refine from the roots to at most `max_leaves` and mark the tree.
 
         Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
-        functions of the arguments alone. Fewer leaves than two a root square cannot be had.
+        functions of the arguments alone. Fewer leaves than two a root square cannot be had. `budget`: somebody has
+        asked for so few leaves, so they may well be too few; it only says where a first search begins.
         """
         cell_bits = max(max_depth, 6)  # a square fills whole words of the tree
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
         asked.limit, walks, most = 1.0, None, max_leaves
+        start, self._step = self._step, 0
         # Where the last refinement kept to the budget as asked, this one may, too.
-        tried = self._step == 0 or not budget
-        if tried:
+        plain = start == 0 or not budget
+        if plain:
             walks, counts = self._walk(domain, asked, max_depth, most)
-        start, self._step = self._step or None, 0
+        low = int(plain)
         while walks is None:
             most = max(max_leaves, 2 * self.lattice.squares)
-            self._step = self._budget.lowest_step(domain, asked, max_depth, most, start, int(tried))
-            asked.limit, tried = limit_of(self._step), True
+            self._step = self._budget.lowest_step(domain, asked, max_depth, most, start or None, low)
+            asked.limit, low = limit_of(self._step), self._step + 1
             walks, counts = self._walk(domain, asked, max_depth, most)
         leaves = self._leaves(walks, counts)
         if self._last:

@@ -2,9 +2,14 @@
 """Rows of the engine alone, without Blender: refinement, surface, meshlets, a still camera, depth."""
 
 import statistics
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 
+from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.heightfield import HeightField
+from ..cbt_terrain.terrain import Terrain
 from . import scenes
 from .baselines import ROAM, RoamRebuild
 from .measure import BLOCKS, RUNS, Row, alternate, stopwatch
@@ -12,7 +17,10 @@ from .measure import BLOCKS, RUNS, Row, alternate, stopwatch
 REFINE_SIZES = {1: (5_500, 50_000, 500_000, 1_000_000), 2: (500_000, 1_000_000)}
 MILLION = 1_000_000
 MESHLET = 4
+ONCE = "one refinement"
 DEPTHS, DEPTH_SIZE = (20, 24, 28, 32), 500_000
+# So many triangles where an error so many times smaller than what fits is asked for.
+BUDGET_SIZE, FINER = 300_000, 30
 SURFACE_STEPS = ("weld", "meshlets", "displace")
 
 
@@ -85,6 +93,31 @@ def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
 
     timed = alternate(stay, roam.timer(MILLION) if roam else None)
     return Row("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
+
+
+def budget_criteria(rough: HeightField) -> tuple[Criterion, Criterion]:
+    """An error that is too fine for a triangle limit, and the one that keeps to it."""
+    px = scenes.pixels_for(rough, lambda _px: scenes.over(0), scenes.errors, BUDGET_SIZE) / FINER
+    limited = replace(scenes.errors(px), max_triangles=BUDGET_SIZE)
+    return limited, scenes.errors(px * Terrain(rough, 1).update(limited, [scenes.over(0)]).relaxed)
+
+
+def budget_rows(rough: HeightField) -> Iterator[Row]:
+    """Search and refinement, beside a refinement of the same leaves without a limit: first updates, and a flight."""
+    limited, plain = budget_criteria(rough)
+
+    def first(criterion: Criterion) -> Callable[[], dict[str, float]]:
+        return lambda: Terrain(rough, 1).update(criterion, [scenes.over(0)]).ms
+
+    flights = [scenes.Flight(rough, scenes.over, criterion, 1) for criterion in (limited, plain)]
+    for name, (ours, other) in {"budget_first": (first(limited), first(plain)), "budget_flight": flights}.items():
+        timed = alternate(partial(_searched, ours), lambda other=other: other()["refine"])
+        yield Row(name, BUDGET_SIZE, sum(timed.ms.values()), ONCE, timed.baseline_ms, steps=timed.ms)
+
+
+def _searched(update: Callable[[], dict[str, float]]) -> dict[str, float]:
+    ms = update()
+    return {"budget": ms["budget"], "refine": ms["refine"]}
 
 
 def depth_row(flat: HeightField) -> Row:

@@ -38,6 +38,7 @@ from .profiles import (
     OUR_WRITER,
     PIXEL,
     PYTHON,
+    SEARCH,
     SHADE,
     SYNC,
     SYSTEM,
@@ -90,7 +91,14 @@ LINES = (
     ("if top == 0 or", DESCENT),
 )
 # Kernels by their module, where it is not the walk's.
-MODULES = {"tree": COUNTERS, "weld": WELD, "weld_border": WELD, "displace": DISPLACE, "ingest": OUR_WRITER}
+MODULES = {
+    "tree": COUNTERS,
+    "count": SEARCH,
+    "weld": WELD,
+    "weld_border": WELD,
+    "displace": DISPLACE,
+    "ingest": OUR_WRITER,
+}
 KERNELS_OF_REFINEMENT = ("refine.", "tree.")
 CYCLES_SYNC = ("create_mesh", "ccl::Mesh::", "GuardedAllocator", "BlenderSync", "MeshManager", "GeometryManager")
 
@@ -158,6 +166,8 @@ def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callabl
     for depth in (engine.DEPTHS[0], engine.DEPTHS[-1]):
         flight = engine.flight_at(flat, engine.DEPTHS[0], depth)
         yield "depth", engine.DEPTH_SIZE, f"depth {depth}", SECONDS, _lap(flight), walk
+    flight = scenes.Flight(rough, scenes.over, engine.budget_criteria(rough)[0], 1)
+    yield "budget_flight", engine.BUDGET_SIZE, "", SECONDS, _lap(flight), (*walk, "count.")
     need_bpy("A profile of the rows cycles")
     store = in_blender.keep(rough, folder / "rough")
     for mode in (cycles.EDGE, cycles.ERROR):

@@ -11,6 +11,7 @@ LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not at
 KEPT = "walk: subtrees kept and taken"
 GROUND, FOOTPRINT = "walk: level ground", "walk: footprints"
 COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"
+SEARCH = "search for a triangle limit"
 SYSTEM, COPY, PYTHON = "the system: memory's pages", "memory copied or cleared", "Python and numpy"
 OUR_WRITER, BLENDER = "our mesh writer's kernels", "Blender"
 TREE, SYNC, SHADE = "Cycles: rays' tree (Embree)", "Cycles: scene taken over", "Cycles: rays and shading"
@@ -30,6 +31,7 @@ MEANING = {
     KEPT: "what the last frame has found copied, what the next one may copy noted",
     MERGED: "instructions that the compiler made of several lines",
     COUNTERS: "the tree's words compared with the last ones, counters above changed ones",
+    SEARCH: "every diamond's last step found and counted",
     WELD: "vertex numbers of corners, edges",
     DISPLACE: "samples read, positions and normals made of them",
     SYSTEM: "page faults of fresh memory, and giving it back",

@@ -93,6 +93,7 @@ def everything(
         yield partial(row, rough, roam)
     yield partial(engine.depth_row, flat)
     yield partial(engine.depth_reached_row, flat)
+    yield partial(engine.budget_rows, rough)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

@@ -200,12 +200,12 @@ def small_suite(monkeypatch):
     }.items():
         for name, value in sizes.items():
             monkeypatch.setattr(module, name, value)
-    for name, value in {"DEPTHS": (12, 14), "DEPTH_SIZE": 1_000}.items():
+    for name, value in {"DEPTHS": (12, 14), "DEPTH_SIZE": 1_000, "BUDGET_SIZE": 2_000}.items():
         monkeypatch.setattr(engine, name, value)
 
 
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
-ENGINE_ROWS += ["cold_start"]
+ENGINE_ROWS += ["budget_first", "budget_flight", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -30,7 +30,8 @@ MEANING = {
     "depth_reached": "The same, each camera so low that its finest leaves reach that depth: other leaves, as many.",
     "budget_first": "An error 30 times too fine for a triangle limit: search and refinement of a first update, beside "
     "a refinement of the same leaves without a limit; rough 4097² field, one thread.",
-    "budget_flight": "The same in a flight; the refinement beside it takes leaves from the last frame, too.",
+    "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
+    "from the last frame.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -121,7 +121,7 @@ def lowest(splits, most: int, start: int | None, low: int) -> int:
             goal = next((later for later in goals if later > 1.3 * reached), most)
             finest, coarsest = max(low, min(_foretold(known, first, goal), first - stride)), min(high, MAX_STEP)
             stride *= 2
-        elif goal < most or coarsest == MAX_STEP:  # not even there
+        elif coarsest == MAX_STEP:  # not even there
             goal, finest, coarsest = most, min(first, MAX_STEP), MAX_STEP
         else:  # somewhere far away
             goal, finest, coarsest = goals[0], low, MAX_STEP

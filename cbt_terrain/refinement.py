@@ -130,26 +130,26 @@ class Refinement:
         self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
         self._last: Walked | None = None
 
-    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, budget: bool = False):
+    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, limited: bool = False):
         """Refine from the roots to at most `max_leaves` and mark the tree.
 
         Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
-        functions of the arguments alone. Fewer leaves than two a root square cannot be had. `budget`: somebody has
-        asked for so few leaves, so they may well be too few; it only says where a first search begins.
+        functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
+        asked for so few leaves, so they may well be too few; it only says what is tried first.
         """
         cell_bits = max(max_depth, 6)  # a square fills whole words of the tree
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
-        asked.limit, walks, most = 1.0, None, max_leaves
+        asked.limit, walks = 1.0, None
+        most = max(max_leaves, 2 * self.lattice.squares)
         start, self._step = self._step, 0
-        # Where the last refinement kept to the budget as asked, this one may, too.
-        plain = start == 0 or not budget
+        # Where the last refinement kept to the limit as asked, this one may, too.
+        plain = start == 0 or not limited
         if plain:
             walks, counts = self._walk(domain, asked, max_depth, most)
         low = int(plain)
         while walks is None:
-            most = max(max_leaves, 2 * self.lattice.squares)
             self._step = self._budget.lowest_step(domain, asked, max_depth, most, start or None, low)
             asked.limit, low = limit_of(self._step), self._step + 1
             walks, counts = self._walk(domain, asked, max_depth, most)

@@ -16,7 +16,7 @@ from .criterion import Asked, Domain, coarsest, error_at, larger, own_for, sizes
 
 wp.set_module_options({"enable_backward": False})
 
-CELLS = wp.constant(128)  # entries of a slice's stack: three a level, and more than the deepest tree has levels
+CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))

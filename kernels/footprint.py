@@ -20,7 +20,7 @@ SURE = wp.constant(wp.float64(1.0 + 1e-5))
 class Plan:
     """The view over the lattice, from above."""
 
-    usable: wp.int32  # 1: one view that is not orthographic asks for edges or areas
+    usable: wp.int32  # 1: one view that is not orthographic asks for edges or areas, and not too near to the eye
     perspective: wp.int32
     x: wp.float64  # the eye, lattice units
     y: wp.float64
@@ -59,11 +59,14 @@ def plan_of(domain: Domain, asked: Asked, max_depth: wp.int32) -> Plan:
         p.depth_y = view.depth[1] * domain.unit_y
         p.depth = view.depth[3] + view.depth[0] * domain.west + view.depth[1] * domain.south
         p.cosine2 = view.cosine2
-    # Where splits end less than a lattice unit from the eye, rounding could be more than the margins.
+    # Where splits end so near to the eye that rounding could be more than the margins, everything is measured: less
+    # than a lattice unit away, or than a part of what depths are made of.
     long2, legs2 = sizes(asked, domain.unit_bits, max_depth)
     end2 = larger(long2 / asked.edge_px2, legs2 / asked.area_px2) / (asked.limit * view.pixel2)
+    unit2 = larger(larger(p.weight_x, p.weight_y), larger(p.depth_x * p.depth_x, p.depth_y * p.depth_y))
+    far = wp.float64(1e-9) * view.depth[3]
     one = asked.view_count == 1 and view.kind != ORTHOGRAPHIC
-    p.usable = wp.int32(one and asked.measures_edges == 1 and end2 > larger(p.weight_x, p.weight_y))
+    p.usable = wp.int32(one and asked.measures_edges == 1 and end2 > unit2 and end2 > far * far)
     return p
 
 

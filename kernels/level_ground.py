@@ -8,6 +8,7 @@ nothing is remembered for its other triangle. Nanoseconds a leaf with it and wit
 
 import warp as wp
 
+from .band import BELOW
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import Asked, Domain, diamond_at, finest, larger, sizes, too_coarse
 from .curve import HYP_LEG, leaf_word, left_state, right_state
@@ -51,10 +52,11 @@ def walk_level_ground(
     leaf_depth: wp.int32,
     bottom: wp.int32,
 ):
-    """Refine a triangle whose cells fill neither end of the slice and nothing of the square's border.
+    """Refine a triangle whose leaves are in the slice, neither the square's first nor its last, and share nothing with
+    other squares.
 
     longest_px2, largest_px2: maxima so far. tree_word, tree_bits: the word of the tree at hand. first_cell: of all
-    squares in a row. leaf_depth: from it on nothing is split. bottom: the first free entry of the stacks.
+    squares in a row. leaf_depth: from it on nothing is split or a new maximum. bottom: the stacks' first free entry.
     Returns what is written then, the word of the tree with its bits, and the maxima.
     """
     x = (left[0] + right[0]) >> 1
@@ -97,7 +99,8 @@ def walk_level_ground(
                 long2 += d.rise * d.rise
                 legs2 += d.rise * d.rise
                 split = wp.int32(depth < w.max_depth and too_coarse(asked, pixel2, wp.float64(0.0), long2, legs2))
-                if split == 0 and (long2 > longest_px2 * pixel2 or legs2 > largest_px2 * pixel2):
+                near2 = pixel2 * BELOW
+                if split == 0 and (long2 > longest_px2 * near2 or legs2 > largest_px2 * near2):
                     longest_px2 = larger(longest_px2, long2 / pixel2)
                     largest_px2 = larger(largest_px2, legs2 / pixel2)
                     climbs = put_limits(domain, asked, longest_px2, largest_px2, w.max_depth, w.limits, limits)

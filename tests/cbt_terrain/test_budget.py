@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.budget import MAX_STEP, STEPS_PER_OCTAVE, limi
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
 from adaptive_terrain.kernels import refine
 from fields import random_view, rough
 from invariants import arrays
@@ -114,6 +115,16 @@ def test_the_answer_does_not_depend_on_what_came_before():
             update, fresh = flown.update(criterion, views), Terrain(field, 1).update(criterion, views)
             assert (update.relaxed, update.bound_px, update.bound_m) == (fresh.relaxed, fresh.bound_px, fresh.bound_m)
             assert arrays(update.surface) == arrays(fresh.surface)
+
+
+@pytest.mark.parametrize("most", [0, 10])
+def test_fewer_triangles_than_the_squares_have_are_no_reason_to_coarsen(most):
+    """12 squares have 24 at least, and what is asked needs no more."""
+    field = from_array(np.random.default_rng(0).random((13, 17), np.float32))
+    coarse, view = Criterion(error_px=100.0, max_triangles=most), View.look((0.0, 0.0, 50.0), (1.0, 0.0, 0.0))
+    flown = Terrain(field, 1)
+    flown.update(replace(coarse, max_triangles=None), [view])
+    assert flown.update(coarse, [view]).relaxed == Terrain(field, 1).update(coarse, [view]).relaxed == 1.0
 
 
 def a_curve(rng) -> np.ndarray:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The walk's short cuts, bands and even blocks, against a walk that measures every diamond: the same bits."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,28 @@ def test_level_ground_is_walked_as_measuring_does(measuring_all, monkeypatch):
     fast = [updated(*scene) for scene in level_scenes()]
     monkeypatch.setattr(refinement, "kernels", measuring_all)
     assert [updated(*scene) for scene in level_scenes()] == fast
+
+
+def mirrored():
+    """Half of the ground mirrors the other, so that maxima differ by the last bit."""
+    rows = [[0.0, 1.0, 0.0, 0.0], [-0.29122935556356366, 0.0, 0.9566532613533658, -9e-16]]
+    rows += [[0.9566532613533658, 0.0, 0.29122935556356366, -45.50553557244149], [0.0, 0.0, 0.0, 1.0]]
+    view = replace(View.look((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)), world_to_camera=np.array(rows))
+    field = from_array(np.zeros((129, 129), np.float32), 1.1169821440484018)
+    return field, view, Criterion(error_px=0.0, edge_px=38.35387215230578), 0.0
+
+
+def at_an_absurd_height():
+    """Depths are what is left of two numbers of 16 digits."""
+    view = View.look((0.0, 0.0, 1e15 + 4.0), (9.0, 5.0, 1e15))
+    return from_array(np.zeros((65, 65), np.float32)), view, Criterion(error_px=0.0, edge_px=20.0), 1e15
+
+
+@pytest.mark.parametrize("scene", [mirrored, at_an_absurd_height])
+def test_level_ground_is_walked_as_two_equal_views_measure_it(scene):
+    field, view, criterion, offset = scene()
+    alone, measured = (Terrain(field, 1).update(criterion, [view] * n, vertical_offset=offset) for n in (1, 2))
+    assert result(alone) == result(measured)
 
 
 def codes(terrain: Terrain, view: View, edge_px: float, monkeypatch) -> np.ndarray:

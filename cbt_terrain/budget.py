@@ -23,6 +23,7 @@ FEWEST = 16
 RECENT = (0.5, 0.8)
 # Octaves of splits for an octave of error, on most ground.
 SPLITS_PER_ERROR = 1.2
+# ... and fewest: of coarse meshes they rise too seldom to tell.
 LEAST = 0.6
 
 
@@ -101,7 +102,7 @@ def lowest(splits, most: int, start: int | None, low: int) -> int:
     splits: see `Budget._splits`; they fall as steps rise. start, low: see `Budget.lowest_step`.
     """
     known = np.zeros(MAX_STEP + 2, np.int64)  # splits, where they have been counted
-    stride = 1  # so far at least from a step where all fits
+    stride = 1  # so far at least from a step that fits; more where pass after pass has found no other
     high = MAX_STEP + 1  # fits, and no step finer than `low` does
     goals = [min(most, max(int(most * part), FEWEST)) for part in PARTS]
     goal, finest, coarsest = goals[0], low, MAX_STEP
@@ -116,11 +117,12 @@ def lowest(splits, most: int, start: int | None, low: int) -> int:
         if goal == most and first > finest:
             low = max(low, first)
         if len(found):
-            high = min(high, first)
-            reached = goal if first > finest else int(found[0])
+            high, all_fit = min(high, first), first == finest
+            reached = int(found[0]) if all_fit else goal
             goal = next((later for later in goals if later > 1.3 * reached), most)
-            finest, coarsest = max(low, min(_foretold(known, first, goal), first - stride)), min(high, MAX_STEP)
-            stride *= 2
+            nearer = min(_foretold(known, first, max(reached, 1), goal), first - stride)
+            finest, coarsest = max(low, nearer), min(high, MAX_STEP)
+            stride = 2 * stride if all_fit else 1
         elif coarsest == MAX_STEP:  # not even there
             goal, finest, coarsest = most, min(first, MAX_STEP), MAX_STEP
         else:  # somewhere far away
@@ -128,12 +130,11 @@ def lowest(splits, most: int, start: int | None, low: int) -> int:
     return high
 
 
-def _foretold(known: np.ndarray, step: int, goal: int) -> int:
-    """A step finer than `step` at which there may be `goal` splits or a few more."""
-    here = max(known[step], 1)
+def _foretold(known: np.ndarray, step: int, here: int, goal: int) -> int:
+    """A step finer than `step`, just before which there are `here` splits or more, at which there may be `goal`."""
     slopes = []
     for part in RECENT:
-        fewer = np.flatnonzero((known[step:] > 0) & (known[step:] <= part * here))
-        slopes += [math.log2(here / known[step + fewer[0]]) / fewer[0]] if len(fewer) else []
+        fewer = np.flatnonzero((known[step:] > 0) & (known[step:] <= part * known[step]))
+        slopes += [math.log2(known[step] / known[step + fewer[0]]) / fewer[0]] if len(fewer) else []
     slope = max(*slopes, LEAST / STEPS_PER_OCTAVE) if slopes else SPLITS_PER_ERROR / STEPS_PER_OCTAVE
     return step - 1 - max(0, math.ceil(math.log2(max(goal, 1) / here) / slope))

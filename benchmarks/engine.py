@@ -4,12 +4,12 @@
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.heightfield import HeightField
 from ..cbt_terrain.terrain import Terrain
+from ..cbt_terrain.view import View
 from . import scenes
 from .baselines import ROAM, RoamRebuild
 from .measure import BLOCKS, RUNS, Row, alternate, stopwatch
@@ -21,6 +21,7 @@ ONCE = "one refinement"
 DEPTHS, DEPTH_SIZE = (20, 24, 28, 32), 500_000
 # So many triangles where an error so many times smaller than what fits is asked for.
 BUDGET_SIZE, FINER = 300_000, 30
+Update = Callable[[], dict[str, float]]  # makes one and returns the milliseconds of its steps
 SURFACE_STEPS = ("weld", "meshlets", "displace")
 
 
@@ -95,29 +96,39 @@ def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
     return Row("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
 
 
-def budget_criteria(rough: HeightField) -> tuple[Criterion, Criterion]:
-    """An error that is too fine for a triangle limit, and the one that keeps to it."""
-    px = scenes.pixels_for(rough, lambda _px: scenes.over(0), scenes.errors, BUDGET_SIZE) / FINER
-    limited = replace(scenes.errors(px), max_triangles=BUDGET_SIZE)
-    return limited, scenes.errors(px * Terrain(rough, 1).update(limited, [scenes.over(0)]).relaxed)
+def budget_criteria(field: HeightField, view: View, asked: scenes.Asked) -> tuple[Criterion, Criterion]:
+    """What is too fine for a triangle limit, and what keeps to it."""
+    px = scenes.pixels_for(field, lambda _px: view, asked, BUDGET_SIZE) / FINER
+    limited = replace(asked(px), max_triangles=BUDGET_SIZE)
+    return limited, asked(px * Terrain(field, 1).update(limited, [view]).relaxed)
 
 
 def budget_rows(rough: HeightField) -> Iterator[Row]:
-    """Search and refinement, beside a refinement of the same leaves without a limit: first updates, and a flight."""
-    limited, plain = budget_criteria(rough)
-
-    def first(criterion: Criterion) -> Callable[[], dict[str, float]]:
-        return lambda: Terrain(rough, 1).update(criterion, [scenes.over(0)]).ms
-
-    flights = [scenes.Flight(rough, scenes.over, criterion, 1) for criterion in (limited, plain)]
-    for name, (ours, other) in {"budget_first": (first(limited), first(plain)), "budget_flight": flights}.items():
-        timed = alternate(partial(_searched, ours), lambda other=other: other()["refine"])
-        yield Row(name, BUDGET_SIZE, sum(timed.ms.values()), ONCE, timed.baseline_ms, steps=timed.ms)
+    """An error over rough ground: first updates, and a flight."""
+    limited, plain = budget_criteria(rough, scenes.over(0), scenes.errors)
+    yield _budget_row("budget_first", *(_firsts(rough, scenes.over(0), asked) for asked in (limited, plain)))
+    yield _budget_row("budget_flight", *(scenes.Flight(rough, scenes.over, asked, 1) for asked in (limited, plain)))
 
 
-def _searched(update: Callable[[], dict[str, float]]) -> dict[str, float]:
-    ms = update()
-    return {"budget": ms["budget"], "refine": ms["refine"]}
+def budget_level_row(flat: HeightField) -> Row:
+    """Edges over flat ground: first updates."""
+    criteria = budget_criteria(flat, scenes.around(0), scenes.edges)
+    return _budget_row("budget_level", *(_firsts(flat, scenes.around(0), asked) for asked in criteria))
+
+
+def _firsts(field: HeightField, view: View, asked: Criterion) -> Update:
+    return lambda: Terrain(field, 1).update(asked, [view]).ms
+
+
+def _budget_row(name: str, limited: Update, plain: Update) -> Row:
+    """Search and refinement, beside a refinement of the same leaves without a limit."""
+
+    def searched() -> dict[str, float]:
+        ms = limited()
+        return {"budget": ms["budget"], "refine": ms["refine"]}
+
+    timed = alternate(searched, lambda: plain()["refine"])
+    return Row(name, BUDGET_SIZE, sum(timed.ms.values()), ONCE, timed.baseline_ms, steps=timed.ms)
 
 
 def depth_row(flat: HeightField) -> Row:

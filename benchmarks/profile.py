@@ -166,7 +166,8 @@ def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callabl
     for depth in (engine.DEPTHS[0], engine.DEPTHS[-1]):
         flight = engine.flight_at(flat, engine.DEPTHS[0], depth)
         yield "depth", engine.DEPTH_SIZE, f"depth {depth}", SECONDS, _lap(flight), walk
-    flight = scenes.Flight(rough, scenes.over, engine.budget_criteria(rough)[0], 1)
+    limited, _plain = engine.budget_criteria(rough, scenes.over(0), scenes.errors)
+    flight = scenes.Flight(rough, scenes.over, limited, 1)
     yield "budget_flight", engine.BUDGET_SIZE, "", SECONDS, _lap(flight), (*walk, "count.")
     need_bpy("A profile of the rows cycles")
     store = in_blender.keep(rough, folder / "rough")

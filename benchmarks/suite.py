@@ -94,6 +94,7 @@ def everything(
     yield partial(engine.depth_row, flat)
     yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
+    yield partial(engine.budget_level_row, flat)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

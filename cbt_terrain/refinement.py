@@ -17,7 +17,7 @@ from ..kernels.criterion import Asked, Domain
 from ..kernels.tree import Run, Runs
 from ..kernels.walk_state import STACK, Walk
 from . import launch
-from .budget import Budget, limit_of
+from .budget import Budget, Found, limit_of
 from .buffers import Buffers, bind, shared
 from .coherence import MOST_DRIFT, Walked, move
 from .heightfield import HeightField
@@ -123,7 +123,7 @@ class Refinement:
         self._cell_bits = 0
         self._capacity = 4096
         self._budget = Budget(self.lattice, buffers, threads)
-        self._step: int | None = None  # of the last refinement, None before the first
+        self._found: Found | None = None  # by the last refinement's search, None before the first
         # Two sets that take turns, as the tree's streams do: setting arrays and structs costs as much as launches.
         self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
         self._recorded: tuple[dict, dict] = {}, {}
@@ -143,16 +143,18 @@ class Refinement:
             self._cell_bits = cell_bits
         asked.limit, walks = 1.0, None
         most = max(max_leaves, 2 * self.lattice.squares)
-        start, self._step = self._step, 0
+        start, self._found = self._found, Found(0)
         # Where the last refinement kept to the limit as asked, this one may, too.
-        plain = start == 0 or not limited
+        plain = start == Found(0) or not limited
         if plain:
             walks, counts = self._walk(domain, asked, max_depth, most)
         low = int(plain)
         while walks is None:
-            self._step = self._budget.lowest_step(domain, asked, max_depth, most, start or None, low)
-            asked.limit, low = limit_of(self._step), self._step + 1
-            walks, counts = self._walk(domain, asked, max_depth, most)
+            near = start if start and start.step else None
+            self._found = self._budget.search(domain, asked, max_depth, most, near, low)
+            asked.limit, low = limit_of(self._found.step), self._found.step + 1
+            leaves = self._found.splits + 2 * self.lattice.squares
+            walks, counts = self._walk(domain, asked, max_depth, most, leaves)
         leaves = self._leaves(walks, counts)
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
@@ -162,9 +164,10 @@ class Refinement:
         leaves.changed_words = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
 
-    def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int):
+    def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, expected: int = 0):
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
         cuts, last, self._last = self._cuts(), self._last, None
+        self._make_room(expected // (len(cuts) - 1))
         # Of edges alone bands decide so fast that keeping them costs as much as it saves.
         keeps = asked.view_count == 1 and asked.error_px2 < math.inf
         if keeps:
@@ -193,7 +196,12 @@ class Refinement:
                     work = counts[:, 0], counts[:, 0] - (1 - TAKEN_COST) * taken
                     self._last = Walked(domain, asked, max_depth, len(walks), room, work, after)
                 return walks, counts
-            self._capacity = int(1.25 * counts[:, 0].max()) + 1024
+            self._make_room(counts[:, 0].max())
+
+    def _make_room(self, leaves: int):
+        """Room for so many leaves in each slice, and some more."""
+        if leaves > self._capacity:
+            self._capacity = int(1.25 * leaves) + 1024
 
     def _cuts(self) -> list[int]:
         """Where the curve is cut for the threads: evenly by what the last refinement has cost; any cut gives the same.

@@ -3,11 +3,13 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.budget import MAX_STEP, STEPS_PER_OCTAVE, limit_of, lowest
+from adaptive_terrain import kernels
+from adaptive_terrain.cbt_terrain import budget, launch
+from adaptive_terrain.cbt_terrain.budget import MAX_STEP, STEPS_PER_OCTAVE, Found, limit_of, lowest
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -15,6 +17,8 @@ from adaptive_terrain.cbt_terrain.view import View
 from adaptive_terrain.kernels import refine
 from fields import random_view, rough
 from invariants import arrays
+from level_ground import level_scenes
+from twins import load
 
 SHAPES = [(65, 65), (33, 129), (100, 37), (129, 129), (5, 3)]
 
@@ -38,8 +42,8 @@ def scene(seed: int):
         {"error_px": 0.0, "error_m": px},
     ][rng.integers(5)]
     views = [random_view(rng, field) for _ in range(rng.integers(1, 3))]
-    meshlet, budget = int(rng.choice([0, 0, 2])), int(10 ** rng.uniform(2.5, 4.5))
-    return field, views, Criterion(**asked, max_triangles=budget, meshlet=meshlet, max_depth=24), budget >> 2 * meshlet
+    meshlet, most = int(rng.choice([0, 0, 2])), int(10 ** rng.uniform(2.5, 4.5))
+    return field, views, Criterion(**asked, max_triangles=most, meshlet=meshlet, max_depth=24), most >> 2 * meshlet
 
 
 def step_of(relaxed: float) -> int:
@@ -119,6 +123,50 @@ def test_the_answer_does_not_depend_on_what_came_before():
             assert arrays(update.surface) == arrays(fresh.surface)
 
 
+def count_with(tmp_path, name: str, changes: dict[str, tuple[str, str]]):
+    """The counting kernel with lines changed in its two modules."""
+    folder = Path(kernels.__file__).parent
+    for module in ("count_level_ground", "count"):
+        source = (folder / f"{module}.py").read_text().replace("from .count_level_ground", f"from .{name}_level_ground")
+        for here, there in [changes[module]] if module in changes else []:
+            assert source.count(here) == 1
+            source = source.replace(here, there)
+        path = tmp_path / f"{module.replace('count', name, 1)}.py"
+        path.write_text(source)
+        loaded = load(path.stem, path)
+    return loaded.count
+
+
+def level_counts() -> list[tuple[int, list[int]]]:
+    """For scenes of level ground and windows of many and of few steps: the first step that fits, and its splits."""
+    rng, found = np.random.default_rng(3), []
+    for field, criterion, views, scale in level_scenes():
+        terrain, called = Terrain(field, 2), []
+        run = terrain._refinement.run
+        terrain._refinement.run = lambda *args, run=run, called=called: called.append(args) or run(*args)
+        terrain.update(replace(criterion, max_triangles=None), views, vertical_scale=scale)
+        domain, asked, depth = called[-1][:3]
+        for _ in range(4):
+            finest, most = int(rng.integers(0, 60)), int(10 ** rng.uniform(2, 6))
+            coarsest = finest + int(rng.choice([1, 5, 40, 400, MAX_STEP - 60]))
+            first, splits = terrain._refinement._budget._splits(domain, asked, depth, finest, coarsest, most)
+            found.append((first, splits.tolist()))
+    return found
+
+
+def test_level_ground_is_counted_as_it_is_measured(tmp_path, monkeypatch):
+    """240 windows; and a count that takes three triangles for each diamond shows that many were counted there."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    counts = level_counts()
+    measuring = {"count": ("below = LEVEL_GROUND", "below = 1")}
+    monkeypatch.setattr(budget, "count", count_with(tmp_path, "measured", measuring))
+    assert level_counts() == counts
+    wrong = {"count_level_ground": ("found = wp.int64(2)", "found = wp.int64(3)")}
+    monkeypatch.setattr(budget, "count", count_with(tmp_path, "wrong", wrong))
+    differ = [one != other for one, other in zip(level_counts(), counts, strict=True)]
+    assert sum(differ) > len(differ) / 4
+
+
 @pytest.mark.parametrize("most", [0, 10])
 def test_fewer_triangles_than_the_squares_have_are_no_reason_to_coarsen(most):
     """12 squares have 24 at least, and what is asked needs no more."""
@@ -156,13 +204,13 @@ def test_the_search_finds_the_finest_step_from_anywhere():
                 first = finest + int(np.count_nonzero(splits[finest : coarsest + 1] > goal))
                 return first, splits[first : coarsest + 1]
 
-            found = lowest(counted, most, None if start is None else max(1, int(start)), 0)
-            if found == 0 and start is None:  # a guess, which may be wrong
-                found = lowest(counted, most, None, 1) if expected else 0
-            assert found == expected
-        if 4 <= expected <= MAX_STEP:
-            passes.clear()
-            assert lowest(counted, most, expected, 0) == expected and len(passes) == 1
+            found = lowest(counted, most, None if start is None else Found(max(1, int(start))), 0)
+            if found.step == 0 and start is None:  # a guess, which may be wrong
+                found = lowest(counted, most, None, 1) if expected else found
+            assert found.step == expected
+            if start is None and 4 <= expected <= MAX_STEP:  # again, from what was found
+                passes.clear()
+                assert lowest(counted, most, found, 0) == found and len(passes) <= 2
 
 
 def test_a_search_counts_few_times_the_budget(counted):
@@ -187,5 +235,5 @@ def test_a_search_counts_few_times_the_budget(counted):
                 if terrain.update(criterion, views).limited == "max_triangles":
                     parts.append(sum(leaves for step, leaves in counted if step == "budget") / most)
                     assert [step for step, _ in counted].count("refine") <= 3
-    for parts, usual, most_ever in ((first, 2.6, 4.5), (jumps, 2.2, 6.5), (flights, 1.2, 2.5)):
+    for parts, usual, most_ever in ((first, 2.7, 5.2), (jumps, 2.0, 6.8), (flights, 1.2, 2.7)):
         assert len(parts) > 10 and np.median(parts) < usual and max(parts) < most_ever

@@ -3,7 +3,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import warp as wp
@@ -11,12 +10,12 @@ import warp as wp
 from ..kernels import curve
 from ..kernels import refine as kernels
 from ..kernels.band import REMEMBERED, Band
-from ..kernels.block import MAX_BISECTIONS, Blocks
 from ..kernels.coherence import Motion, Subtree
 from ..kernels.criterion import Asked, Domain
 from ..kernels.tree import Run, Runs
 from ..kernels.walk_state import STACK, Walk
 from . import launch
+from .blocks import blocks, shapes
 from .budget import Budget, Found, limit_of
 from .buffers import Buffers, bind, shared
 from .coherence import MOST_DRIFT, Walked, move
@@ -237,7 +236,8 @@ class Refinement:
             "bands": get("walk_bands", stacks, Band),
             "remembered": get("walk_remembered", slices * REMEMBERED, Band),
             "limits": get("walk_limits", stacks, wp.vec3d),
-            "blocks": _blocks(),
+            "blocks": blocks(),
+            "shapes": shapes(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
             "counts": get("counts", slices * 4, wp.int64),
             "bounds": get("bounds", slices * 10, wp.float64),
@@ -328,35 +328,3 @@ class Refinement:
 def _room_for(leaves: int) -> int:
     """Subtrees that a slot of so many leaves may keep."""
     return leaves // 8 + 8
-
-
-@cache
-def _blocks() -> Blocks:
-    """What n even bisections make of a triangle in each state of the curve: see kernels/block.py."""
-    # States of the children, off the leftmost spine of the tree (left_state and right_state in kernels/curve.py).
-    left_state, right_state = (2, 3, 0, 1, 2, 2), (4, 5, 5, 5, 0, 1)
-    codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
-
-    def bisect(left, apex, right, state: int, n: int) -> None:
-        if n == 0:
-            codes.append(state)
-            if state % 2 == 0:  # its third edge is new, and so is the end of it
-                legs.append(apex if state == curve.HYP_LEG else right)
-            return
-        middle = tuple((a + b) // 2 for a, b in zip(left, right, strict=True))
-        bisect(left, middle, apex, left_state[state], n - 1)
-        bisect(apex, middle, right, right_state[state], n - 1)
-
-    for n in range(MAX_BISECTIONS + 1):
-        unit = 1 << ((n + 1) // 2)
-        for state in range(6):
-            first_leaf.append(len(codes))
-            first_vertex.append(len(legs))
-            bisect((unit, 0), (0, 0), (0, unit), state, n)
-            vertices.append(len(legs) - first_vertex[-1])
-    blocks = Blocks()
-    for name, values in (("first_leaf", first_leaf), ("first_vertex", first_vertex), ("vertices", vertices)):
-        setattr(blocks, name, wp.array(np.array(values, np.int32), dtype=wp.int32, device="cpu"))
-    blocks.code = wp.array(np.array(codes, np.uint16), dtype=wp.uint16, device="cpu")
-    blocks.leg = wp.array(np.array(legs, np.int32), dtype=wp.vec2i, device="cpu")
-    return blocks

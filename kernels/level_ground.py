@@ -12,14 +12,25 @@ from .band import BELOW
 from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
 from .criterion import Asked, Domain, diamond_at, finest, larger, sizes, too_coarse
 from .curve import HYP_LEG, leaf_word, left_state, right_state
-from .footprint import Plan, heights_between, most_below, put_limits, spans
-from .unchecked import corners_at, limits_at, number_at, put, put_code, put_corners, put_pair
+from .footprint import Heights, Plan, heights_between, most_below, put_limits, spans
+from .shape import MAX_SHAPE, write_shape
+from .unchecked import (
+    corners_at,
+    limits_at,
+    number_at,
+    number_starts,
+    put,
+    put_code,
+    put_corners,
+    put_pair,
+    spread_starts,
+)
 from .walk_state import STACK, Walk, Written, flush
 
 wp.set_module_options({"enable_backward": False})
 
-# Instead of being split as a triangle of the walk: two leaves at once, or more of them, from a table.
-PAIR = wp.constant(2)
+# Instead of being split as a triangle of the walk: its leaves come from a table.
+SHAPE = wp.constant(2)
 BLOCK = wp.constant(3)
 INSIDE = wp.constant(wp.uint64(1))  # a cell other than the square's first
 
@@ -30,6 +41,56 @@ def put_leaf(w: Walk, leaf: wp.int64, vertex: wp.int64, word: wp.uint32, apex: w
     put_code(w.code, w.leaf_base + leaf, wp.uint16(word))
     new = wp.where((word & wp.uint32(6)) == wp.uint32(HYP_LEG), apex, right)
     put_pair(w.point, w.leaf_base + vertex, new)
+
+
+@wp.func
+def splits_at(plan: Plan, heights: Heights, limit: wp.vec3d, climb: wp.float64, x: wp.int32, y: wp.int32):
+    """Whether the diamond split at (x, y) is, and whether that is certain: 0 or 1."""
+    least, most = spans(plan, heights, x, y, limit[0])
+    split = wp.int32(most < limit[1])
+    return split, split | wp.int32(least >= limit[2] + climb)
+
+
+@wp.func
+def shape_below(
+    plan: Plan,
+    heights: Heights,
+    limits: wp.array(dtype=wp.vec3d),
+    limit: wp.int32,
+    climb: wp.float64,
+    bisections: wp.int32,
+    left_x: wp.int32,
+    left_y: wp.int32,
+    apex_x: wp.int32,
+    apex_y: wp.int32,
+    right_x: wp.int32,
+    right_y: wp.int32,
+):
+    """The shape of a triangle that is split, and whether it is certain: 0 or 1.
+
+    limit: entry of the triangle's own. bisections: how many there are below it at most, from 1 to MAX_SHAPE.
+    """
+    shape = wp.int32(0)
+    sure = wp.int32(1)
+    if bisections > 1:
+        own = limits_at(limits, limit + 1)
+        split_0, sure_0 = splits_at(plan, heights, own, climb, (left_x + apex_x) >> 1, (left_y + apex_y) >> 1)
+        split_1, sure_1 = splits_at(plan, heights, own, climb, (apex_x + right_x) >> 1, (apex_y + right_y) >> 1)
+        shape = split_0 | (split_1 << 1)
+        sure = sure_0 & sure_1
+        if bisections > 2:
+            x = (left_x + right_x) >> 1
+            y = (left_y + right_y) >> 1
+            own = limits_at(limits, limit + 2)
+            split_00, sure_00 = splits_at(plan, heights, own, climb, (left_x + x) >> 1, (left_y + y) >> 1)
+            # Child 1 of child 0 and child 0 of child 1 are one diamond.
+            split_01, sure_01 = splits_at(plan, heights, own, climb, (apex_x + x) >> 1, (apex_y + y) >> 1)
+            split_11, sure_11 = splits_at(plan, heights, own, climb, (x + right_x) >> 1, (y + right_y) >> 1)
+            below_0 = (split_00 << 2) | (split_01 << 3)
+            below_1 = (split_01 << 4) | (split_11 << 5)
+            shape = shape | (below_0 * split_0) | (below_1 * split_1)
+            sure = sure & sure_00 & sure_01 & sure_11
+    return shape, sure
 
 
 @wp.func
@@ -85,6 +146,7 @@ def walk_level_ground(
     inside = wp.int32(1)
     while inside == 1 and leaves <= w.leaf_limit:
         split = wp.int32(0)
+        shape = wp.int32(0)
         x = (left_x + right_x) >> 1
         y = (left_y + right_y) >> 1
         if depth < ends:
@@ -108,8 +170,13 @@ def walk_level_ground(
             if split == 1:
                 while ends > depth + 1 and least >= limits_at(w.limits, limits + ends - 1)[2] + climb:
                     ends -= 1
-                if ends == depth + 1:
-                    split = PAIR
+                if ends <= depth + MAX_SHAPE:
+                    shape, sure = shape_below(
+                        plan, heights, w.limits, limits + depth, climb, ends - depth,
+                        left_x, left_y, apex_x, apex_y, right_x, right_y,
+                    )  # fmt: skip
+                    if sure == 1:
+                        split = SHAPE
                 elif ends <= w.max_depth and ends - depth <= MAX_BISECTIONS and w.cell_bits - depth >= 6:
                     if most_below(plan, heights, x, y, limit[0]) < limits_at(w.limits, limits + ends - 1)[1]:
                         split = BLOCK
@@ -148,30 +215,39 @@ def walk_level_ground(
                 leaves += even
                 vertices += wp.int64(new_vertices(w.blocks, state, levels))
             else:
-                if wp.int64(cell >> wp.uint64(6)) != word:
+                at = wp.int64(cell >> wp.uint64(6))
+                if at != word:
                     words = flush(w, words, word, bits)
-                    word = wp.int64(cell >> wp.uint64(6))
+                    word = at
                     bits = wp.uint64(0)
-                bits = bits | (wp.uint64(1) << (cell & wp.uint64(63)))
-                if split == PAIR:
-                    second = cell + (size >> wp.uint64(1))
-                    if wp.int64(second >> wp.uint64(6)) != word:
-                        words = flush(w, words, word, bits)
-                        word = wp.int64(second >> wp.uint64(6))
-                        bits = wp.uint64(0)
-                    bits = bits | (wp.uint64(1) << (second & wp.uint64(63)))
-                    state_0 = left_state(state)
-                    state_1 = right_state(state, INSIDE)
-                    vertex_1 = vertices + wp.int64(1 - (state_0 & 1))
-                    if leaves + wp.int64(1) < w.leaf_capacity:
-                        middle = wp.vec2i(x, y)
-                        word_0 = leaf_word(state_0, depth + 1)
-                        word_1 = leaf_word(state_1, depth + 1)
-                        put_leaf(w, leaves, vertices, word_0, middle, wp.vec2i(apex_x, apex_y))
-                        put_leaf(w, leaves + wp.int64(1), vertex_1, word_1, middle, wp.vec2i(right_x, right_y))
-                    vertices = vertex_1 + wp.int64(1 - (state_1 & 1))
-                    leaves += wp.int64(2)
+                if split == SHAPE:
+                    entry = 6 * shape + state
+                    starts = number_at(w.shapes.starts, entry)
+                    size_bits = w.cell_bits - depth
+                    if size_bits > 6:  # words of their own
+                        if leaves < w.leaf_capacity:
+                            to = w.leaf_base + words
+                            words += wp.int64(number_starts(w.word_index, w.word_bits, to, at, size_bits, starts))
+                        word = wp.int64(-1)
+                    else:
+                        bits = bits | (spread_starts(starts, size_bits) << (cell & wp.uint64(63)))
+                    if leaves < w.leaf_capacity:
+                        write_shape(
+                            w.shapes,
+                            entry,
+                            depth,
+                            wp.vec2i(left_x, left_y),
+                            wp.vec2i(apex_x, apex_y),
+                            wp.vec2i(right_x, right_y),
+                            w.code,
+                            w.leaf_base + leaves,
+                            w.point,
+                            w.leaf_base + vertices,
+                        )
+                    leaves += wp.int64(number_at(w.shapes.leaves, entry))
+                    vertices += wp.int64(number_at(w.shapes.vertices, entry))
                 else:
+                    bits = bits | (wp.uint64(1) << (cell & wp.uint64(63)))
                     if leaves < w.leaf_capacity:
                         corner = wp.vec2i(apex_x, apex_y)
                         put_leaf(w, leaves, vertices, leaf_word(state, depth), corner, wp.vec2i(right_x, right_y))

@@ -186,6 +186,71 @@ def number_words(
 ): ...
 
 
+# A shape (kernels/shape.py).
+
+
+@wp.func_native(
+    "const wp::uint16* from = table.data + first; wp::uint16* __restrict to = out.data + at; "
+    "for (int k = 0; k < 8; ++k) to[k] = (from[k] ^ flip) + more;"
+)
+def put_eight(
+    table: wp.array(dtype=wp.uint16),
+    first: wp.int32,
+    flip: wp.uint16,
+    more: wp.uint16,
+    out: wp.array(dtype=wp.uint16),
+    at: wp.int64,
+): ...
+
+
+# In vectors, since the compiler makes none of the loop.
+@wp.func_native(
+    "typedef int Four __attribute__((vector_size(32), aligned(4))); "
+    "const int* leg = (const int*)(legs.data + first); int* to = (int*)(out.data + at); "
+    "const int ax = apex[0], ay = apex[1], lx = left[0], ly = left[1], rx = right[0], ry = right[1]; "
+    "const Four a = {ax, ay, ax, ay, ax, ay, ax, ay}, l = {lx, ly, lx, ly, lx, ly, lx, ly}, "
+    "r = {rx, ry, rx, ry, rx, ry, rx, ry}; "
+    "for (int k = 0; k < 16; k += 8) { const Four g = *(const Four*)(leg + k); "
+    "const Four g0 = __builtin_shufflevector(g, g, 0, 0, 2, 2, 4, 4, 6, 6); "
+    "const Four g1 = __builtin_shufflevector(g, g, 1, 1, 3, 3, 5, 5, 7, 7); "
+    "*(Four*)(to + k) = a + ((g0 * l + g1 * r) >> 2); }"
+)
+def place_eight(
+    legs: wp.array(dtype=wp.vec2i),
+    first: wp.int32,
+    apex: wp.vec2i,
+    left: wp.vec2i,
+    right: wp.vec2i,
+    out: wp.array(dtype=wp.vec2i),
+    at: wp.int64,
+): ...
+
+
+@wp.func_native(
+    "wp::int64* __restrict index = indices.data + at; wp::uint64* __restrict word = words.data + at; int n = 0; "
+    "if (size_bits >= 9) { const wp::int64 step = wp::int64(1) << (size_bits - 9); "
+    "for (int k = 0; k < 8; ++k) { index[n] = first + k * step; word[n] = 1; n += starts >> k & 1; } } "
+    "else { const int each = 1 << (9 - size_bits); for (int k = 0; k < 8; k += each) { wp::uint64 bits = 0; "
+    "for (int j = 0; j < each; ++j) bits |= wp::uint64(starts >> (k + j) & 1) << (j << (size_bits - 3)); "
+    "index[n] = first + k / each; word[n] = bits; n += bits != 0; } } return n;"
+)
+def number_starts(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    at: wp.int64,
+    first: wp.int64,
+    size_bits: wp.int32,
+    starts: wp.int32,
+) -> wp.int32: ...
+
+
+@wp.func_native(
+    "wp::uint64 bits = 0; for (int k = 0; k < 8; ++k) bits |= wp::uint64(starts >> k & 1) << ((k << size_bits) >> 3); "
+    "return bits;"
+)
+def spread_starts(starts: wp.int32, size_bits: wp.int32) -> wp.uint64: ...
+
+
 # What the last frame has written of a subtree (kernels/coherence.py).
 
 

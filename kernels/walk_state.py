@@ -7,6 +7,7 @@ from .band import Band
 from .block import Blocks
 from .bounds import Bounds
 from .coherence import Motion, Subtree
+from .shape import Shapes
 from .tree import Run
 from .unchecked import put_word
 
@@ -48,6 +49,7 @@ class Walk:
     remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
     limits: wp.array(dtype=wp.vec3d)  # from entry slot * STACK on, of each depth: kernels/footprint.py
     blocks: Blocks
+    shapes: Shapes
     # Coherence from frame to frame: see kernels/kept.py.
     slack: wp.float64  # the part by which spans of a pixel may change before what a band says is in doubt
     kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on

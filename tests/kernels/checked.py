@@ -165,6 +165,68 @@ def place_legs(
 
 
 @wp.func
+def put_eight(
+    table: wp.array(dtype=wp.uint16),
+    first: wp.int32,
+    flip: wp.uint16,
+    more: wp.uint16,
+    out: wp.array(dtype=wp.uint16),
+    at: wp.int64,
+):
+    for k in range(8):
+        out[at + wp.int64(k)] = (table[first + wp.int32(k)] ^ flip) + more
+
+
+@wp.func
+def place_eight(
+    legs: wp.array(dtype=wp.vec2i),
+    first: wp.int32,
+    apex: wp.vec2i,
+    left: wp.vec2i,
+    right: wp.vec2i,
+    out: wp.array(dtype=wp.vec2i),
+    at: wp.int64,
+):
+    place_legs(legs, first, 8, apex, left, right, 2, out, at)
+
+
+@wp.func
+def number_starts(
+    indices: wp.array(dtype=wp.int64),
+    words: wp.array(dtype=wp.uint64),
+    at: wp.int64,
+    first: wp.int64,
+    size_bits: wp.int32,
+    starts: wp.int32,
+) -> wp.int32:
+    n = wp.int32(0)
+    bits = wp.uint64(0)
+    k = wp.int32(0)
+    while k < 8:
+        cell = k << (size_bits - 3)
+        after = (k + 1) << (size_bits - 3)
+        if (starts >> k) & 1 == 1:
+            bits = bits | (wp.uint64(1) << wp.uint64(cell & 63))
+        if (after >> 6) > (cell >> 6):
+            indices[at + wp.int64(n)] = first + wp.int64(cell >> 6)
+            words[at + wp.int64(n)] = wp.where(size_bits < 9, bits, wp.uint64(1))
+            if bits != wp.uint64(0):
+                n += 1
+            bits = wp.uint64(0)
+        k += 1
+    return n
+
+
+@wp.func
+def spread_starts(starts: wp.int32, size_bits: wp.int32) -> wp.uint64:
+    bits = wp.uint64(0)
+    for k in range(8):
+        if (starts >> wp.int32(k)) & 1 == 1:
+            bits = bits | (wp.uint64(1) << wp.uint64((k << size_bits) >> 3))
+    return bits
+
+
+@wp.func
 def copy_points(
     points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
 ):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain import kernels
 from adaptive_terrain.cbt_terrain import launch, refinement
+from adaptive_terrain.cbt_terrain.blocks import blocks, shapes
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
@@ -144,32 +145,17 @@ def codes(terrain: Terrain, view: View, edge_px: float, monkeypatch) -> np.ndarr
     return terrain._buffers.numpy("code")[:leaves].copy()
 
 
-def test_level_ground_has_a_walk_of_its_own(tmp_path, monkeypatch):
-    """What that walk writes shows: with another depth in its words, others come out."""
-    folder = Path(kernels.__file__).parent
-    source = (folder / "level_ground.py").read_text()
-    assert source.count("wp.uint16(word))") == 1
-    (tmp_path / "wrong_ground.py").write_text(source.replace("wp.uint16(word))", "wp.uint16(word ^ wp.uint32(4096)))"))
-    load("wrong_ground", tmp_path / "wrong_ground.py")
-    source = (folder / "refine.py").read_text()
-    (tmp_path / "wrong_refine.py").write_text(source.replace("from .level_ground", "from .wrong_ground"))
+@pytest.mark.parametrize(("table", "edge_px", "part"), [(blocks, 4.0, 0.25), (shapes, 80.0, 0.9)])
+def test_level_ground_comes_from_tables(table, edge_px, part, monkeypatch):
+    """What they hold shows in the leaves: with another depth in them, others come out."""
     view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
     field = from_array(np.zeros((257, 257), np.float32))
-    right = codes(Terrain(field, 1), view, 80.0, monkeypatch)
-    monkeypatch.setattr(refinement, "kernels", load("wrong_refine", tmp_path / "wrong_refine.py"))
-    assert (codes(Terrain(field, 1), view, 80.0, monkeypatch) != right).mean() > 0.5
-
-
-def test_even_ground_comes_from_blocks(monkeypatch):
-    """What the table holds shows in the mesh: with another state in it, another mesh would come out."""
-    view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
-    field = from_array(np.zeros((257, 257), np.float32))
-    right = codes(Terrain(field, 1), view, 4.0, monkeypatch)
-    table = refinement._blocks().code.numpy()
-    kept = table.copy()
+    right = codes(Terrain(field, 1), view, edge_px, monkeypatch)
+    code = table().code.numpy()
+    kept = code.copy()
     try:
-        table[:] ^= 0x1000  # a bit of the depth
-        changed = codes(Terrain(field, 1), view, 4.0, monkeypatch) != right
+        code[:] ^= 0x1000  # a bit of the depth
+        changed = codes(Terrain(field, 1), view, edge_px, monkeypatch) != right
     finally:
-        table[:] = kept
-    assert changed.mean() > 0.25
+        code[:] = kept
+    assert changed.mean() > part

@@ -14,14 +14,18 @@ from .unchecked import (
     height_at,
     limits_at,
     number_at,
+    number_starts,
     number_words,
     pair_at,
+    place_eight,
     place_legs,
     put,
     put_code,
     put_corners,
+    put_eight,
     put_pair,
     put_word,
+    spread_starts,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -56,6 +60,16 @@ def pass_all(
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
     number_words(entries, words, row, count, wp.int64(-11), wp.int64(1) << wp.int64(33), wp.uint64(0x1111))
+    row = wp.int64(4 * count + 4)
+    put_eight(codes, 3, wp.uint16(8), wp.uint16(5 << 9), codes, row)
+    place_eight(pairs, 5, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), pairs, row)
+    # Leaves that begin with eighths 0, 2, 3 and 6 of 1 to 64 cells, which share a word; of more, that do not.
+    for k in range(count / 4):
+        to = row + wp.int64(4 * k)
+        if k < 7:
+            words[to] = spread_starts(0x4D, k)
+        else:
+            numbers[4 * count + k] = number_starts(entries, words, to, wp.int64(-3), k, 0x4D)
     row = wp.int64(5 * count)
     first = wp.int64(2)
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)

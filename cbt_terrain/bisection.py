@@ -14,7 +14,6 @@ import numpy as np
 from .errors import TerrainError
 from .lattice import Lattice
 from .tree import ConcurrentBinaryTree
-from .words import pack_cells
 
 MAX_DEPTH = 62  # ids fit int64, and so do squared edge lengths in units
 
@@ -185,7 +184,7 @@ def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
         raise TerrainError(f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares.")
     roots = np.arange(2 * lattice.squares, dtype=np.int64) << (shift - 1)
     unused = np.arange(lattice.squares, 1 << lattice.square_bits, dtype=np.int64) << shift
-    tree.mark(*pack_cells(np.concatenate([roots, unused])))
+    tree.mark(np.concatenate([roots, unused]))
 
 
 def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, node: Node) -> list[Node]:

@@ -19,7 +19,7 @@ class Walked:
     asked: Asked
     max_depth: int
     slots: int
-    room: int  # of subtrees, and of runs of words, in a slot
+    room: int  # of subtrees, and of runs of leaves, in a slot
     work: tuple  # of each slot: leaves, and what they cost, in leaves that are found anew
     after: object  # the leaves that it has taken some from, or None
     stamp: object = None  # of the tree that it marked; None: of none yet

@@ -18,9 +18,10 @@ from . import launch
 from .blocks import blocks, shapes
 from .budget import Budget, Found, limit_of
 from .buffers import Buffers, bind, shared
+from .cell_streams import AHEAD
 from .coherence import MOST_DRIFT, Walked, move
 from .heightfield import HeightField
-from .tree import ConcurrentBinaryTree
+from .tree import MIN_DEPTH, ConcurrentBinaryTree
 
 # Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
 PLANE_BITS = 23
@@ -44,7 +45,7 @@ WRITTEN = ("code", "point", "kept", "kept_counts")
 class Leaves:
     """The leaves of one refinement, in curve order, slice by slice.
 
-    `counts` int64 [slices, 4]: leaves, vertices, edges, words. `squares` int32 [slices]: where each begins.
+    `counts` int64 [slices, 3]: leaves, vertices, edges. `squares` int32 [slices]: where each begins.
     `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
     4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
     `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
@@ -64,7 +65,7 @@ class Leaves:
     slots: np.ndarray
     after: "Leaves | None" = None
     taken: "Runs | None" = None
-    changed_words: int = 0
+    changed_cells: int = 0
 
     @property
     def total(self) -> int:
@@ -136,7 +137,7 @@ class Refinement:
         functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
         asked for so few leaves, so they may well be too few; it only says what is tried first.
         """
-        cell_bits = max(max_depth, 6)  # a square fills whole words of the tree
+        cell_bits = max(max_depth, MIN_DEPTH)
         if self.tree is None or cell_bits != self._cell_bits:
             self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
             self._cell_bits = cell_bits
@@ -160,7 +161,7 @@ class Refinement:
             self._last.leaves, self._last.after = leaves, None
             if leaves.after:
                 leaves.after.after = None  # or all leaves of a flight would stay
-        leaves.changed_words = self._mark(walks, counts)
+        leaves.changed_cells = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
 
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, expected: int = 0):
@@ -185,7 +186,7 @@ class Refinement:
                 walk.motion = self._motion
             kernel = kernels.keeping_walk if keeps else kernels.walk
             launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
-            counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
+            counts = self.buffers.numpy("counts")[: 3 * len(walks)].reshape(-1, 3).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None
             if counts[:, 0].max() <= self._capacity:
@@ -203,10 +204,7 @@ class Refinement:
             self._capacity = int(1.25 * leaves) + 1024
 
     def _cuts(self) -> list[int]:
-        """Where the curve is cut for the threads: evenly by what the last refinement has cost; any cut gives the same.
-
-        Cuts lie between words of the tree, so that no two slices write one word.
-        """
+        """Where the curve is cut for the threads: evenly by what the last refinement has cost; any cut does."""
         tree, end = self.tree, self.lattice.squares << self._cell_bits
         leaves = tree.leaf_count - (1 << self.lattice.square_bits) + self.lattice.squares
         if self.threads < 2 or leaves < launch.SLICE_ITEMS:
@@ -216,7 +214,7 @@ class Refinement:
         if self._last is not None:
             ends, costs = (np.cumsum([0, *of]) for of in self._last.work)
         at = np.interp(shares * costs[-1], costs, ends).astype(np.int64)
-        inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) >> 6 << 6 for leaf in at.tolist()]
+        inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) for leaf in at.tolist()]
         return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]  # an edited tree may have leaves anywhere
 
     def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[Walk]:
@@ -224,13 +222,10 @@ class Refinement:
         slices, squares = len(cuts) - 1, self.lattice.squares
         stride, stacks = capacity + 2 * squares + 8, slices * STACK
         get = self.buffers.get
-        word_index, word_bits = self.tree.next_words(slices * stride + (1 << self.lattice.square_bits))
-        last_index, last_bits = self.tree.last_words()
         arrays = {
             "code": get("code", slices * stride, wp.uint16),
             "point": get("point", slices * stride, wp.vec2i),
-            "word_index": word_index,
-            "word_bits": word_bits,
+            "cell": self.tree.next_cells(slices * stride + (1 << self.lattice.square_bits)),
             "stack": get("walk_stack", stacks, wp.vec4i),
             "aside": get("walk_aside", stacks, wp.int32),
             "bands": get("walk_bands", stacks, Band),
@@ -239,7 +234,7 @@ class Refinement:
             "blocks": blocks(),
             "shapes": shapes(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
-            "counts": get("counts", slices * 4, wp.int64),
+            "counts": get("counts", slices * 3, wp.int64),
             "bounds": get("bounds", slices * 10, wp.float64),
             "taken": get("taken", slices, wp.int64),
             "kept": get("kept", slices * _room_for(capacity), Subtree),
@@ -248,8 +243,7 @@ class Refinement:
             "last_counts": get("last_kept_counts", 1, wp.int64),
             "last_code": get("last_code", 1, wp.uint16),
             "last_point": get("last_point", 1, wp.vec2i),
-            "last_word_index": last_index,
-            "last_word_bits": last_bits,
+            "last_cell": self.tree.last_cells(),
             "runs": get("runs", slices * _room_for(capacity), Run),
             "run_counts": get("runs_counts", slices, wp.int64),
             "point_runs": get("point_runs", slices * _room_for(capacity), Run),
@@ -297,18 +291,17 @@ class Refinement:
         return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts, used)
 
     def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
-        """Write the leaves into the tree; returns how many of its words changed."""
-        parts = [(w.leaf_base, n) for w, n in zip(walks, counts[:, 3], strict=True)]
+        """Write the leaves into the tree; returns how many of its cells changed."""
+        parts = [(w.leaf_base, n) for w, n in zip(walks, counts[:, 0], strict=True)]
         squares, most = self.lattice.squares, 1 << self.lattice.square_bits
         if squares < most:  # those that only fill the tree up to a power of two are a leaf each, after all others
-            index, bits = (memory.numpy() for memory in self.tree.next_words(1))
-            first = len(index) - 1 - (most - squares)
-            index[first:-1] = np.arange(squares, most, dtype=np.int64) << (self._cell_bits - 6)
-            bits[first:-1] = 1
+            cells = self.tree.next_cells(1).numpy()
+            first = len(cells) - AHEAD - 1 - (most - squares)
+            cells[first : first + most - squares] = np.arange(squares, most, dtype=np.int64) << self._cell_bits
             parts.append((first, most - squares))
         last = self._last
         runs = self._listed(self._runs, "runs") if last else None
-        # A mark that is stopped leaves words and counters that do not agree: then the next refinement has a new tree.
+        # A mark that is stopped leaves cells and counters that do not agree: then the next refinement has a new tree.
         tree, self.tree = self.tree, None
         changed = tree.mark_written(parts, runs)
         self.tree = tree

@@ -73,14 +73,14 @@ class SurfaceBuilder:
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
         slices = leaves.counts.tolist()
-        triangles, vertices, edges, _ = (sum(column) for column in zip(*slices, strict=True))
+        triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
         self._weld_slices(leaves, domain, triangles, vertices, edges)
         prefix, point, slots = "leaf_", "point", None
         # Points lie slice by slice; those of meshlets in one row, what is inside of leaves last.
-        parts = [(int(base), n) for base, (_, n, _, _) in zip(leaves.base, slices, strict=True)]
+        parts = [(int(base), n) for base, (_, n, _) in zip(leaves.base, slices, strict=True)]
         showing = leaves
         if meshlet:
             t = template(meshlet)

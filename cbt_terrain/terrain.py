@@ -162,7 +162,7 @@ class Terrain:
             domain, asked, depth, _max_leaves(criterion), criterion.max_triangles is not None
         )
         # The same leaves displaced the same way are the same mesh.
-        changed = bool(leaves.changed_words) or shape != shape_key or edited
+        changed = bool(leaves.changed_cells) or shape != shape_key or edited
         surface = self._last.surface if self._last else None
         if changed:
             surface = self._builder.build(leaves, domain, criterion.meshlet)

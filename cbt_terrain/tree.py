@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The concurrent binary tree: a bitfield with one bit a deepest node, and a sum reduction above it (Dupuy 2020).
 
-A leaf sets the bit of its first deepest node, its *cell*. Leaves are counted word by word by population count, then for
-blocks of 64 words, for 64 blocks and so on, in counters of whole bytes: uint16 a block, int64 above. Only what lies
-above changed words is summed again. Of the bitfield the words that are not zero are kept, in order, as a *stream*: 16
-bytes a word however deep the tree, and a population count is cheaper than the byte that would hold it. The counters
-have their fixed place, 2 bytes for each 4,096 cells, in memory that the system commits when it is touched.
+A leaf sets the bit of its first deepest node, its *cell*. Of the bitfield the cells whose bits are set are kept, in
+order, as a *stream*: 8 bytes a leaf however deep the tree. Leaves are counted for blocks of 4,096 cells, for 64 blocks
+and so on, in counters of whole bytes: uint16 a block, int64 above. Only what lies above changed cells is summed again.
+The counters have their fixed place in memory that the system commits when it is touched.
 
 The tree knows nothing of triangles and cameras. Ids and cells are Python ints: id 1 is the root, id n has the children
 2n and 2n + 1, so an id at depth d lies in [2**d, 2**(d+1)).
@@ -19,18 +18,11 @@ import warp as wp
 from ..kernels.tree import Run, Runs, reduce_changed
 from . import launch
 from .buffers import shared
+from .cell_streams import CellStreams
 from .errors import TerrainError
-from .words import (
-    BLOCK_BITS,
-    MAX_DEPTH,
-    MIN_DEPTH,
-    WORD_BITS,
-    WordStreams,
-    pack_cells,
-    unpack_cells,
-    words_from_bytes,
-    words_to_bytes,
-)
+from .words import MAX_DEPTH, MIN_DEPTH, pack_cells, unpack_cells, words_from_bytes, words_to_bytes
+
+BLOCK_BITS = 12  # log2 of the cells in a block
 
 
 class ConcurrentBinaryTree:
@@ -41,8 +33,8 @@ class ConcurrentBinaryTree:
     | count | `leaf_count` | O(1) |
     | query one | `decode`, `encode`, `is_leaf`, `leaf_at`, `cell_of_leaf`, `rank` | O(depth) |
     | edit one | `split`, `merge` | O(depth) |
-    | write all | `mark`, `reset`, `mark_written` | O(words) to compare, O(depth) for each 64 blocks with a change |
-    | list all | `words`, `leaves`, `to_bytes`, `from_bytes` | O(leaves) |
+    | write all | `mark`, `reset`, `mark_written` | O(leaves) to compare, O(depth) for each 64 blocks with a change |
+    | list all | `cells`, `leaves`, `to_bytes`, `from_bytes` | O(leaves) |
 
     Leaves are numbered 0 .. leaf_count - 1 in the order of their cells, which is the order of a depth-first walk.
     """
@@ -67,8 +59,8 @@ class ConcurrentBinaryTree:
         self._levels = [*parts[::-1], self._block_counts]
         longs = [shared(array, wp.int64) for array in (self._upper_counts, self._level_start, self._changed)]
         self._counters = [shared(self._block_counts, wp.uint16), *longs]
-        self._words = WordStreams()
-        self._edited: dict[int, dict[int, int]] = {}  # blocks that `split` and `merge` lay over the words
+        self._cells = CellStreams()
+        self._edited: dict[int, np.ndarray] = {}  # blocks that `split` and `merge` lay over the stream
         self._recorded: tuple[dict, dict] = {}, {}  # for either of the two streams
         self.reset()
 
@@ -82,11 +74,11 @@ class ConcurrentBinaryTree:
     @property
     def nbytes(self) -> int:
         """Address space of all arrays; the system commits what is touched of it."""
-        return self._block_counts.nbytes + self._upper_counts.nbytes + self._words.nbytes
+        return self._block_counts.nbytes + self._upper_counts.nbytes + self._cells.nbytes
 
     @property
     def stamp(self) -> object:
-        """The same object as long as no leaf is written or edited, and `last_words` holds the same."""
+        """The same object as long as no leaf is written or edited, and `last_cells` holds the same."""
         return self._stamp
 
     # Query one leaf: O(depth)
@@ -106,7 +98,7 @@ class ConcurrentBinaryTree:
     def is_leaf(self, heap_id: int) -> bool:
         """Whether `heap_id` is a leaf, neither split nor below a leaf."""
         first, size = self._cells_of(heap_id)
-        if not self._block(first >> BLOCK_BITS).get(first >> WORD_BITS, 0) >> (first & 63) & 1:
+        if first not in self._block(first >> BLOCK_BITS):
             return False
         return self.cell_of_leaf(self.rank(first) + 1) - first == size
 
@@ -125,24 +117,14 @@ class ConcurrentBinaryTree:
         node, left = 0, leaf
         for level in self._levels[1:]:
             node, left = _descend(level, node, left)
-        for word, bits in self._block(node).items():
-            count = bits.bit_count()
-            if left < count:
-                for _ in range(left):
-                    bits &= bits - 1
-                return (word << WORD_BITS) + (bits & -bits).bit_length() - 1
-            left -= count
-        raise AssertionError("the counters do not agree with the words")
+        return int(self._block(node)[left])
 
     def rank(self, cell: int) -> int:
         """Leaves that begin before `cell`, 0 .. 2**max_depth."""
         if cell >= self.cell_count:
             return self.leaf_count
         node = cell >> BLOCK_BITS
-        total = 0
-        for word, bits in self._block(node).items():
-            before = min(max(cell - (word << WORD_BITS), 0), 64)
-            total += (bits & ((1 << before) - 1)).bit_count()
+        total = int(np.searchsorted(self._block(node), cell))
         for level in self._levels[:0:-1]:
             total += int(level[node & ~63 : node].sum(dtype=np.int64))
             node >>= 6
@@ -166,45 +148,44 @@ class ConcurrentBinaryTree:
 
     # Write all leaves
 
-    def mark(self, word_index: np.ndarray, word_bits: np.ndarray) -> int:
-        """Replace the leaves by those of a stream of nonzero words, and return how many words differ from before.
+    def mark(self, cells: np.ndarray) -> int:
+        """Replace the leaves by those that begin at `cells`, and return how many differ from before.
 
-        `word_index` int64 [n], ascending: positions of the words in the bitfield. `word_bits` uint64 [n]: their bits,
-        one for the first cell of each leaf. The words are copied.
+        `cells` int64 [n], ascending: the first cell of each leaf. They are copied.
         """
-        return self.mark_slices([(word_index, word_bits)])
+        return self.mark_slices([cells])
 
-    def mark_slices(self, slices: list[tuple[np.ndarray, np.ndarray]]) -> int:
-        """As `mark`, of a stream in consecutive slices; a word that is cut by a slice's end may be in both."""
-        self.next_words(sum(len(index) for index, _ in slices) + 1)
-        return self.mark_written(self._words.write(slices))
+    def mark_slices(self, slices: list[np.ndarray]) -> int:
+        """As `mark`, of consecutive slices."""
+        self.next_cells(sum(len(cells) for cells in slices) + 1)
+        return self.mark_written(self._cells.write(slices))
 
-    def next_words(self, room: int) -> tuple[wp.array, wp.array]:
-        """Memory for the next stream, index int64 and bits uint64, at least [room]: to be written, then `mark_written`.
+    def next_cells(self, room: int) -> wp.array:
+        """Memory for the next stream of cells, int64, at least [room]: to be written, then `mark_written`.
 
         What is written and not marked changes nothing.
         """
         if self._edited:
             self._fold()
-        return self._words.next(room)
+        return self._cells.next(room)
 
-    def last_words(self) -> tuple[wp.array, wp.array]:
-        """Memory of the stream as it was written, without what was edited since: index int64 and bits uint64."""
-        return self._words.now()
+    def last_cells(self) -> wp.array:
+        """Memory of the stream as it was written, without what was edited since: int64."""
+        return self._cells.now()
 
     def mark_written(self, parts: list[tuple[int, int]], runs: "Runs | None" = None) -> int:
-        """Replace the leaves by those of the stream in `next_words`, and return how many words differ from before.
+        """Replace the leaves by those of the stream in `next_cells`, and return how many cells are in one of them only.
 
-        `parts`: first entry and number of words of each part, ascending, as the words in them are; the entry after a
-        part's last word must be free, and the tree not edited since `next_words`. `runs`: words that are the same in
+        `parts`: first entry and number of cells of each part, ascending, as the cells in them are; the entry after a
+        part's last cell must be free, and the tree not edited since `next_cells`. `runs`: cells that are the same in
         both streams and need not be compared.
         """
         parts = [(int(first), int(count)) for first, count in parts if count]
-        self._words.link(parts)
-        inputs = [*self._words.next(), *self._words.now(), *self._counters, runs or no_runs()]
+        self._cells.link(parts)
+        inputs = [self._cells.next(), self._cells.now(), *self._counters, runs or no_runs()]
         launch.once(reduce_changed, inputs, step="mark", recorded=self._recorded[0])
         self._recorded = self._recorded[::-1]
-        self._words.advance(parts)
+        self._cells.advance(parts)
         self._stamp = object()
         return int(self._changed[0])
 
@@ -212,36 +193,36 @@ class ConcurrentBinaryTree:
         """Make the leaves all the nodes at `depth`."""
         if not 0 <= depth <= self.max_depth:
             raise TerrainError(f"The tree cannot be reset to depth {depth}; expected 0 .. {self.max_depth}.")
-        self.mark(*pack_cells(np.arange(1 << depth, dtype=np.int64) << (self.max_depth - depth)))
+        self.mark(np.arange(1 << depth, dtype=np.int64) << (self.max_depth - depth))
 
     # List all leaves: O(leaves)
 
-    def words(self) -> tuple[np.ndarray, np.ndarray]:
-        """The nonzero words of the bitfield in order: index int64 [n] and bits uint64 [n], as `mark` takes them.
+    def cells(self) -> np.ndarray:
+        """The first cell of each leaf in order, int64 [leaf_count], as `mark` takes them.
 
-        Of a stream in one part they are views of the tree's own arrays, valid until the next edit.
+        Of a stream in one part it is a view of the tree's own array, valid until the next edit.
         """
         if self._edited:
             self._fold()
-        return self._words.joined()
+        return self._cells.joined()
 
     def leaves(self) -> np.ndarray:
         """Heap ids of all leaves in order: uint64 [leaf_count]."""
-        cells = unpack_cells(*self.words())
+        cells = self.cells()
         sizes = np.diff(cells, append=self.cell_count)
         shifts = np.searchsorted(1 << np.arange(self.max_depth + 1, dtype=np.int64), sizes)
         return ((cells + self.cell_count) >> shifts).astype(np.uint64)
 
     def to_bytes(self) -> bytes:
-        """The tree as bytes: a header, the nonzero words and a checksum, 16 bytes a word."""
-        return words_to_bytes(self.max_depth, *self.words())
+        """The tree as bytes: a header, the bitfield's nonzero words and a checksum, 16 bytes a word."""
+        return words_to_bytes(self.max_depth, *pack_cells(self.cells()))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "ConcurrentBinaryTree":
         """The tree that `to_bytes` wrote. Raises TerrainError for anything else, before any large allocation."""
         max_depth, index, bits = words_from_bytes(data)
         tree = cls(max_depth)
-        tree.mark(index, bits)
+        tree.mark(unpack_cells(index, bits))
         return tree
 
     # Inside
@@ -254,38 +235,32 @@ class ConcurrentBinaryTree:
         shift = self.max_depth - depth
         return (int(heap_id) << shift) - self.cell_count, 1 << shift
 
-    def _block(self, block: int) -> dict[int, int]:
-        """Nonzero words of a block, ascending: index to bits."""
+    def _block(self, block: int) -> np.ndarray:
+        """Cells of the leaves that begin in a block, int64, ascending."""
         if block in self._edited:
             return self._edited[block]
-        return self._words.within(block << 6, (block + 1) << 6)
+        return self._cells.within(block << BLOCK_BITS, (block + 1) << BLOCK_BITS)
 
     def _flip(self, cell: int) -> None:
-        """Turn one bit over and sum again above its word."""
-        word, block = cell >> WORD_BITS, cell >> BLOCK_BITS
-        words = self._block(block)
-        before = words.get(word, 0)
-        words[word] = before ^ 1 << (cell & 63)
-        self._edited[block] = {w: bits for w, bits in sorted(words.items()) if bits}
+        """Turn one bit over and count again above it."""
+        node = cell >> BLOCK_BITS
+        before = self._block(node)
+        self._edited[node] = np.setxor1d(before, [cell])
         self._stamp = object()
-        delta = words[word].bit_count() - before.bit_count()
-        node = block
+        delta = len(self._edited[node]) - len(before)
         for level in reversed(self._levels):
             level[node] = int(level[node]) + delta
             node >>= 6
 
     def _fold(self) -> None:
-        """Write the edited blocks into the stream of words."""
-        index, bits = self._words.joined()
-        stays = ~np.isin(index >> 6, np.array(list(self._edited), np.int64))
-        words = [item for block in self._edited.values() for item in block.items()]
-        index = np.concatenate([index[stays], np.array([w for w, _ in words], np.int64)])
-        bits = np.concatenate([bits[stays], np.array([b for _, b in words], np.uint64)])
-        order = np.argsort(index, kind="stable")
-        self._words.next(len(index) + 1)
-        parts = self._words.write([(index[order], bits[order])])
-        self._words.link(parts)
-        self._words.advance(parts)
+        """Write the edited blocks into the stream."""
+        cells = self._cells.joined()
+        stays = cells[~np.isin(cells >> BLOCK_BITS, np.array(list(self._edited), np.int64))]
+        cells = np.sort(np.concatenate([stays, *self._edited.values()]))
+        self._cells.next(len(cells) + 1)
+        parts = self._cells.write([cells])
+        self._cells.link(parts)
+        self._cells.advance(parts)
         self._edited = {}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The nonzero words of a tree's bitfield: the streams in memory, from cells and back, out to bytes and in again.
+"""The nonzero words of a tree's bitfield: from cells and back, out to bytes and in again.
 
 `index` int64 [n], ascending: positions of the words in the bitfield. `bits` uint64 [n]: one for the first cell of each
 leaf.
@@ -9,94 +9,15 @@ import struct
 import zlib
 
 import numpy as np
-import warp as wp
 
-from ..kernels.tree import END_INDEX
-from .buffers import Buffers
 from .errors import TerrainError
 
 MIN_DEPTH, MAX_DEPTH = 6, 40
-WORD_BITS, BLOCK_BITS = 6, 12  # log2 of the cells in a word and in a block of 64 words
+WORD_BITS = 6  # log2 of the cells in a word
 
 _HEADER = struct.Struct("<4sHHQ")  # magic, version, max_depth, words
 _MAGIC, _VERSION = b"ACBT", 1
 _CHUNK = 1 << 16  # words expanded at once, so that a listing needs little more memory than its result
-
-
-class WordStreams:
-    """The stream of words that holds now, and memory for the next one.
-
-    A stream lies in parts, (first entry, words) each, that ascend and are not empty; what leads from one to the next is
-    in the entry behind its last word, see kernels/tree.py.
-    """
-
-    def __init__(self):
-        self._now, self._next = Buffers(), Buffers()
-        self._parts: list[tuple[int, int]] = []
-        self.next()
-        self.link([])
-        self.advance([])
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of both streams' arrays."""
-        return self._now.nbytes + self._next.nbytes
-
-    def now(self) -> tuple[wp.array, wp.array]:
-        """Memory of the stream that holds, index and bits: the same objects until `advance`."""
-        return self._now.get("index", 1, wp.int64), self._now.get("bits", 1, wp.uint64)
-
-    def next(self, room: int = 1) -> tuple[wp.array, wp.array]:
-        """Memory of the next stream, at least `room` entries, one behind the words of each part included."""
-        return self._next.get("index", room, wp.int64), self._next.get("bits", room, wp.uint64)
-
-    def write(self, slices: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[int, int]]:
-        """Copy consecutive slices of a stream to the next one's memory, and return its parts.
-
-        A word that is cut by a slice's end may be in both.
-        """
-        index, bits = self._next.numpy("index"), self._next.numpy("bits")
-        count = 0
-        for slice_index, slice_bits in slices:
-            if count and len(slice_index) and index[count - 1] == slice_index[0]:
-                bits[count - 1] |= slice_bits[0]
-                slice_index, slice_bits = slice_index[1:], slice_bits[1:]
-            index[count : count + len(slice_index)] = slice_index
-            bits[count : count + len(slice_bits)] = slice_bits
-            count += len(slice_index)
-        return [(0, count)] if count else []
-
-    def link(self, parts: list[tuple[int, int]]) -> None:
-        """Write the entries that lead through the parts of the next stream."""
-        index, bits = self._next.numpy("index"), self._next.numpy("bits")
-        end = 0
-        for first, count in parts:
-            if first != end or end > 0:
-                index[end], bits[end] = END_INDEX, first
-            end = first + count
-        index[end], bits[end] = END_INDEX, 0
-
-    def advance(self, parts: list[tuple[int, int]]) -> None:
-        """Make the next stream, of these parts, the one that holds."""
-        self._now, self._next, self._parts = self._next, self._now, parts
-
-    def joined(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index and bits of all words: views if the stream is in one part, else copies."""
-        streams = self._now.numpy("index"), self._now.numpy("bits")
-        if len(self._parts) == 1:
-            first, count = self._parts[0]
-            return tuple(stream[first : first + count] for stream in streams)
-        return tuple(np.concatenate([s[:0], *(s[first : first + n] for first, n in self._parts)]) for s in streams)
-
-    def within(self, start: int, end: int) -> dict[int, int]:
-        """Words from `start` to before `end`, ascending: index to bits."""
-        index, bits = self._now.numpy("index"), self._now.numpy("bits")
-        words = {}
-        for first, count in self._parts:
-            if index[first] < end and index[first + count - 1] >= start:
-                low, high = first + np.searchsorted(index[first : first + count], [start, end])
-                words |= zip(index[low:high].tolist(), bits[low:high].tolist(), strict=True)
-        return words
 
 
 def pack_cells(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,12 +6,11 @@ Where only edge lengths ask, nearly every leaf lies in one: bands of equal depth
 
 import warp as wp
 
-from .unchecked import copy_codes, number_at, number_words, place_legs
+from .unchecked import copy_codes, number_at, place_legs
 
 wp.set_module_options({"enable_backward": False})
 
 MAX_BISECTIONS = wp.constant(8)
-EVERY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 
 @wp.struct
@@ -54,26 +53,3 @@ def write_block(
     count = number_at(blocks.vertices, entry)
     bits = (bisections + 1) >> 1
     place_legs(blocks.leg, first, count, apex, left - apex, right - apex, bits, point, first_point)
-
-
-@wp.func
-def write_words(
-    cell: wp.uint64,
-    size: wp.uint64,
-    bisections: wp.int32,
-    word_index: wp.array(dtype=wp.int64),
-    word_bits: wp.array(dtype=wp.uint64),
-    first: wp.int64,
-) -> wp.int32:
-    """The words of the tree for a block of `size` cells, 64 or more, from `cell` on; returns how many."""
-    step = size >> wp.uint64(bisections)  # cells of a leaf
-    count = wp.int32(1) << bisections
-    stride = wp.int64(step >> wp.uint64(6))
-    bits = wp.uint64(1)
-    if step < wp.uint64(64):  # several leaves in a word: a bit at every multiple of `step`
-        count = wp.int32(size >> wp.uint64(6))
-        stride = wp.int64(1)
-        bits = EVERY // ((wp.uint64(1) << step) - wp.uint64(1))
-    word = wp.int64(cell >> wp.uint64(6))
-    number_words(word_index, word_bits, first, count, word, stride, bits)
-    return count

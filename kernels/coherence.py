@@ -31,10 +31,8 @@ class Subtree:
     leaves: wp.int32
     vertices: wp.int32  # new ones
     edges: wp.int32
-    words: wp.int32
     first_leaf: wp.int64  # entries in the arrays of the walk
     first_vertex: wp.int64
-    first_word: wp.int64
     low: wp.vec3d  # the box of all diamonds in it, metres of the terrain's space
     high: wp.vec3d
     fine: wp.float64  # spans of a pixel in any of their boxes: from this, metres,

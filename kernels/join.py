@@ -41,7 +41,7 @@ def resolve(slices: wp.int32, size: wp.int32, w: Weld, open: wp.array(dtype=wp.v
     top1 = wp.int32(0)
     for k in range(slices):
         e = STATE_SIZE * k
-        leaves = wp.int32(w.counts[4 * k])
+        leaves = wp.int32(w.counts[3 * k])
         room = base_of(w.counts, k).room
         first = 2 * room
         for i in range(w.state[e + IMPORTS]):

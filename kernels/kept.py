@@ -8,7 +8,7 @@ from .bounds import Bounds
 from .coherence import CROSSED, Subtree, stand_of
 from .criterion import Asked, coarsest
 from .tree import Run
-from .unchecked import copy_codes, copy_points, copy_words
+from .unchecked import copy_cells, copy_codes, copy_points
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})
@@ -59,18 +59,16 @@ def noted(
 
 @wp.func
 def take(w: Walk, subtree: Subtree, n: Written, runs: wp.int64, point_runs: wp.int64):
-    """Copy what the last frame has written of a subtree behind what there is; returns how many runs of words and of
+    """Copy what the last frame has written of a subtree behind what there is; returns how many runs of leaves and of
     points are noted."""
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         nothing = wp.uint16(0)
-        copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, nothing, w.code, w.leaf_base + n.leaves)
+        first = w.leaf_base + n.leaves
+        copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, nothing, w.code, first)
+        copy_cells(w.last_cell, subtree.first_leaf, subtree.leaves, w.cell, first)
         first_point = w.leaf_base + n.vertices
         copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, first_point)
-        first = w.leaf_base + n.words
-        copy_words(
-            w.last_word_index, w.last_word_bits, subtree.first_word, subtree.words, w.word_index, w.word_bits, first
-        )
-        runs = noted(w, w.runs, runs, first, subtree.first_word, wp.int64(subtree.words))
+        runs = noted(w, w.runs, runs, first, subtree.first_leaf, wp.int64(subtree.leaves))
         points = wp.int64(subtree.vertices)
         point_runs = noted(w, w.point_runs, point_runs, first_point, subtree.first_vertex, points)
     return runs, point_runs
@@ -82,7 +80,6 @@ def keep_taken(w: Walk, subtree: Subtree, count: wp.int64, n: Written) -> wp.int
     if count < w.room:
         subtree.first_leaf = w.leaf_base + n.leaves
         subtree.first_vertex = w.leaf_base + n.vertices
-        subtree.first_word = w.leaf_base + n.words
         w.kept[wp.int64(w.slot) * w.room + count] = subtree
         count += wp.int64(1)
     return count
@@ -113,10 +110,8 @@ def close_subtree(
         w.kept[entry].leaves = wp.int32(n.leaves - first.leaves)
         w.kept[entry].vertices = wp.int32(n.vertices - first.vertices)
         w.kept[entry].edges = wp.int32(n.edges - first.edges)
-        w.kept[entry].words = wp.int32(n.words - first.words)
         w.kept[entry].first_leaf = w.leaf_base + first.leaves
         w.kept[entry].first_vertex = w.leaf_base + first.vertices
-        w.kept[entry].first_word = w.leaf_base + first.words
         w.kept[entry].fall = fall
         w.kept[entry].rise = rise
         w.kept[entry].most = most

@@ -9,7 +9,7 @@ nothing is remembered for its other triangle. Nanoseconds a leaf with it and wit
 import warp as wp
 
 from .band import BELOW
-from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
+from .block import MAX_BISECTIONS, new_vertices, write_block
 from .criterion import Asked, Domain, diamond_at, finest, larger, sizes, too_coarse
 from .curve import HYP_LEG, leaf_word, left_state, right_state
 from .footprint import Heights, Plan, heights_between, most_below, put_limits, spans
@@ -18,14 +18,15 @@ from .unchecked import (
     corners_at,
     limits_at,
     number_at,
-    number_starts,
+    number_cells,
+    place_starts,
     put,
+    put_cell,
     put_code,
     put_corners,
     put_pair,
-    spread_starts,
 )
-from .walk_state import STACK, Walk, Written, flush
+from .walk_state import STACK, Walk, Written
 
 wp.set_module_options({"enable_backward": False})
 
@@ -102,8 +103,6 @@ def walk_level_ground(
     n: Written,
     longest_px2: wp.float64,
     largest_px2: wp.float64,
-    tree_word: wp.int64,
-    tree_bits: wp.uint64,
     first_cell: wp.uint64,
     left: wp.vec2i,
     apex: wp.vec2i,
@@ -116,9 +115,9 @@ def walk_level_ground(
     """Refine a triangle whose leaves are in the slice, neither the square's first nor its last, and share nothing with
     other squares.
 
-    longest_px2, largest_px2: maxima so far. tree_word, tree_bits: the word of the tree at hand. first_cell: of all
+    longest_px2, largest_px2: maxima so far. first_cell: of all
     squares in a row. leaf_depth: from it on nothing is split or a new maximum. bottom: the stacks' first free entry.
-    Returns what is written then, the word of the tree with its bits, and the maxima.
+    Returns what is written then, and the maxima.
     """
     x = (left[0] + right[0]) >> 1
     y = (left[1] + right[1]) >> 1
@@ -129,9 +128,6 @@ def walk_level_ground(
     climb = climb2 * put_limits(domain, asked, longest_px2, largest_px2, w.max_depth, w.limits, limits)
     leaves = n.leaves
     vertices = n.vertices
-    words = n.words
-    word = tree_word
-    bits = tree_bits
     cell = first_cell
     depth = first_depth
     state = first_state
@@ -177,7 +173,7 @@ def walk_level_ground(
                     )  # fmt: skip
                     if sure == 1:
                         split = SHAPE
-                elif ends <= w.max_depth and ends - depth <= MAX_BISECTIONS and w.cell_bits - depth >= 6:
+                elif ends <= w.max_depth and ends - depth <= MAX_BISECTIONS:
                     if most_below(plan, heights, x, y, limit[0]) < limits_at(w.limits, limits + ends - 1)[1]:
                         split = BLOCK
         if split == 1:
@@ -195,8 +191,6 @@ def walk_level_ground(
             if split == BLOCK:
                 levels = ends - depth
                 even = wp.int64(1) << wp.int64(levels)
-                words = flush(w, words, word, bits)
-                word = wp.int64(-1)
                 if leaves + even <= w.leaf_capacity:
                     write_block(
                         w.blocks,
@@ -211,48 +205,35 @@ def walk_level_ground(
                         w.point,
                         w.leaf_base + vertices,
                     )
-                    words += wp.int64(write_words(cell, size, levels, w.word_index, w.word_bits, w.leaf_base + words))
+                    number_cells(w.cell, w.leaf_base + leaves, 1 << levels, cell, size >> wp.uint64(levels))
                 leaves += even
                 vertices += wp.int64(new_vertices(w.blocks, state, levels))
-            else:
-                at = wp.int64(cell >> wp.uint64(6))
-                if at != word:
-                    words = flush(w, words, word, bits)
-                    word = at
-                    bits = wp.uint64(0)
-                if split == SHAPE:
-                    entry = 6 * shape + state
+            elif split == SHAPE:
+                entry = 6 * shape + state
+                if leaves < w.leaf_capacity:
                     starts = number_at(w.shapes.starts, entry)
-                    size_bits = w.cell_bits - depth
-                    if size_bits > 6:  # words of their own
-                        if leaves < w.leaf_capacity:
-                            to = w.leaf_base + words
-                            words += wp.int64(number_starts(w.word_index, w.word_bits, to, at, size_bits, starts))
-                        word = wp.int64(-1)
-                    else:
-                        bits = bits | (spread_starts(starts, size_bits) << (cell & wp.uint64(63)))
-                    if leaves < w.leaf_capacity:
-                        write_shape(
-                            w.shapes,
-                            entry,
-                            depth,
-                            wp.vec2i(left_x, left_y),
-                            wp.vec2i(apex_x, apex_y),
-                            wp.vec2i(right_x, right_y),
-                            w.code,
-                            w.leaf_base + leaves,
-                            w.point,
-                            w.leaf_base + vertices,
-                        )
-                    leaves += wp.int64(number_at(w.shapes.leaves, entry))
-                    vertices += wp.int64(number_at(w.shapes.vertices, entry))
-                else:
-                    bits = bits | (wp.uint64(1) << (cell & wp.uint64(63)))
-                    if leaves < w.leaf_capacity:
-                        corner = wp.vec2i(apex_x, apex_y)
-                        put_leaf(w, leaves, vertices, leaf_word(state, depth), corner, wp.vec2i(right_x, right_y))
-                    vertices += wp.int64(1 - (state & 1))
-                    leaves += wp.int64(1)
+                    place_starts(w.cell, w.leaf_base + leaves, cell, w.cell_bits - depth, starts)
+                    write_shape(
+                        w.shapes,
+                        entry,
+                        depth,
+                        wp.vec2i(left_x, left_y),
+                        wp.vec2i(apex_x, apex_y),
+                        wp.vec2i(right_x, right_y),
+                        w.code,
+                        w.leaf_base + leaves,
+                        w.point,
+                        w.leaf_base + vertices,
+                    )
+                leaves += wp.int64(number_at(w.shapes.leaves, entry))
+                vertices += wp.int64(number_at(w.shapes.vertices, entry))
+            else:
+                if leaves < w.leaf_capacity:
+                    corner = wp.vec2i(apex_x, apex_y)
+                    put_leaf(w, leaves, vertices, leaf_word(state, depth), corner, wp.vec2i(right_x, right_y))
+                    put_cell(w.cell, w.leaf_base + leaves, cell)
+                vertices += wp.int64(1 - (state & 1))
+                leaves += wp.int64(1)
             cell += size
             if top == bottom:
                 inside = 0
@@ -273,5 +254,4 @@ def walk_level_ground(
     after.leaves = leaves
     after.vertices = vertices
     after.edges = n.edges + (leaves - n.leaves) + (vertices - n.vertices)
-    after.words = words
-    return after, word, bits, longest_px2, largest_px2
+    return after, longest_px2, largest_px2

@@ -8,7 +8,7 @@ comes to its other triangle, it is remembered. Margins are far above rounding: t
 diamond gives.
 
 The walk writes a word of 16 bits a leaf (kernels/curve.py) and one point a new vertex, all that the welding needs, and
-the leaves' bits of the tree. It is one long function because its parts share so much: with what writes a leaf as a
+the leaves' cells, the tree. It is one long function because its parts share so much: with what writes a leaf as a
 function of its own it takes 5 % more time.
 """
 
@@ -27,7 +27,7 @@ from .band import (
     turning_span,
     unmeasured_below,
 )
-from .block import MAX_BISECTIONS, new_vertices, write_block, write_words
+from .block import MAX_BISECTIONS, new_vertices, write_block
 from .bounds import Bounds, within
 from .coherence import carried
 from .criterion import (
@@ -66,8 +66,8 @@ from .footprint import plan_of
 from .framed import finest_framed
 from .kept import close_subtree, keep_taken, next_kept, open_subtree, take
 from .level_ground import walk_level_ground
-from .unchecked import corners_at, number_at, put, put_code, put_corners, put_pair
-from .walk_state import STACK, Walk, Written, flush, put_results
+from .unchecked import corners_at, number_at, number_cells, put, put_cell, put_code, put_corners, put_pair
+from .walk_state import STACK, Walk, Written, put_results
 
 wp.set_module_options({"enable_backward": False})
 
@@ -89,12 +89,6 @@ def is_inside(w: Walk, cell: wp.uint64, size: wp.uint64, start: wp.uint64, at: w
 
 
 @wp.func
-def is_whole(w: Walk, cell: wp.uint64, size: wp.uint64, start: wp.uint64, at: wp.uint64) -> wp.bool:
-    """Whether, besides, they fill words of the tree of their own."""
-    return size >= wp.uint64(64) and is_inside(w, cell, size, start, at)
-
-
-@wp.func
 def is_apart(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32, grid: wp.int32):
     """Whether leaves below a triangle do not depend on what is around it: in a grid, away from the square's border."""
     return grid == 0 or not touches_border(left, apex, right, corner, side)
@@ -111,8 +105,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         limits = limits_of(asked, w.slack)
         plan = plan_of(domain, asked, w.max_depth)
         n = Written()
-        word = wp.int64(-1)
-        bits = wp.uint64(0)
         worst = Bounds()  # maxima over the leaves
         # Own error and what resampling moved of the leaves that have the most error in metres and in pixels.
         in_metres = wp.vec2f()
@@ -128,7 +120,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
         mark = wp.int32(0)  # its number: what other subtrees remember has other bounds
         count = wp.int64(0)  # subtrees that are kept
         taken = wp.int64(0)
-        runs = wp.int64(0)  # of words that were taken
+        runs = wp.int64(0)  # of leaves that were taken
         point_runs = wp.int64(0)
         kept, kept_cell, kept_depth, kept_leaves = next_kept(w, wp.int64(-1))
         place = w.slot * STACK
@@ -172,8 +164,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             # Where one of its leaves may have the most of all, that is found out anew.
                             if holds == 1 and within(subtree.most, worst) and cell >= start and at + size <= w.end_cell:
                                 split = TAKEN
-                                n.words = flush(w, n.words, word, bits)
-                                word = wp.int64(-1)
                                 runs, point_runs = take(w, subtree, n, runs, point_runs)
                                 if end == wp.uint64(0):
                                     count = keep_taken(w, subtree, count, n)
@@ -191,7 +181,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 n.leaves += wp.int64(subtree.leaves)
                                 n.vertices += wp.int64(subtree.vertices)
                                 n.edges += wp.int64(subtree.edges)
-                                n.words += wp.int64(subtree.words)
                                 taken += wp.int64(subtree.leaves)
                             kept, kept_cell, kept_depth, kept_leaves = next_kept(w, kept)
                 x = (left_x + right_x) >> 1
@@ -205,7 +194,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                     if below == LEVEL_GROUND and plan.usable == 1 and worst.long_px2 > wp.float64(0.0):
                         apart = is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid)
                         if apart and is_inside(w, cell, size, start, at):
-                            after, word, bits, longest_px2, largest_px2 = walk_level_ground(
+                            after, longest_px2, largest_px2 = walk_level_ground(
                                 domain,
                                 asked,
                                 w,
@@ -213,8 +202,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 n,
                                 worst.long_px2,
                                 worst.legs_px2,
-                                word,
-                                bits,
                                 at,
                                 left,
                                 apex,
@@ -227,7 +214,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             n.leaves = after.leaves
                             n.vertices = after.vertices
                             n.edges = after.edges
-                            n.words = after.words
                             worst.long_px2 = longest_px2
                             worst.legs_px2 = largest_px2
                             split = WALKED
@@ -246,7 +232,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             known = 0
                         # A subtree begins where a diamond is measured; on the way to one that is kept none does.
                         if keeps:
-                            if end == wp.uint64(0) and size >= wp.uint64(64):
+                            if end == wp.uint64(0):
                                 if kept_cell >= at + size or kept_leaves < FEW_LEAVES:
                                     known = 0
                     if split == 0 and (depth < above.leaf_depth or not quiet(above, own, most)):
@@ -277,16 +263,13 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             # A subtree is kept from where few bisections are left.
                             few = own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - depth <= MAX_BISECTIONS
                             few = (few or w.max_depth - depth <= 6) and end == wp.uint64(0)
-                            few = few and is_whole(w, cell, size, start, at)
+                            few = few and is_inside(w, cell, size, start, at)
                             if few and is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
-                                n.words = flush(w, n.words, word, bits)
-                                word = wp.int64(-1)
                                 open_subtree(asked, w, count, at, depth, m)
                                 end = at + size
                                 first.leaves = n.leaves
                                 first.vertices = n.vertices
                                 first.edges = n.edges
-                                first.words = n.words
                                 fall = w.slack * span
                                 rise = w.slack * span
                                 most.px2 = wp.float64(0.0)
@@ -344,12 +327,10 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                     most.legs_px2 = larger(most.legs_px2, legs2 / m.pixel2)
                                     worst.legs_px2 = larger(worst.legs_px2, legs2 / m.pixel2)
                 levels = below - depth
-                if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and is_whole(w, cell, size, start, at):
+                if split == 1 and levels > 0 and levels <= MAX_BISECTIONS and is_inside(w, cell, size, start, at):
                     if is_apart(left, apex, right, wp.vec2i(x0, y0), side, w.grid):
                         even = 1 << levels
                         created = new_vertices(w.blocks, state, levels)
-                        n.words = flush(w, n.words, word, bits)
-                        word = wp.int64(-1)
                         if n.leaves + wp.int64(even) <= w.leaf_capacity:
                             write_block(
                                 w.blocks,
@@ -364,8 +345,7 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                                 w.point,
                                 w.leaf_base + n.vertices,
                             )
-                            to = w.leaf_base + n.words
-                            n.words += wp.int64(write_words(at, size, levels, w.word_index, w.word_bits, to))
+                            number_cells(w.cell, w.leaf_base + n.leaves, even, at, size >> wp.uint64(levels))
                         n.leaves += wp.int64(even)
                         n.vertices += wp.int64(created)
                         n.edges += wp.int64(even + created)
@@ -442,19 +422,13 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                             code = code | (wp.uint32(1) << wp.uint32(LAST))
                             if row < domain.rows - 1:
                                 w.sides[sides + 4 * square + 3] = w.sides[sides + 4 * square + 3] + 1
-                        if wp.int64(at >> wp.uint64(6)) != word:
-                            n.words = flush(w, n.words, word, bits)
-                            word = wp.int64(at >> wp.uint64(6))
-                            bits = wp.uint64(0)
-                        bits = bits | (wp.uint64(1) << (at & wp.uint64(63)))
                         if room == 1:
+                            put_cell(w.cell, w.leaf_base + n.leaves, at)
                             put_code(w.code, w.leaf_base + n.leaves, wp.uint16(code))
                         n.leaves += wp.int64(1)
                     # On along the curve, to the next triangle that was put aside.
                     cell += size
                     if end > wp.uint64(0) and square_cell + cell >= end:
-                        n.words = flush(w, n.words, word, bits)
-                        word = wp.int64(-1)
                         count = close_subtree(w, count, first, n, fall, rise, most)
                         end = wp.uint64(0)
                         mark += 1
@@ -475,7 +449,6 @@ def _compiled(name: str, keeps: bool) -> wp.Kernel:
                         held = put_aside >> 9
             square += 1
             start = wp.uint64(0)
-        n.words = flush(w, n.words, word, bits)
         if keeps:
             w.kept_counts[w.slot] = count
             w.taken[w.slot] = taken

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of the concurrent binary tree: the sum reduction above the words of the bitfield that changed."""
+"""Kernels of the concurrent binary tree: the sum reduction above the cells that changed."""
 
 import warp as wp
 
-from .unchecked import count_same_words
+from .unchecked import count_same
 
 wp.set_module_options({"enable_backward": False})
 
-# A stream of words lies in parts. After each comes an entry with this index, which no word has, and for bits the first
-# entry of the next part, 0 after the last; such an entry is the stream's first one if no part begins there.
-END_INDEX = 2**63 - 1
-END = wp.constant(wp.int64(END_INDEX))
+# A stream of cells lies in parts, ascending. After each comes a link, a negative entry: ~first to the next part's first
+# entry, or END; such a link is the stream's first entry if no part begins there.
+END_LINK = -1
+END = wp.constant(wp.int64(END_LINK))
 
 
 @wp.struct
 class Run:
-    """What lies in one row in two streams, words or points."""
+    """What lies in one row in two streams, cells or points."""
 
     first: wp.int64  # entry in the new stream
     before: wp.int64  # ... and in the old one
@@ -34,7 +34,7 @@ class Runs:
 
 @wp.func
 def next_run(known: Runs, run: wp.int64):
-    """The run after entry `run` (-1: the first): entry, first word in the new stream (-1: there is none) and words."""
+    """The run after entry `run` (-1: the first): entry, first in the new stream (-1: there is none), and its cells."""
     i = run + wp.int64(1)
     k = wp.int32(i / known.room)
     while k < known.lists and i - wp.int64(k) * known.room >= known.counts[k]:
@@ -65,20 +65,18 @@ def add_above(
 
 @wp.kernel
 def reduce_changed(
-    new_index: wp.array(dtype=wp.int64),
-    new_bits: wp.array(dtype=wp.uint64),
-    old_index: wp.array(dtype=wp.int64),
-    old_bits: wp.array(dtype=wp.uint64),
+    cells: wp.array(dtype=wp.int64),
+    old_cells: wp.array(dtype=wp.int64),
     block_counts: wp.array(dtype=wp.uint16),
     upper_counts: wp.array(dtype=wp.int64),
     level_start: wp.array(dtype=wp.int64),
-    changed_words: wp.array(dtype=wp.int64),
+    changed_cells: wp.array(dtype=wp.int64),
     known: Runs,
 ):
-    """Merge two streams of nonzero words, each ascending, and sum again above the words that differ.
+    """Merge two streams of cells and sum again above those that are in one of them only.
 
-    One serial thread; the counters above 64 blocks are touched once, when the merge has passed their last changed word.
-    Words of a `known` run are not read: because both streams ascend, the old one is at the run's first word there if it
+    One serial thread; the counters above 64 blocks are touched once, when the merge has passed their last changed cell.
+    Cells of a `known` run are not read: because both streams ascend, the old one is at the run's first cell there if it
     has the new one's.
     """
     one = wp.int64(1)
@@ -88,25 +86,27 @@ def reduce_changed(
     block = wp.int64(0)
     block_delta = wp.int32(0)
     group_delta = wp.int64(0)
-    run, run_first, run_words = next_run(known, wp.int64(-1))
+    run, run_first, run_cells = next_run(known, wp.int64(-1))
     running = wp.bool(True)
     while running:
-        # The words that stay are most of them.
-        same = count_same_words(new_index, new_bits, i, run_first, old_index, old_bits, j, END)
+        # The cells that stay are most of them.
+        same = count_same(cells, i, run_first, old_cells, j)
         i += same
         j += same
-        if i == run_first and new_index[i] == old_index[j]:
-            i += run_words
-            j += run_words
-            run, run_first, run_words = next_run(known, run)
-        elif new_index[i] == END and new_bits[i] != wp.uint64(0):
-            i = wp.int64(new_bits[i])
-        elif old_index[j] == END and old_bits[j] != wp.uint64(0):
-            j = wp.int64(old_bits[j])
+        a = cells[i]
+        b = old_cells[j]
+        if i == run_first and a == b:
+            i += run_cells
+            j += run_cells
+            run, run_first, run_cells = next_run(known, run)
+        elif a < END:
+            i = ~a
+        elif b < END:
+            j = ~b
         else:
-            word = wp.min(new_index[i], old_index[j])
-            running = word != END
-            next_block = word >> wp.int64(6)
+            running = a != END or b != END
+            cell = wp.int64(wp.min(wp.uint64(a), wp.uint64(b)))  # the end comes last
+            next_block = cell >> wp.int64(12)
             if next_block != block:
                 if block_delta != 0:
                     block_counts[block] = wp.uint16(wp.int32(block_counts[block]) + block_delta)
@@ -118,11 +118,12 @@ def reduce_changed(
                         group_delta = wp.int64(0)
                 block = next_block
             if running:
-                if old_index[j] == word:
-                    block_delta -= wp.int32(wp.bit_count(old_bits[j]))
+                if b == cell:
+                    block_delta -= 1
                     j += one
-                if new_index[i] == word:
-                    block_delta += wp.int32(wp.bit_count(new_bits[i]))
+                if a == cell:
+                    block_delta += 1
                     i += one
-                changed += one
-    changed_words[0] = changed
+                if a != b:
+                    changed += one
+    changed_cells[0] = changed

@@ -71,10 +71,8 @@ def corners_at(a: wp.array(dtype=wp.vec4i), i: wp.int32) -> wp.vec4i: ...
 def number_at(a: wp.array(dtype=wp.int32), i: wp.int32) -> wp.int32: ...
 
 
-@wp.func_native("index.data[i] = word; bits.data[i] = value;")
-def put_word(
-    index: wp.array(dtype=wp.int64), bits: wp.array(dtype=wp.uint64), i: wp.int64, word: wp.int64, value: wp.uint64
-): ...
+@wp.func_native("a.data[i] = value;")
+def put_cell(a: wp.array(dtype=wp.int64), i: wp.int64, value: wp.uint64): ...
 
 
 @wp.func_native("return a.data[i];")
@@ -171,19 +169,8 @@ def place_legs(
 ): ...
 
 
-@wp.func_native(
-    "wp::int64* __restrict index = indices.data + at; wp::uint64* __restrict word = words.data + at; "
-    "for (int k = 0; k < count; ++k) { index[k] = first + k * step; word[k] = bits; }"
-)
-def number_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-    count: wp.int32,
-    first: wp.int64,
-    step: wp.int64,
-    bits: wp.uint64,
-): ...
+@wp.func_native("wp::int64* __restrict to = cells.data + at; for (int k = 0; k < count; ++k) to[k] = first + k * step;")
+def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64): ...
 
 
 # A shape (kernels/shape.py).
@@ -227,28 +214,12 @@ def place_eight(
 
 
 @wp.func_native(
-    "wp::int64* __restrict index = indices.data + at; wp::uint64* __restrict word = words.data + at; int n = 0; "
-    "if (size_bits >= 9) { const wp::int64 step = wp::int64(1) << (size_bits - 9); "
-    "for (int k = 0; k < 8; ++k) { index[n] = first + k * step; word[n] = 1; n += starts >> k & 1; } } "
-    "else { const int each = 1 << (9 - size_bits); for (int k = 0; k < 8; k += each) { wp::uint64 bits = 0; "
-    "for (int j = 0; j < each; ++j) bits |= wp::uint64(starts >> (k + j) & 1) << (j << (size_bits - 3)); "
-    "index[n] = first + k / each; word[n] = bits; n += bits != 0; } } return n;"
+    "wp::int64* __restrict to = cells.data + at; int n = 0; "
+    "for (int k = 0; k < 8; ++k) { to[n] = first + ((wp::uint64(k) << size_bits) >> 3); n += starts >> k & 1; }"
 )
-def number_starts(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-    first: wp.int64,
-    size_bits: wp.int32,
-    starts: wp.int32,
-) -> wp.int32: ...
-
-
-@wp.func_native(
-    "wp::uint64 bits = 0; for (int k = 0; k < 8; ++k) bits |= wp::uint64(starts >> k & 1) << ((k << size_bits) >> 3); "
-    "return bits;"
-)
-def spread_starts(starts: wp.int32, size_bits: wp.int32) -> wp.uint64: ...
+def place_starts(
+    cells: wp.array(dtype=wp.int64), at: wp.int64, first: wp.uint64, size_bits: wp.int32, starts: wp.int32
+): ...
 
 
 # What the last frame has written of a subtree (kernels/coherence.py).
@@ -265,40 +236,26 @@ def copy_points(
 
 
 @wp.func_native(
-    "const wp::int64* index = indices.data + first; const wp::uint64* word = words.data + first; "
-    "wp::int64* __restrict to = out.data + at; wp::uint64* __restrict bits = out_bits.data + at; "
-    "for (int k = 0; k < count; ++k) { to[k] = index[k]; bits[k] = word[k]; }"
+    "const wp::int64* from = cells.data + first; wp::int64* __restrict to = out.data + at; "
+    "for (int k = 0; k < count; ++k) to[k] = from[k];"
 )
-def copy_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    first: wp.int64,
-    count: wp.int32,
-    out: wp.array(dtype=wp.int64),
-    out_bits: wp.array(dtype=wp.uint64),
-    at: wp.int64,
+def copy_cells(
+    cells: wp.array(dtype=wp.int64), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.int64), at: wp.int64
 ): ...
 
 
-# Two streams of words (kernels/tree.py): milliseconds for those of 1 M leaves of one edge length 1.2, in Warp 1.6.
+# Two streams of cells (kernels/tree.py), eight at a time.
 
 
 @wp.func_native(
-    "const wp::int64 *a = indices.data + i, *b = old_indices.data + j; "
-    "const wp::uint64 *c = words.data + i, *d = old_words.data + j; "
-    "wp::int64 k = 0, most = stop - i; "
-    "while (k != most && a[k] == b[k] && c[k] == d[k] && a[k] != end) ++k; "
-    "return k;"
+    "const wp::int64 *a = cells.data + i, *b = old_cells.data + j; const wp::int64 most = stop - i; wp::int64 k = 0; "
+    "for (; most < 0 || k + 8 <= most; k += 8) { wp::int64 differ = 0, links = 0; "
+    "for (int n = 0; n < 8; ++n) { differ |= a[k + n] ^ b[k + n]; links |= a[k + n]; } "
+    "if (differ != 0 || links < 0) break; } "
+    "while (k != most && a[k] == b[k] && a[k] >= 0) ++k; return k;"
 )
-def count_same_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    i: wp.int64,
-    stop: wp.int64,
-    old_indices: wp.array(dtype=wp.int64),
-    old_words: wp.array(dtype=wp.uint64),
-    j: wp.int64,
-    end: wp.int64,
+def count_same(
+    cells: wp.array(dtype=wp.int64), i: wp.int64, stop: wp.int64, old_cells: wp.array(dtype=wp.int64), j: wp.int64
 ) -> wp.int64: ...
 
 

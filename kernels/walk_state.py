@@ -9,7 +9,6 @@ from .bounds import Bounds
 from .coherence import Motion, Subtree
 from .shape import Shapes
 from .tree import Run
-from .unchecked import put_word
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,12 +17,11 @@ STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tre
 
 @wp.struct
 class Written:
-    """How much a slice has written; words of the tree besides the one at hand."""
+    """How much a slice has written."""
 
     leaves: wp.int64
     vertices: wp.int64
     edges: wp.int64
-    words: wp.int64
 
 
 @wp.struct
@@ -41,8 +39,7 @@ class Walk:
     grid: wp.int32  # 1: several squares, borders are tracked
     code: wp.array(dtype=wp.uint16)
     point: wp.array(dtype=wp.vec2i)
-    word_index: wp.array(dtype=wp.int64)
-    word_bits: wp.array(dtype=wp.uint64)
+    cell: wp.array(dtype=wp.int64)  # leaves' first deepest cells, all squares in a row: the tree
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
     bands: wp.array(dtype=Band)
@@ -55,7 +52,7 @@ class Walk:
     kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on
     kept_counts: wp.array(dtype=wp.int64)
     room: wp.int64  # of each slot's list
-    runs: wp.array(dtype=Run)  # of words that were taken: lists as those of `kept`
+    runs: wp.array(dtype=Run)  # of leaves that were taken: lists as those of `kept`
     point_runs: wp.array(dtype=Run)  # of points
     run_counts: wp.array(dtype=wp.int64)
     point_run_counts: wp.array(dtype=wp.int64)
@@ -66,32 +63,20 @@ class Walk:
     last_slots: wp.int32  # 0: nothing of it holds
     last_code: wp.array(dtype=wp.uint16)  # what it has written
     last_point: wp.array(dtype=wp.vec2i)
-    last_word_index: wp.array(dtype=wp.int64)
-    last_word_bits: wp.array(dtype=wp.uint64)
+    last_cell: wp.array(dtype=wp.int64)
     taken: wp.array(dtype=wp.int64)  # per slice: leaves that were taken from it
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
-    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, words
+    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges
     bounds: wp.array(dtype=wp.float64)  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refinement.py
-
-
-@wp.func
-def flush(w: Walk, words: wp.int64, word: wp.int64, bits: wp.uint64) -> wp.int64:
-    """Write the word of the tree that is at hand, if there is one (not -1); returns how many words there are."""
-    if word >= wp.int64(0):
-        if words < w.leaf_capacity:
-            put_word(w.word_index, w.word_bits, w.leaf_base + words, word, bits)
-        words += wp.int64(1)
-    return words
 
 
 @wp.func
 def put_results(w: Walk, n: Written, worst: Bounds, in_pixels: wp.vec2f, in_metres: wp.vec2f):
     """What the slice has written, the maxima over its leaves, and of the leaves that have the most error its parts."""
-    c = 4 * w.slot
+    c = 3 * w.slot
     w.counts[c] = n.leaves
     w.counts[c + 1] = n.vertices
     w.counts[c + 2] = n.edges
-    w.counts[c + 3] = n.words
     b = 10 * w.slot
     w.bounds[b] = worst.px2
     w.bounds[b + 1] = worst.total_px2

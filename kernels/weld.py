@@ -126,7 +126,7 @@ def write_triangle(
 @wp.kernel
 def weld(slot: wp.int32, w: Weld):
     b = base_of(w.counts, slot)
-    leaves = wp.int32(w.counts[4 * slot])
+    leaves = wp.int32(w.counts[3 * slot])
     leaf_base = w.leaf_base[slot]
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):

@@ -34,7 +34,7 @@ class Weld:
 
     columns: wp.int32
     rows: wp.int32
-    counts: wp.array(dtype=wp.int64)  # [slices, 4]: leaves, vertices, edges of each
+    counts: wp.array(dtype=wp.int64)  # [slices, 3]: leaves, vertices, edges of each
     leaf_base: wp.array(dtype=wp.int64)  # [slices]: first entry in `code`
     squares: wp.array(dtype=wp.int32)  # [slices]: where each begins
     before: wp.array(dtype=wp.int32)  # [slices, 4]: edges of that square's sides passed by earlier slices
@@ -66,9 +66,9 @@ class Base:
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
     b = Base()
     for s in range(slot):
-        b.triangle += wp.int32(counts[4 * s])
-        b.vertex += wp.int32(counts[4 * s + 1])
-        b.edge += wp.int32(counts[4 * s + 2])
+        b.triangle += wp.int32(counts[3 * s])
+        b.vertex += wp.int32(counts[3 * s + 1])
+        b.edge += wp.int32(counts[3 * s + 2])
     b.room = b.triangle + SPARE * slot
     return b
 

@@ -69,7 +69,7 @@ def counted(monkeypatch):
         if step == "budget":
             launched.append((step, int(walks[0].last_steps.numpy()[: len(walks) * (MAX_STEP + 2)].sum())))
         if step == "refine":
-            launched.append((step, int(walks[0].counts.numpy()[: 4 * len(walks) : 4].sum())))
+            launched.append((step, int(walks[0].counts.numpy()[: 3 * len(walks) : 3].sum())))
 
     monkeypatch.setattr(launch, "slices", noted)
     return launched

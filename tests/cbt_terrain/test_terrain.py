@@ -86,11 +86,11 @@ def test_an_edit_of_the_tree_does_not_outlive_an_update():
     terrain, other, fresh = (Terrain(rough(65, 65), 1) for _ in range(3))
     criterion = Criterion(error_px=2.0, max_depth=12)
     a, b = (View.look((x, -300.0, 200.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 60.0))
-    words = [array.copy() for array in (terrain.update(criterion, [a]), terrain.tree.words())[1]]
+    cells = (terrain.update(criterion, [a]), terrain.tree.cells())[1].copy()
     terrain.tree.split(int(terrain.tree.leaves().min()))
     assert terrain.update(criterion, [a]).changed and not terrain.update(criterion, [a]).changed
-    assert all(map(np.array_equal, terrain.tree.words(), words))
+    assert np.array_equal(terrain.tree.cells(), cells)
     other.update(criterion, [b])
-    terrain.tree.mark(*other.tree.words())
+    terrain.tree.mark(other.tree.cells())
     update = terrain.update(criterion, [b])
     assert update.changed and arrays(update.surface) == arrays(fresh.update(criterion, [b]).surface)

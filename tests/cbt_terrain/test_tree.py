@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.words import pack_cells, unpack_cells
+from adaptive_terrain.cbt_terrain.words import pack_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,7 +52,7 @@ def random_tree(rng, max_depth, leaves):
 
 
 def stream_of(reference):
-    return pack_cells(np.array([reference.cell(n) for n in reference.in_order()], np.int64))
+    return np.array([reference.cell(n) for n in reference.in_order()], np.int64)
 
 
 def assert_same(tree, reference):
@@ -66,10 +66,10 @@ def assert_same(tree, reference):
 def assert_counters_agree(tree):
     """Every counter is the sum of what lies below it, though only changed ones were summed again."""
     fresh = ConcurrentBinaryTree(tree.max_depth)
-    fresh.mark(*tree.words())
+    fresh.mark(tree.cells())
     assert np.array_equal(fresh._upper_counts, tree._upper_counts)
     assert np.array_equal(fresh._block_counts, tree._block_counts)
-    cells = unpack_cells(*tree.words())
+    cells = tree.cells()
     assert tree._block_counts.sum(dtype=np.int64) == len(cells)
     assert np.array_equal(np.bincount(cells >> 12, minlength=len(tree._block_counts)), tree._block_counts)
     for above, below in zip(tree._levels, tree._levels[1:], strict=False):
@@ -125,11 +125,8 @@ def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
     tree = ConcurrentBinaryTree(max_depth)
     for _ in range(4):
         reference = random_tree(rng, max_depth, int(rng.integers(1, 300)))
-        before = dict(zip(*(a.tolist() for a in tree.words()), strict=True))
-        index, bits = stream_of(reference)
-        after = dict(zip(index.tolist(), bits.tolist(), strict=True))
-        changed = sum(before.get(w) != after.get(w) for w in before.keys() | after.keys())
-        assert tree.mark(index, bits) == changed
+        before, after = set(tree.cells().tolist()), stream_of(reference)
+        assert tree.mark(after) == len(before ^ set(after.tolist()))
         assert_same(tree, reference)
         assert_counters_agree(tree)
         if rng.random() < 0.5:
@@ -138,29 +135,29 @@ def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
                 tree.split(heap_id)
 
 
-def test_mark_joins_a_word_that_two_slices_share():
+def test_mark_joins_slices():
     rng = np.random.default_rng(3)
     reference = random_tree(rng, 14, 400)
-    cells = np.array([reference.cell(n) for n in reference.in_order()], np.int64)
+    cells = stream_of(reference)
     for cuts in ([200], [0, 1, 399], [100, 100, 101, 102]):
         tree = ConcurrentBinaryTree(14)
-        tree.mark_slices([pack_cells(part) for part in np.split(cells, cuts)])
+        tree.mark_slices(np.split(cells, cuts))
         assert_same(tree, reference)
-        assert tree.mark(*stream_of(reference)) == 0
+        assert tree.mark(stream_of(reference)) == 0
 
 
-def test_mark_does_not_keep_the_callers_arrays():
+def test_mark_does_not_keep_the_callers_array():
     tree = ConcurrentBinaryTree(10)
-    index, bits = pack_cells(np.array([0, 512, 768], np.int64))
-    tree.mark(index, bits)
-    index[:], bits[:] = 0, 0
+    cells = np.array([0, 512, 768], np.int64)
+    tree.mark(cells)
+    cells[:] = 0
     assert tree.leaves().tolist() == [2, 6, 7]
 
 
 def test_an_equal_stream_changes_nothing():
     tree = ConcurrentBinaryTree(24)
     tree.reset(12)
-    assert tree.mark(*[a.copy() for a in tree.words()]) == 0
+    assert tree.mark(tree.cells().copy()) == 0
     assert tree.leaf_count == 4096
 
 
@@ -178,7 +175,7 @@ def test_reset_gives_every_node_of_a_depth(max_depth):
 def test_bytes_round_trip(max_depth, seed, leaves):
     reference = random_tree(np.random.default_rng(seed), max_depth, leaves)
     tree = ConcurrentBinaryTree(max_depth)
-    tree.mark(*stream_of(reference))
+    tree.mark(stream_of(reference))
     data = tree.to_bytes()
     assert len(data) <= 20 + 16 * len(reference.leaves)
     again = ConcurrentBinaryTree.from_bytes(data)

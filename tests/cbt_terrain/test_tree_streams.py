@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tree's words where a walk has written them: in parts, with runs that are known to be the same, never copied."""
+"""The tree's cells where a walk has written them: in parts, with runs that are known to be the same, never copied."""
 
 import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain import launch, refinement
 from adaptive_terrain.cbt_terrain.buffers import shared
+from adaptive_terrain.cbt_terrain.cell_streams import CellStreams
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
 from adaptive_terrain.cbt_terrain.view import View
-from adaptive_terrain.cbt_terrain.words import WordStreams, pack_cells, unpack_cells
 from adaptive_terrain.kernels.tree import Run, Runs
 from fields import rough
 from hypothesis import given, settings
@@ -35,43 +35,42 @@ def leaves_of(rng, max_depth: int, count: int) -> np.ndarray:
     return np.array(sorted(cell for cell, _ in leaves), np.int64)
 
 
-def changed_words(before, after) -> int:
-    """How many words differ between two streams."""
-    a, b = (dict(zip(*(array.tolist() for array in words), strict=True)) for words in (before, after))
-    return sum(a.get(word) != b.get(word) for word in a.keys() | b.keys())
+def changed_cells(before, after) -> int:
+    """How many cells are in one of two streams only."""
+    return len(set(before.tolist()) ^ set(after.tolist()))
 
 
 def assert_counters_agree(tree: ConcurrentBinaryTree) -> None:
-    """All counters are those of a tree that was marked from the words at once."""
+    """All counters are those of a tree that was marked from the cells at once."""
     fresh = ConcurrentBinaryTree(tree.max_depth)
-    fresh.mark(*tree.words())
+    fresh.mark(tree.cells())
     assert np.array_equal(fresh._upper_counts, tree._upper_counts)
     assert np.array_equal(fresh._block_counts, tree._block_counts)
     assert fresh.to_bytes() == tree.to_bytes()
 
 
-def write_apart(tree: ConcurrentBinaryTree, rng, words) -> list[tuple[int, int]]:
-    """Write words as the tree's next ones, in parts with gaps of rubbish; returns the parts, some without a word."""
-    count = len(words[0])
+def write_apart(tree: ConcurrentBinaryTree, rng, cells) -> list[tuple[int, int]]:
+    """Write cells as the tree's next ones, in parts with gaps of rubbish; returns the parts, some without a cell."""
+    count = len(cells)
     cuts = [0, *np.sort(rng.integers(0, count + 1, rng.integers(0, 5))).tolist(), count]
     room = count + 8 * len(cuts)
-    index, bits = (memory.numpy() for memory in tree.next_words(room))
-    index[:], bits[:] = rng.integers(0, 9, len(index)), 7
+    memory = tree.next_cells(room).numpy()
+    memory[:] = rng.integers(-9, 9, len(memory))
     parts, at = [], int(rng.integers(0, 3))
     for low, high in zip(cuts, cuts[1:], strict=False):
         parts.append((at, high - low))
-        index[at : at + high - low], bits[at : at + high - low] = words[0][low:high], words[1][low:high]
+        memory[at : at + high - low] = cells[low:high]
         at += high - low + 1 + int(rng.integers(0, 5))
     return parts
 
 
 def runs_of(rng, now: list[tuple[int, int]], then: list[tuple[int, int]], before, after, lists: int = 3) -> Runs:
-    """Some of the rows of words that lie in both streams, in `lists` lists of a room of 50, some without any."""
+    """Some of the rows of cells that lie in both streams, in `lists` lists of a room of 50, some without any."""
     places = [np.concatenate([np.arange(first, first + n) for first, n in parts]) for parts in (now, then)]
-    old = {(w, b): p for w, b, p in zip(*(array.tolist() for array in before), places[0].tolist(), strict=True)}
+    old = dict(zip(before.tolist(), places[0].tolist(), strict=True))
     rows = []
-    for word, bits, place in zip(*(array.tolist() for array in after), places[1].tolist(), strict=True):
-        if (was := old.get((word, bits))) is None or rng.random() < 0.1:
+    for cell, place in zip(after.tolist(), places[1].tolist(), strict=True):
+        if (was := old.get(cell)) is None or rng.random() < 0.1:
             continue
         if rows and rows[-1][0] + rows[-1][2] == place and rows[-1][1] + rows[-1][2] == was:
             rows[-1][2] += 1
@@ -92,42 +91,40 @@ def runs_of(rng, now: list[tuple[int, int]], then: list[tuple[int, int]], before
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from([6, 12, 13, 20, 31]), st.integers(0, 2**32))
-def test_words_in_parts_and_known_runs_give_the_tree_of_all_words(max_depth, seed):
-    """Parts with gaps, and any of the rows that are in both streams: words, counters, queries and what changed."""
+def test_cells_in_parts_and_known_runs_give_the_tree_of_all_cells(max_depth, seed):
+    """Parts with gaps, and any of the rows that are in both streams: cells, counters, queries and what changed."""
     rng = np.random.default_rng(seed)
     tree, cells = ConcurrentBinaryTree(max_depth), np.zeros(1, np.int64)
-    words, parts = pack_cells(cells), [(0, 1)]
+    parts = [(0, 1)]
     for _ in range(5):
+        before, was = cells, parts
         if rng.random() < 0.7:  # a little different
             extra = cells[rng.random(len(cells)) < 0.1] + (1 << max_depth) // len(cells) // 2
             cells = np.unique(np.concatenate([cells[rng.random(len(cells)) < 0.95], extra, [0]]))
             cells = cells[cells < 1 << max_depth]
         else:
             cells = leaves_of(rng, max_depth, int(rng.integers(1, 400)))
-        before, (was, words) = words, (parts, pack_cells(cells))
-        parts = write_apart(tree, rng, words)
-        runs = runs_of(rng, was, parts, before, words) if rng.random() < 0.8 else None
+        parts = write_apart(tree, rng, cells)
+        runs = runs_of(rng, was, parts, before, cells) if rng.random() < 0.8 else None
         stamp = tree.stamp
-        assert tree.mark_written(parts, runs) == changed_words(before, words)
+        assert tree.mark_written(parts, runs) == changed_cells(before, cells)
         assert tree.stamp is not stamp and tree.leaf_count == len(cells)
-        assert np.array_equal(unpack_cells(*tree.words()), cells)
+        assert np.array_equal(tree.cells(), cells)
         assert [tree.cell_of_leaf(k) for k in range(0, len(cells), 17)] == cells[::17].tolist()
         assert [tree.rank(int(c)) for c in cells[::13]] == list(range(0, len(cells), 13))
         assert_counters_agree(tree)
 
 
-def test_words_that_were_written_and_not_marked_change_nothing():
+def test_cells_that_were_written_and_not_marked_change_nothing():
     tree = ConcurrentBinaryTree(14)
     tree.reset(9)
     before, stamp = tree.to_bytes(), tree.stamp
-    for memory in tree.next_words(5_000):
-        memory.numpy()[:] = 3
+    tree.next_cells(5_000).numpy()[:] = 3
     assert tree.to_bytes() == before and tree.stamp is stamp and tree.decode(5) == 517
-    assert tree.mark(*[words.copy() for words in tree.words()]) == 0
+    assert tree.mark(tree.cells().copy()) == 0
     tree.split(512)
     assert tree.stamp is not stamp
-    for memory in tree.next_words(5_000):
-        memory.numpy()[:] = 3
+    tree.next_cells(5_000).numpy()[:] = 3
     tree.merge(512)
     assert tree.to_bytes() == before
     assert_counters_agree(tree)
@@ -135,23 +132,23 @@ def test_words_that_were_written_and_not_marked_change_nothing():
 
 @pytest.fixture
 def marks(monkeypatch):
-    """Of each mark: whether its count of changed words is exact, words in known runs, and runs of each list.
+    """Of each mark: whether its count of changed cells is exact, cells in known runs, and runs of each list.
 
-    Runs hold the same words in both streams, and each is as long as it can be.
+    Runs hold the same cells in both streams, and each is as long as it can be.
     """
     found, mark_written = [], ConcurrentBinaryTree.mark_written
 
     def checked(tree, parts, runs=None):
         counts = runs.counts.numpy()[: runs.lists].copy() if runs else []
         rows = [runs.runs.numpy()[k * runs.room : k * runs.room + n].copy() for k, n in enumerate(counts)]
-        for now, then in zip(tree.next_words(1), tree.last_words(), strict=True):
-            for first, was, count in (row.tolist() for of_list in rows for row in of_list):
-                assert np.array_equal(now.numpy()[first : first + count], then.numpy()[was : was + count])
+        now, then = tree.next_cells(1).numpy(), tree.last_cells().numpy()
+        for first, was, count in (row.tolist() for of_list in rows for row in of_list):
+            assert np.array_equal(now[first : first + count], then[was : was + count])
         for first, was, count in ((r["first"], r["before"], r["count"]) for r in rows):
             assert not ((first + count)[:-1] == first[1:])[(was + count)[:-1] == was[1:]].any()
-        before = [words.copy() for words in tree.words()]
+        before = tree.cells().copy()
         changed = mark_written(tree, parts, runs)
-        found.append((changed == changed_words(before, tree.words()), sum(int(r["count"].sum()) for r in rows), counts))
+        found.append((changed == changed_cells(before, tree.cells()), sum(int(r["count"].sum()) for r in rows), counts))
         return changed
 
     monkeypatch.setattr(ConcurrentBinaryTree, "mark_written", checked)
@@ -164,11 +161,11 @@ def taken(terrain: Terrain) -> int:
 
 
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
-    """The next update is to the bit what a new terrain gives: mesh, words and counters."""
+    """The next update is to the bit what a new terrain gives: mesh, cells and counters."""
     update, fresh = flown.update(criterion, [view]), Terrain(flown.field, 1)
     new = fresh.update(criterion, [view])
     assert arrays(update.surface) == arrays(new.surface) and update.leaves == new.leaves
-    assert all(np.array_equal(a, b) for a, b in zip(flown.tree.words(), fresh.tree.words(), strict=True))
+    assert np.array_equal(flown.tree.cells(), fresh.tree.cells())
     assert_counters_agree(flown.tree)
 
 
@@ -183,8 +180,8 @@ def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, marks, monkeypa
         exact, in_runs, counts = marks[0]
         assert exact
         if frame:
-            assert len(counts) == threads and in_runs > 0.3 * len(flown.tree.words()[0])
-    assert len(flown.tree._words._parts) == threads + (shape == (65, 193))
+            assert len(counts) == threads and in_runs > 0.3 * len(flown.tree.cells())
+    assert len(flown.tree._cells._parts) == threads + (shape == (65, 193))
 
 
 def test_what_is_taken_without_room_for_runs_is_compared(marks, monkeypatch):
@@ -202,7 +199,7 @@ def test_what_is_taken_without_room_for_runs_is_compared(marks, monkeypatch):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_nothing_is_taken_after_an_edit_of_the_tree(threads, marks, monkeypatch):
-    """Split and merge, words marked again, or bytes read only: mesh and tree are those of a new terrain."""
+    """Split and merge, cells marked again, or bytes read only: mesh and tree are those of a new terrain."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(129, 129, relief=20.0), threads)
     flown.update(ERROR, [over(0)])
@@ -215,8 +212,8 @@ def test_nothing_is_taken_after_an_edit_of_the_tree(threads, marks, monkeypatch)
     edits = {
         "none": lambda tree: tree.to_bytes(),
         "split and merge": split_and_merge,
-        "folded": lambda tree: (split_and_merge(tree), tree.words()),
-        "marked again": lambda tree: tree.mark(*[words.copy() for words in tree.words()]),
+        "folded": lambda tree: (split_and_merge(tree), tree.cells()),
+        "marked again": lambda tree: tree.mark(tree.cells().copy()),
         "other leaves": lambda tree: (tree.reset(), tree.reset(3)),
     }
     for frame, (name, edit) in enumerate(edits.items(), 1):
@@ -259,24 +256,24 @@ def test_a_walk_that_is_given_up_changes_nothing(marks):
 
 
 @pytest.mark.parametrize("criterion", [ERROR, EDGE], ids=["error", "edge"])
-def test_a_warm_frame_copies_no_words(criterion, monkeypatch):
-    """The tree's words lie where the walk has written them, in two memories that take turns."""
+def test_a_warm_frame_copies_no_cells(criterion, monkeypatch):
+    """The tree's cells lie where the walk has written them, in two memories that take turns."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     terrain, written = Terrain(rough(65, 193), 2), []
     marked = refinement.Refinement._mark
 
     def noted(self, walks, counts):
-        written.append([(walk.word_index, walk.word_bits, walk.last_word_index) for walk in walks])
+        written.append([(walk.cell, walk.last_cell) for walk in walks])
         return marked(self, walks, counts)
 
     monkeypatch.setattr(refinement.Refinement, "_mark", noted)
     for frame in range(4):
         terrain.update(criterion, [over(frame)])
-    monkeypatch.setattr(WordStreams, "write", None)
+    monkeypatch.setattr(CellStreams, "write", None)
     for frame in range(4, 8):
         terrain.update(criterion, [over(frame)])
-        index, bits = terrain.tree.last_words()
+        cells = terrain.tree.last_cells()
         assert len(written[-1]) == 2
-        assert all(walk[0] is index and walk[1] is bits for walk in written[-1])
-        assert all(walk[2] is written[-2][0][0] for walk in written[-1])
-        assert index is written[-3][0][0] and index is not written[-2][0][0]
+        assert all(walk[0] is cells for walk in written[-1])
+        assert all(walk[1] is written[-2][0][0] for walk in written[-1])
+        assert cells is written[-3][0][0] and cells is not written[-2][0][0]

@@ -10,7 +10,6 @@ from adaptive_terrain.cbt_terrain import bisection
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.lattice import Lattice
 from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.words import pack_cells
 from reference_bisection import assert_conforming
 
 
@@ -81,22 +80,22 @@ def random_leaves(max_depth, count, seed):
 
 @pytest.mark.parametrize("max_depth", [28, 32, 36])
 def test_case_03_memory_follows_the_leaves(max_depth):
-    """100,000 leaves in trees of 2^28 to 2^36 cells: 16 bytes a word, twice, and nothing else grows."""
-    index, bits = pack_cells(random_leaves(max_depth, 100_000, seed=max_depth))
+    """100,000 leaves in trees of 2^28 to 2^36 cells: 8 bytes a leaf, twice, and nothing else grows."""
+    cells = random_leaves(max_depth, 100_000, seed=max_depth)
     tracemalloc.start()
     tree = ConcurrentBinaryTree(max_depth)
     empty = tree.nbytes
     for _ in range(5):
-        tree.mark(index, bits)
+        tree.mark(cells)
         tree.reset()
-    tree.mark(index, bits)
+    tree.mark(cells)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert tree.leaf_count >= 100_000
-    # Counters: 2 bytes for 4,096 cells and a 16th above, committed where they are touched. Words: 16 bytes each, this
+    # Counters: 2 bytes for 4,096 cells and a 16th above, committed where they are touched. Leaves: 8 bytes each, this
     # frame's and the last one's, a quarter to spare.
     assert empty < 2.2 * 2 ** (max_depth - 12) + 4096
-    assert tree.nbytes - empty < 2.5 * 16 * len(index) + 64
+    assert tree.nbytes - empty < 2.5 * 8 * len(cells) + 512
     assert peak < tree.nbytes + 2**16
 
 

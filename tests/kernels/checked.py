@@ -57,14 +57,6 @@ def limits_at(a: wp.array(dtype=wp.vec3d), i: wp.int32) -> wp.vec3d:
 
 
 @wp.func
-def put_word(
-    index: wp.array(dtype=wp.int64), bits: wp.array(dtype=wp.uint64), i: wp.int64, word: wp.int64, value: wp.uint64
-):
-    index[i] = word
-    bits[i] = value
-
-
-@wp.func
 def entry_at(a: wp.array(dtype=wp.int64), i: wp.int32) -> wp.int64:
     return a[i]
 
@@ -191,42 +183,6 @@ def place_eight(
 
 
 @wp.func
-def number_starts(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-    first: wp.int64,
-    size_bits: wp.int32,
-    starts: wp.int32,
-) -> wp.int32:
-    n = wp.int32(0)
-    bits = wp.uint64(0)
-    k = wp.int32(0)
-    while k < 8:
-        cell = k << (size_bits - 3)
-        after = (k + 1) << (size_bits - 3)
-        if (starts >> k) & 1 == 1:
-            bits = bits | (wp.uint64(1) << wp.uint64(cell & 63))
-        if (after >> 6) > (cell >> 6):
-            indices[at + wp.int64(n)] = first + wp.int64(cell >> 6)
-            words[at + wp.int64(n)] = wp.where(size_bits < 9, bits, wp.uint64(1))
-            if bits != wp.uint64(0):
-                n += 1
-            bits = wp.uint64(0)
-        k += 1
-    return n
-
-
-@wp.func
-def spread_starts(starts: wp.int32, size_bits: wp.int32) -> wp.uint64:
-    bits = wp.uint64(0)
-    for k in range(8):
-        if (starts >> wp.int32(k)) & 1 == 1:
-            bits = bits | (wp.uint64(1) << wp.uint64((k << size_bits) >> 3))
-    return bits
-
-
-@wp.func
 def copy_points(
     points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
 ):
@@ -251,49 +207,41 @@ def copy_vec2s(
 
 
 @wp.func
-def copy_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    first: wp.int64,
-    count: wp.int32,
-    out: wp.array(dtype=wp.int64),
-    out_bits: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-):
-    for k in range(count):
-        out[at + wp.int64(k)] = indices[first + wp.int64(k)]
-        out_bits[at + wp.int64(k)] = words[first + wp.int64(k)]
+def put_cell(a: wp.array(dtype=wp.int64), i: wp.int64, value: wp.uint64):
+    a[i] = wp.int64(value)
 
 
 @wp.func
-def count_same_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    i: wp.int64,
-    stop: wp.int64,
-    old_indices: wp.array(dtype=wp.int64),
-    old_words: wp.array(dtype=wp.uint64),
-    j: wp.int64,
-    end: wp.int64,
+def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64):
+    for k in range(count):
+        cells[at + wp.int64(k)] = wp.int64(first + wp.uint64(k) * step)
+
+
+@wp.func
+def place_starts(
+    cells: wp.array(dtype=wp.int64), at: wp.int64, first: wp.uint64, size_bits: wp.int32, starts: wp.int32
+):
+    n = wp.int64(0)
+    k = wp.int32(0)
+    while k < 8:
+        cells[at + n] = wp.int64(first + ((wp.uint64(k) << wp.uint64(size_bits)) >> wp.uint64(3)))
+        n += wp.int64((starts >> k) & 1)
+        k += 1
+
+
+@wp.func
+def copy_cells(
+    cells: wp.array(dtype=wp.int64), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.int64), at: wp.int64
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = cells[first + wp.int64(k)]
+
+
+@wp.func
+def count_same(
+    cells: wp.array(dtype=wp.int64), i: wp.int64, stop: wp.int64, old_cells: wp.array(dtype=wp.int64), j: wp.int64
 ) -> wp.int64:
     k = wp.int64(0)
-    while i + k != stop and indices[i + k] == old_indices[j + k] and indices[i + k] != end:
-        if words[i + k] != old_words[j + k]:
-            break
+    while i + k != stop and cells[i + k] == old_cells[j + k] and cells[i + k] >= wp.int64(0):
         k += wp.int64(1)
     return k
-
-
-@wp.func
-def number_words(
-    indices: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
-    at: wp.int64,
-    count: wp.int32,
-    first: wp.int64,
-    step: wp.int64,
-    bits: wp.uint64,
-):
-    for k in range(count):
-        indices[at + wp.int64(k)] = first + wp.int64(k) * step
-        words[at + wp.int64(k)] = bits

@@ -82,8 +82,7 @@ def result(terrain: Terrain, criterion: Criterion, view: View, scale: float, off
     update = terrain.update(criterion, [view], vertical_scale=scale, vertical_offset=offset)
     bounds = (update.bound_px, update.bound_m, update.bound_edge_px, update.bound_area_px)
     parts = (update.terms_px, update.terms_m, update.relaxed, update.limited)
-    words = [words.tobytes() for words in terrain.tree.words()]
-    return update.leaves, bounds, parts, words, arrays(update.surface)
+    return update.leaves, bounds, parts, terrain.tree.cells().tobytes(), arrays(update.surface)
 
 
 def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):

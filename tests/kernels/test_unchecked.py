@@ -60,7 +60,6 @@ def walked(module) -> list[bytes]:
         (wp.uint16, np.uint16, ()),
         (wp.int32, np.int32, ()),
         (wp.int64, np.int64, ()),
-        (wp.uint64, np.uint64, ()),
         (wp.float32, np.float32, ()),
         (wp.vec2i, np.int32, (2,)),
         (wp.vec4i, np.int32, (4,)),

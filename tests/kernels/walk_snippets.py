@@ -5,27 +5,26 @@ import warp as wp
 
 from .unchecked import (
     code_at,
+    copy_cells,
     copy_codes,
     copy_points,
-    copy_words,
     corners_at,
-    count_same_words,
+    count_same,
     entry_at,
     height_at,
     limits_at,
     number_at,
-    number_starts,
-    number_words,
+    number_cells,
     pair_at,
     place_eight,
     place_legs,
+    place_starts,
     put,
+    put_cell,
     put_code,
     put_corners,
     put_eight,
     put_pair,
-    put_word,
-    spread_starts,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -37,7 +36,6 @@ def pass_all(
     codes: wp.array(dtype=wp.uint16),
     numbers: wp.array(dtype=wp.int32),
     entries: wp.array(dtype=wp.int64),
-    words: wp.array(dtype=wp.uint64),
     heights: wp.array(dtype=wp.float32),
     pairs: wp.array(dtype=wp.vec2i),
     corners: wp.array(dtype=wp.vec4i),
@@ -51,7 +49,7 @@ def pass_all(
         to = wp.int64(2 * count + k)
         put_code(codes, to, code_at(codes, wp.int64(k)) + wp.uint16(k))
         put(numbers, to, number_at(numbers, k) - k)
-        put_word(entries, words, to, entry_at(entries, k) + wp.int64(k), wp.uint64(number_at(numbers, k + 1)))
+        put_cell(entries, to, wp.uint64(entry_at(entries, k) + wp.int64(number_at(numbers, k + 1))))
         heights[2 * count + k] = height_at(heights, wp.int64(k)) * wp.float32(k)
         put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
         limits[2 * count + k] = limits_at(limits, k) * wp.float64(0.5)
@@ -59,26 +57,22 @@ def pass_all(
     row = wp.int64(3 * count + 1)
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
-    number_words(entries, words, row, count, wp.int64(-11), wp.int64(1) << wp.int64(33), wp.uint64(0x1111))
+    number_cells(entries, row, count, wp.uint64(11), wp.uint64(1) << wp.uint64(33))
     row = wp.int64(4 * count + 4)
     put_eight(codes, 3, wp.uint16(8), wp.uint16(5 << 9), codes, row)
     place_eight(pairs, 5, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), pairs, row)
-    # Leaves that begin with eighths 0, 2, 3 and 6 of 1 to 64 cells, which share a word; of more, that do not.
-    for k in range(count / 4):
-        to = row + wp.int64(4 * k)
-        if k < 7:
-            words[to] = spread_starts(0x4D, k)
-        else:
-            numbers[4 * count + k] = number_starts(entries, words, to, wp.int64(-3), k, 0x4D)
+    for k in range(count / 8):  # leaves that begin with eighths 0, 2, 3 and 6 of 2^k cells
+        place_starts(entries, row + wp.int64(4 * k), wp.uint64(640 * k), k, 0x4D)
     row = wp.int64(5 * count)
     first = wp.int64(2)
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
     copy_points(pairs, first, count - 1, pairs, row)
-    copy_words(entries, words, first, count - 1, entries, words, row)
-    # Words that were copied: as many as are the same, up to a place, up to an index.
+    copy_cells(entries, first, count - 1, entries, row)
+    # Cells that were copied: as many as are the same, up to a place, up to a link.
     at = wp.int64(4 * count + 1)
-    none = wp.int64(-1)
-    entries[at] = count_same_words(entries, words, row, none, entries, words, first, none)
-    entries[at + wp.int64(1)] = count_same_words(entries, words, row, row + wp.int64(5), entries, words, first, none)
-    index = entries[row + wp.int64(7)]
-    entries[at + wp.int64(2)] = count_same_words(entries, words, row, none, entries, words, first, index)
+    entries[at] = count_same(entries, row, wp.int64(-1), entries, first)
+    entries[at + wp.int64(1)] = count_same(entries, row, row + wp.int64(5), entries, first)
+    entries[at + wp.int64(2)] = count_same(entries, row, row + wp.int64(21), entries, first)
+    entries[first + wp.int64(13)] = wp.int64(-7)
+    entries[row + wp.int64(13)] = wp.int64(-7)
+    entries[at + wp.int64(3)] = count_same(entries, row, wp.int64(-1), entries, first)

@@ -5,7 +5,6 @@ import bisect
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.words import pack_cells
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -56,13 +55,12 @@ class TreeMachine(RuleBasedStateMachine):
             heap_id = above[-1] if rng.random() < 0.3 else above[rng.integers(len(above))]
             leaves.remove(heap_id)
             leaves |= {2 * heap_id, 2 * heap_id + 1}
-        before = dict(zip(*(array.tolist() for array in self.tree.words()), strict=True))
+        before = set(self.tree.cells().tolist())
         self.leaves = leaves
         cells = np.array([self.cell(n) for n in self.in_order()], np.int64)
-        after = dict(zip(*(array.tolist() for array in pack_cells(cells)), strict=True))
         places = np.sort(rng.integers(0, len(cells) + 1, cuts))
-        changed = self.tree.mark_slices([pack_cells(part) for part in np.split(cells, places)])
-        assert changed == sum(before.get(word) != after.get(word) for word in before.keys() | after.keys())
+        changed = self.tree.mark_slices(np.split(cells, places))
+        assert changed == len(before ^ set(cells.tolist()))
 
     @rule(depth=st.integers(0, 8))
     def reset(self, depth):

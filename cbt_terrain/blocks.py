@@ -55,11 +55,8 @@ def blocks() -> Blocks:
             legs += new
     table = Blocks()
     table.first_leaf, table.first_vertex = _array(first_leaf, wp.int32), _array(first_vertex, wp.int32)
-    table.vertices, table.code, table.leg = (
-        _array(vertices, wp.int32),
-        _array(codes, wp.uint16),
-        _array(legs, wp.vec2i),
-    )
+    table.vertices = _array(vertices, wp.int32)
+    table.code, table.leg = _array(codes, wp.uint16), _array(legs, wp.vec2i)
     return table
 
 

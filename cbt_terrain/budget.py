@@ -32,7 +32,7 @@ REACH = 6
 BEHIND = 64
 FEW = 50_000
 # Splits rise as over the last octave, and by this much faster: of 275 curves between 1/12 and all of 300,000, nine in
-# ten were foretold to 3 steps.
+# ten were foretold to 4 steps.
 STEEPER = 1.05
 # Octaves of splits for an octave of error, on most ground.
 SPLITS_PER_ERROR = 1.2

@@ -2,8 +2,8 @@
 """The walk through a subtree on level ground, where only edge lengths ask and no error is news.
 
 A loop of its own for what is most of a plain: a diamond is not measured but where its footprint leaves a doubt, and
-nothing is remembered for its other triangle. Nanoseconds a leaf with it and without, over flat ground: 14 and 39 at
-50,000 leaves, 4 and 13.5 at 1 M.
+nothing is remembered for its other triangle. Nanoseconds a leaf with it and without, over flat ground: 10 and 39 at
+50,000 leaves, 3 and 13.5 at 1 M; without shapes 14 and 4.
 """
 
 import warp as wp
@@ -115,9 +115,8 @@ def walk_level_ground(
     """Refine a triangle whose leaves are in the slice, neither the square's first nor its last, and share nothing with
     other squares.
 
-    longest_px2, largest_px2: maxima so far. first_cell: of all
-    squares in a row. leaf_depth: from it on nothing is split or a new maximum. bottom: the stacks' first free entry.
-    Returns what is written then, and the maxima.
+    longest_px2, largest_px2: maxima so far. first_cell: of all squares in a row. leaf_depth: from it on nothing is
+    split or a new maximum. bottom: the stacks' first free entry. Returns what is written then, and the maxima.
     """
     x = (left[0] + right[0]) >> 1
     y = (left[1] + right[1]) >> 1

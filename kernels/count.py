@@ -11,7 +11,7 @@ meets it twice. For a window of few steps it takes about half the time of a refi
 
 import warp as wp
 
-from .band import LEVEL, leaves_below, limits_of, measured_at, splits_below
+from .band import LEVEL, Limits, Measured, leaves_below, limits_of, measured_at, splits_below
 from .count_level_ground import count_level_ground
 from .count_state import CELLS, Cell, Count, last_of_edges, last_split, note
 from .criterion import (
@@ -32,6 +32,102 @@ wp.set_module_options({"enable_backward": False})
 
 # Instead of being looked into as a cell of the quadtree.
 LEVEL_GROUND = wp.constant(2)
+
+
+@wp.func
+def part_of(domain: Domain, w: Count, cell: Cell, part: wp.int32, size: wp.uint64):
+    """Where a diamond of a cell is split, its depth, its first deepest cell, and how many of its triangles count here.
+
+    part: 3 .. 0 are the quadrants, of `size` deepest cells each, so that the first is the next; then come the sides:
+    south, west, and the terrain's own two.
+    """
+    half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
+    x = cell.x
+    y = cell.y
+    depth = cell.depth + 1
+    code = cell.code
+    triangles = wp.int64(2)
+    if part >= 0:
+        x += wp.where((part & 1) == 1, half >> 1, -(half >> 1))
+        y += wp.where((part & 2) == 2, half >> 1, -(half >> 1))
+        depth += 1
+        if cell.depth > 0:
+            code += wp.uint64(part) * size
+        if code + size <= w.first_cell or code >= w.end_cell:
+            triangles = wp.int64(0)
+    else:
+        if part == -1:
+            y -= half
+        elif part == -2:
+            x -= half
+        elif part == -3:
+            y += half
+        else:
+            x += half
+        if x == 0 or y == 0 or x == domain.columns << domain.unit_bits or y == domain.rows << domain.unit_bits:
+            triangles = wp.int64(1)
+        elif part < -2:
+            triangles = wp.int64(0)
+        if code < w.first_cell:
+            triangles = wp.int64(0)
+    return x, y, depth, code, triangles
+
+
+@wp.func
+def cell_below(
+    domain: Domain,
+    asked: Asked,
+    limits: Limits,
+    coarse: Asked,
+    coarse_limits: Limits,
+    w: Count,
+    m: Measured,
+    depth: wp.int32,
+    clear: wp.int32,
+):
+    """What is certain below a quadrant that is split: a cell without a place, and its finest and coarsest pixel."""
+    inf = wp.float64(wp.inf)
+    coarse2, inside = coarsest(asked, m.diamond, clear)
+    coarse2 = coarse2 * limits.coarser
+    fine2 = m.pixel2 * limits.finer
+    fine = smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below)
+    rough = smaller(coarse_limits.error_px * wp.sqrt(coarse2), coarse_limits.metres_above)
+    cell = Cell()
+    cell.leaf_up_to = own_for(fine, m.rest, domain.source)
+    cell.split_above = own_for(rough, domain.rounding, domain.source)
+    cell.leaf_depth = leaves_below(asked, depth, w.max_depth, m.long2, m.legs2, m.climb2, fine2, inf, inf)
+    cell.split_depth = splits_below(coarse, depth, w.max_depth, m.long2, m.legs2, coarse2)
+    cell.clear = inside
+    return cell, fine2, coarse2
+
+
+@wp.func
+def alike_below(
+    domain: Domain,
+    asked: Asked,
+    limits: Limits,
+    w: Count,
+    step: wp.int32,
+    m: Measured,
+    cell: Cell,
+    fine2: wp.float64,
+    coarse2: wp.float64,
+):
+    """Whether every diamond at a depth below a cell without errors is split for the last time at the same step.
+
+    All are, but for one depth at most: returns that depth's last step, too.
+    """
+    alike = cell.leaf_depth - cell.split_depth < 2
+    last = w.coarsest
+    if alike and cell.leaf_depth > cell.split_depth:
+        none = wp.float64(0.0)
+        first = step
+        depth = cell.split_depth
+        last = last_of_edges(asked, limits, w.limits, first, w.coarsest, domain.unit_bits, depth, m.climb2, fine2)
+        alike = last == last_of_edges(
+            asked, limits, w.limits, first, w.coarsest, domain.unit_bits, depth, none, coarse2
+        )
+    return alike, last
 
 
 @wp.kernel
@@ -75,43 +171,12 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
         while top > 0 and step <= w.coarsest:
             top -= 1
             cell = w.stack[place + top]
-            half = side >> ((cell.depth + 1) >> 1)
-            quarter = half >> 1
-            size = cells >> wp.uint64(cell.depth + 1)  # deepest cells of a quadrant
-            # Quadrants 3 .. 0, so that the first is the next; then sides: south, west, and the terrain's own two.
+            size = cells >> wp.uint64(cell.depth + 1)
+            quarter = side >> ((cell.depth + 3) >> 1)
             part = wp.int32(3)
-            last_part = wp.int32(-4)
-            if cell.depth < 0:
-                last_part = 3
+            last_part = wp.where(cell.depth < 0, 3, -4)
             while part >= last_part:
-                x = cell.x
-                y = cell.y
-                depth = cell.depth + 2
-                code = cell.code
-                triangles = wp.int64(2)
-                if part >= 0:
-                    x += wp.where((part & 1) == 1, quarter, -quarter)
-                    y += wp.where((part & 2) == 2, quarter, -quarter)
-                    if cell.depth > 0:
-                        code += wp.uint64(part) * size
-                    if code + size <= w.first_cell or code >= w.end_cell:
-                        triangles = wp.int64(0)
-                else:
-                    depth -= 1
-                    if part == -1:
-                        y -= half
-                    elif part == -2:
-                        x -= half
-                    elif part == -3:
-                        y += half
-                    else:
-                        x += half
-                    if x == 0 or y == 0 or x == east or y == north:
-                        triangles = wp.int64(1)
-                    if code < w.first_cell or (part < -2 and triangles == wp.int64(2)):
-                        triangles = wp.int64(0)
-                    if (part == -3 and y < north) or (part == -4 and x < east):
-                        triangles = wp.int64(0)
+                x, y, depth, code, triangles = part_of(domain, w, cell, part, size)
                 if triangles > wp.int64(0) and depth < w.max_depth:
                     error = wp.float32(0.0)
                     if has_errors:
@@ -135,50 +200,39 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                         if too_coarse_at(asked, asked.limit, m.pixel2, m.metres2, long2, legs2):
                             last = last_split(asked, limits, w.limits, step, w.coarsest, m)
                             if part >= 0:
-                                coarse2, inside = coarsest(asked, m.diamond, cell.clear)
-                                coarse2 = coarse2 * limits.coarser
-                                fine2 = m.pixel2 * limits.finer
-                                fine = smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below)
-                                rough = smaller(coarse_limits.error_px * wp.sqrt(coarse2), coarse_limits.metres_above)
-                                inner.leaf_up_to = own_for(fine, m.rest, domain.source)
-                                inner.split_above = own_for(rough, domain.rounding, domain.source)
-                                inner.leaf_depth = leaves_below(
-                                    asked, depth, w.max_depth, m.long2, m.legs2, m.climb2, fine2, inf, inf
+                                found, fine2, coarse2 = cell_below(
+                                    domain, asked, limits, coarse, coarse_limits, w, m, depth, cell.clear
                                 )
-                                inner.split_depth = splits_below(coarse, depth, w.max_depth, m.long2, m.legs2, coarse2)
-                                inner.clear = inside
+                                # Field by field: see kernels/refine.py. A tenth of the search.
+                                inner.leaf_up_to = found.leaf_up_to
+                                inner.split_above = found.split_above
+                                inner.leaf_depth = found.leaf_depth
+                                inner.split_depth = found.split_depth
+                                inner.clear = found.clear
                                 below = 1
                                 if m.own <= inner.leaf_up_to:
                                     below = wp.int32(depth + 1 < inner.leaf_depth)
                                     whole = below == 1 and code >= w.first_cell and code + size <= w.end_cell
                                     whole = whole and x > quarter and y > quarter
                                     whole = whole and x + quarter < east and y + quarter < north
-                                    # All below are alike, but for one depth at most, and that is of one step.
-                                    alike = whole and inner.leaf_depth - inner.split_depth < 2
+                                    alike = wp.bool(False)
                                     last_below = w.coarsest
-                                    if alike and inner.leaf_depth > inner.split_depth:
-                                        last_below = last_of_edges(
-                                            asked, limits, w.limits, step, w.coarsest, domain.unit_bits,
-                                            inner.split_depth, m.climb2, fine2,
-                                        )  # fmt: skip
-                                        other = last_of_edges(
-                                            asked, limits, w.limits, step, w.coarsest, domain.unit_bits,
-                                            inner.split_depth, wp.float64(0.0), coarse2,
-                                        )  # fmt: skip
-                                        alike = last_below == other
+                                    if whole:
+                                        alike, last_below = alike_below(
+                                            domain, asked, limits, w, step, m, inner, fine2, coarse2
+                                        )
                                     if alike:
                                         below = 0
                                         # 4 triangles at its sides, and twice as many at each depth from there on.
-                                        certain = wp.int64(4) * (
-                                            (wp.int64(1) << wp.int64(inner.split_depth - depth - 1)) - wp.int64(1)
+                                        certain = wp.int64(4) << wp.int64(inner.split_depth - depth - 1)
+                                        w.last_steps[bins + w.coarsest] = (
+                                            w.last_steps[bins + w.coarsest] + certain - wp.int64(4)
                                         )
-                                        w.last_steps[bins + w.coarsest] = w.last_steps[bins + w.coarsest] + certain
-                                        total += certain
+                                        total += certain - wp.int64(4)
                                         if inner.leaf_depth > inner.split_depth and last_below >= step:
-                                            more = wp.int64(4) << wp.int64(inner.split_depth - depth - 1)
-                                            w.last_steps[bins + last_below] = w.last_steps[bins + last_below] + more
-                                            total += more
-                                    elif whole and plan.usable == 1 and inside == 1 and not has_errors:
+                                            w.last_steps[bins + last_below] = w.last_steps[bins + last_below] + certain
+                                            total += certain
+                                    elif whole and plan.usable == 1 and inner.clear == 1 and not has_errors:
                                         height = m.diamond.high[2] - m.diamond.low[2]
                                         leaf2, _legs2 = sizes(asked, domain.unit_bits, inner.leaf_depth)
                                         if height * height <= LEVEL * leaf2:

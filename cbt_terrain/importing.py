@@ -39,6 +39,8 @@ __all__ = [
 BLOCK_SAMPLES = 1 << 20
 # Changed when the same source would give a different store: the island's shape, the hierarchy.
 METHOD = 1
+# Heights by which files mean that there is none, often without saying so.
+NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
 SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
 _REFERENCED = re.compile(r"<SourceFilename[^>]*>([^<]+)<")
 
@@ -67,7 +69,9 @@ def run_import(
         _check_room(path, width, height, lattice, fits)
         draft = store.Draft(path, folder)
         heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
-        missing, source_max = _read_heights(raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading"))
+        missing, source_max, lowest = _read_heights(
+            raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading")
+        )
         field = heightfield.build(
             heights,
             place.step_x,
@@ -86,6 +90,7 @@ def run_import(
         field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
         field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
         report = _report(field, raster, place)
+        report["warnings"] += _undeclared(raster, settings, lowest)
         report["seconds"] = round(time.monotonic() - started, 3)
         draft.publish(field, digest, report)
         return report
@@ -162,13 +167,13 @@ def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> Non
 
 def _read_heights(
     raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
-) -> tuple[int, float]:
-    """Fill `heights` (row 0 south) from the raster; returns how many are missing, and metres by which the source's own
-    rounding may have moved them."""
+) -> tuple[int, float, float]:
+    """Fill `heights` (row 0 south) from the raster; returns how many are missing, metres by which the source's own
+    rounding may have moved them, and the lowest in metres."""
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
     scale = raster.scale * settings.height_scale
     offset = raster.offset * settings.height_scale + settings.height_offset
-    missing, largest, converted = 0, 0.0, 0.0
+    missing, largest, converted, lowest = 0, 0.0, 0.0, np.inf
     for first in range(0, raster.height, rows_at_once):
         count = min(rows_at_once, raster.height - first)
         rows = raster.read(first, count)
@@ -182,6 +187,7 @@ def _read_heights(
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))
+            lowest = min(lowest, float(np.nanmin(rows)))
             if not np.can_cast(exact.dtype, np.float32):
                 converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
         if place.first_column_east:
@@ -192,7 +198,23 @@ def _read_heights(
             end = heights.shape[0] - first
             heights[end - len(rows) : end] = rows[::-1]
         on_progress((first + count) / raster.height)
-    return missing, 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
+    source_max = 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
+    return missing, source_max, lowest
+
+
+def _undeclared(raster: Raster, settings: ImportSettings, lowest: float) -> list[str]:
+    """A warning where the lowest height is one that files write for no data."""
+    scale = raster.scale * settings.height_scale
+    if scale == 0.0 or settings.no_data is not None:
+        return []
+    value = (lowest - raster.offset * settings.height_scale - settings.height_offset) / scale
+    value = next((known for known in NO_DATA_VALUES if np.isclose(value, known, rtol=1e-6, atol=0.0)), value)
+    if value not in NO_DATA_VALUES and value > -1e30:
+        return []
+    return [
+        f"The lowest height in the file is {value:.9g}, which often means no data: if it does, import again and give "
+        "that as the no-data value."
+    ]
 
 
 def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:

@@ -172,7 +172,10 @@ def _open_raw(path: Path, settings: ImportSettings) -> Raster:
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
     if width * height * kind.itemsize != size or rest:
         asked = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
-        raise TerrainError(f"{path} has {size} bytes, but {asked}: give its size and type as they are.")
+        raise TerrainError(
+            f"{path} has {size} bytes, but {asked}: give its size and type as they are (on the command line "
+            "--raw-size WxH and --raw-type)."
+        )
     values = np.memmap(path, kind, "r", shape=(height, width))
     return _from_array(values, settings, "RAW")
 

@@ -24,7 +24,10 @@ def positive(most: float):
     """A number above 0, at most `most`."""
 
     def number(text: str) -> float:
-        value = float(text)
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
         if not value > 0:
             raise argparse.ArgumentTypeError(f"{text} is not more than 0")
         if value > most:
@@ -36,7 +39,10 @@ def positive(most: float):
 
 def count(text: str) -> int:
     """A number of things that Blender can hold."""
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
     if not 0 <= value <= MAX_INT:
         raise argparse.ArgumentTypeError(f"{text} is not within 0 and {MAX_INT:,}")
     return value

@@ -16,6 +16,7 @@ from .argument_types import MAX_INT, argument, count, pair, path, positive
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+AT_MOST = "triangles at most, but not fewer than two for each root square"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -26,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:
-        print(f"{PROGRAM} {arguments.verb}: {error}", file=sys.stderr)
+        print(f"{PROGRAM} {arguments.verb}: error: {error}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
@@ -40,7 +41,6 @@ def main(argv: list[str] | None = None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     from ..cbt_terrain.heightfield import INTERPOLATIONS
     from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
-    from ..cbt_terrain.sources import RAW_TYPES
     from .exporting import FORMATS, parse_formats, parse_frames
 
     parser = argparse.ArgumentParser(
@@ -63,25 +63,20 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
-    verb.add_argument(
-        "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"
-    )
-    verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
-    verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
-    verb.add_argument(
-        "--size", type=int, default=DEFAULT_SIZE, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})"
-    )
-    verb.add_argument("--seed", type=int, default=DEFAULT_SEED, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
+    _add_raw(verb)
+    verb.add_argument("--size", type=int, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})")
+    verb.add_argument("--seed", type=int, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
 
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path)
+    _add_raw(verb)
 
     verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     metres = positive(MAX_ERROR_M)
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
-    verb.add_argument("--budget", type=count, metavar="N", help="triangles at most; the error reached is reported")
+    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST + "; the error reached is reported")
     between = {"choices": INTERPOLATIONS, "help": "of the surface between samples"}
     verb.add_argument("--interpolation", default=INTERPOLATIONS[0], **between)
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
@@ -99,7 +94,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
     pixels = positive(MAX_ERROR_PX)
     verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
-    verb.add_argument("--budget", type=count, metavar="N", help="triangles at most")
+    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--interpolation", **between)
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
@@ -130,6 +125,17 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     verb.add_argument("--progress", action="store_true", default=None, help="show the bar even where no terminal is")
     verb.set_defaults(run=run)
     return verb
+
+
+def _add_raw(verb: argparse.ArgumentParser) -> None:
+    """What a RAW file does not say of itself."""
+    from ..cbt_terrain.sources import RAW_TYPES
+
+    verb.add_argument(
+        "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"
+    )
+    verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
+    verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
 
 
 if __name__ == "__main__":

@@ -98,6 +98,8 @@ def make_folder(path: Path) -> None:
 
 def check_target(path: Path) -> None:
     """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
+    if path.parent.is_file():
+        raise TerrainError(f"{path.parent} is a file; expected a folder to write {path.name} into: choose another.")
     if not os.path.isdir(path.parent):
         raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
     if os.path.isdir(path):  # which raises for no name

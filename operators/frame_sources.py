@@ -238,7 +238,7 @@ def need_bpy(what: str):
             import bpy
     except ImportError:
         raise TerrainError(
-            f"{what} needs Blender's Python module; install adaptive-terrain[blender], "
+            f"{what} needs Blender's Python module; `pip install bpy` (the version that is made for this Python), "
             "or run `blender --command adaptive_terrain` instead."
         ) from None
     if not hasattr(bpy.types.Object, "adaptive_terrain"):

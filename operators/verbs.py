@@ -17,13 +17,15 @@ class UsageError(Exception):
 
 
 def run_import(arguments) -> None:
-    from ..cbt_terrain.importing import ImportSettings, import_source
+    from ..cbt_terrain.importing import import_source
+    from ..cbt_terrain.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ..cbt_terrain.sources import ISLAND, ImportSettings
 
+    if arguments.source != ISLAND and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of the built-in `{ISLAND}`; {arguments.source} is taken as it is")
     settings = ImportSettings(
         source=arguments.source,
-        raw_size=arguments.raw_size,
-        raw_dtype=arguments.raw_type,
-        raw_little_endian=not arguments.big_endian,
+        **_raw_settings(arguments),
         extent=arguments.extent,
         height_scale=arguments.height_scale,
         height_offset=arguments.height_offset,
@@ -31,8 +33,8 @@ def run_import(arguments) -> None:
         band=arguments.band,
         channel=arguments.channel,
         first_row_south=arguments.first_row_south,
-        size=arguments.size,
-        seed=arguments.seed,
+        size=DEFAULT_SIZE if arguments.size is None else arguments.size,
+        seed=DEFAULT_SEED if arguments.seed is None else arguments.seed,
     )
     start = time.monotonic()
     bar = Progress(1.0, "import", arguments.progress)
@@ -52,18 +54,25 @@ def run_info(arguments) -> None:
         return
     from ..cbt_terrain.importing import describe
 
-    print_fields(describe(arguments.path) if os.path.isdir(arguments.path) else describe_source(arguments.path))
+    is_store = os.path.isdir(arguments.path)
+    print_fields(describe(arguments.path) if is_store else _describe_source(arguments.path, _raw_settings(arguments)))
 
 
-def describe_source(path: Path) -> dict:
-    """What a height map's header says."""
+def _raw_settings(arguments) -> dict:
+    """What the arguments say of a RAW file."""
+    little_endian = not arguments.big_endian
+    return {"raw_size": arguments.raw_size, "raw_dtype": arguments.raw_type, "raw_little_endian": little_endian}
+
+
+def _describe_source(path: Path, raw: dict) -> dict:
+    """What a height map's header says; `raw`: of a RAW file, which has none."""
     from ..cbt_terrain.sources import ImportSettings, open_source
 
     bpy = sys.modules.get("bpy")
     if path.suffix.lower() == ".exr" and bpy is not None and bpy.app.binary_path:
         # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
         raise TerrainError(f"{path} is an EXR file, which is not opened inside Blender; import it first.")
-    raster = open_source(ImportSettings(source=str(path)))
+    raster = open_source(ImportSettings(source=str(path), **raw))
     try:
         place = raster.georeference
         fields = {"path": str(path), "format": raster.format, "stored": raster.stored}

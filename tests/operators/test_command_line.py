@@ -194,6 +194,12 @@ def test_import_info_and_export_by_words(tmp_path, flight, capsys):
     assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
     assert command_line.main(["info", source]) == 0
     assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
+    heights.astype("<f4").tofile(tmp_path / "hills.raw")
+    assert command_line.main(["info", str(tmp_path / "hills.raw")]) == 1
+    assert "--raw-size" in capsys.readouterr().err
+    raw = ["info", str(tmp_path / "hills.raw"), "--raw-size", "90x60", "--raw-type", "float32"]
+    assert command_line.main(raw) == 0
+    assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
     bake = ["bake", "--store", str(store), "--max-error", "1", "--out", str(tmp_path / "hills.npz")]
     assert command_line.main(bake) == 0
     capsys.readouterr()

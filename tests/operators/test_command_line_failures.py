@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +31,9 @@ EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "
         ([*EXPORT, "--frames", "9" * 5000], "frames"),
         (["import", "island", "--store", ""], "the name is empty"),
         (["import", "island", "--store", "x", "--extent", "infx1"], "has a number above"),
+        (["import", "dem.tif", "--store", "x", "--size", "100"], "error: --size and --seed are of the built-in"),
+        ([*BAKE, "--max-error", "2m"], "'2m' is not a number"),
+        ([*BAKE, "--max-error", "1", "--budget", "1.5"], "'1.5' is not a whole number"),
     ],
 )
 def test_numbers_out_of_range_are_wrong_usage(argv, message, capsys, tmp_path, monkeypatch):
@@ -63,6 +67,7 @@ def test_what_cannot_be_written_is_one_sentence(store, tmp_path, capfd, form):
     long_name = "n" * 245 + f".{form}"  # fits, but with nothing before it
     for out, message in (
         (tmp_path / "missing" / f"a.{form}", "There is no folder"),
+        (Path(store) / "store.json" / f"a.{form}", "is a file; expected a folder"),
         (tmp_path / long_name, f"{form} cannot be written"),
     ):
         assert command_line.main(["bake", "--store", store, "--max-error", "9", "--out", str(out)]) == 1

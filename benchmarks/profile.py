@@ -58,16 +58,14 @@ CALLED = {
     **dict.fromkeys(("metres2_of", "moved_at", "quiet"), BAND_TEST),
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
-    **dict.fromkeys(("band_below", "remembered_at", "not_split"), BAND),
+    **dict.fromkeys(("band_below", "remembered_at"), BAND),
     **dict.fromkeys(("plan_of", "heights_between", "put_limits", "limits_at", "spans", "most_below"), FOOTPRINT),
     **dict.fromkeys(("splits_at", "shape_below"), FOOTPRINT),
     **dict.fromkeys(("next_kept", "carried", "within", "take", "keep_taken"), KEPT),
     **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
     **dict.fromkeys(("write_block", "new_vertices", "number_cells", "write_shape", "place_starts"), BLOCK),
     **dict.fromkeys(("left_state", "right_state"), DESCENT),
-    **dict.fromkeys(
-        ("is_apart", "is_inside", "is_whole", "leaf_word", "put_leaf", "put_cell", "end_of_entry", "third_edge"), LEAF
-    ),
+    **dict.fromkeys(("is_apart", "is_inside", "leaf_word", "put_leaf", "put_cell", "end_of_entry", "third_edge"), LEAF),
     "border_role": LEAF,
 }
 # What is left of functions that call those.

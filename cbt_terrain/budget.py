@@ -20,7 +20,7 @@ MAX_STEP = 160 * STEPS_PER_OCTAVE
 # Where nothing is known, passes look for these parts of the budget, one after the other: each foretells the next.
 PARTS = (1 / 8192, 1 / 128, 1 / 12, 1.0)
 FEWEST = 16
-# The coarsest step counted for the first two is remembered. In a flight it is counted again: if it has as many splits
+# The finest step that fits the second of these is remembered. In a flight it is counted again: if it has as many splits
 # as in the last frame, but for a twentieth, the answer is near the last one, otherwise the camera has jumped.
 SAMPLED = 2
 CHANGE = 0.05

@@ -145,7 +145,7 @@ class Refinement:
         most = max(max_leaves, 2 * self.lattice.squares)
         start, self._found = self._found, Found(0)
         # Where the last refinement kept to the limit as asked, this one may, too.
-        plain = start == Found(0) or not limited
+        plain = not limited or (start is not None and start.step == 0)
         if plain:
             walks, counts = self._walk(domain, asked, max_depth, most)
         low = int(plain)

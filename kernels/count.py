@@ -232,7 +232,7 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                                         if inner.leaf_depth > inner.split_depth and last_below >= step:
                                             w.last_steps[bins + last_below] = w.last_steps[bins + last_below] + certain
                                             total += certain
-                                    elif whole and plan.usable == 1 and inner.clear == 1 and not has_errors:
+                                    elif whole and plan.usable == 1 and inner.clear == 1:
                                         height = m.diamond.high[2] - m.diamond.low[2]
                                         leaf2, _legs2 = sizes(asked, domain.unit_bits, inner.leaf_depth)
                                         if height * height <= LEVEL * leaf2:

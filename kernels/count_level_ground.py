@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Counting on level ground, where only edge lengths ask: footprints say at which steps most diamonds are split.
+"""Counting on level ground, where no error asks for a split: footprints say at which steps most diamonds are split.
 
 What kernels/level_ground.py is to the walk, this is to the count: a loop of its own for what is most of a plain. A
 diamond is not measured but where its footprint leaves a doubt, and cells below which every step splits alike are not
@@ -58,7 +58,6 @@ def count_level_ground(
     step = finest
     measured = measured_before
     noted = noted_before
-    w.stack[bottom].leaf_depth = wp.min(w.stack[bottom].leaf_depth, w.max_depth)
     top = bottom + 1
     while top > bottom and step <= w.coarsest:
         top -= 1
@@ -106,7 +105,7 @@ def count_level_ground(
                             ends -= 1
                     if part >= 0 and ends > depth + 1:
                         deepest = w.level_limits[depths + ends - 1][1]
-                        if last == w.coarsest and most_below(plan, heights, x, y, limit[0]) * coarsest < deepest:
+                        if most_below(plan, heights, x, y, limit[0]) * coarsest < deepest:
                             # 4 triangles at its sides, and twice as many at each depth from there on.
                             found += (wp.int64(4) << wp.int64(ends - 1 - depth)) - wp.int64(4)
                         else:

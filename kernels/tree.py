@@ -124,6 +124,5 @@ def reduce_changed(
                 if a == cell:
                     block_delta += 1
                     i += one
-                if a != b:
-                    changed += one
+                changed += one  # what is the same has been passed above
     changed_cells[0] = changed

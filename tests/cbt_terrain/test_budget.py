@@ -155,7 +155,7 @@ def level_counts() -> list[tuple[int, list[int]]]:
 
 
 def test_level_ground_is_counted_as_it_is_measured(tmp_path, monkeypatch):
-    """240 windows; and a count that takes three triangles for each diamond shows that many were counted there."""
+    """360 windows; and a count that takes three triangles for each diamond shows that many were counted there."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     counts = level_counts()
     measuring = {"count": ("below = LEVEL_GROUND", "below = 1")}
@@ -175,6 +175,16 @@ def test_fewer_triangles_than_the_squares_have_are_no_reason_to_coarsen(most):
     flown = Terrain(field, 1)
     flown.update(replace(coarse, max_triangles=None), [view])
     assert flown.update(coarse, [view]).relaxed == Terrain(field, 1).update(coarse, [view]).relaxed == 1.0
+
+
+def test_a_limit_that_does_not_bind_is_searched_for_once(counted):
+    terrain = Terrain(rough(257, 257, relief=20.0), 1)
+    criterion = Criterion(error_px=1.0, max_triangles=200_000)
+    for frame in range(4):
+        counted.clear()
+        view = View.look((0.5 * frame, -300.0, 120.0), (0, 0, 0))
+        assert terrain.update(criterion, [view]).relaxed == 1.0
+        assert frame == 0 or [step for step, _ in counted] == ["refine"]
 
 
 def a_curve(rng) -> np.ndarray:

@@ -73,6 +73,9 @@ def pass_all(
     entries[at] = count_same(entries, row, wp.int64(-1), entries, first)
     entries[at + wp.int64(1)] = count_same(entries, row, row + wp.int64(5), entries, first)
     entries[at + wp.int64(2)] = count_same(entries, row, row + wp.int64(21), entries, first)
+    for k in range(10):  # also where less than eight are left
+        stop = row + wp.int64(7 + k)
+        entries[at - wp.int64(20 - k)] = count_same(entries, row, stop, entries, first)
     entries[first + wp.int64(13)] = wp.int64(-7)
     entries[row + wp.int64(13)] = wp.int64(-7)
     entries[at + wp.int64(3)] = count_same(entries, row, wp.int64(-1), entries, first)

@@ -7,7 +7,7 @@ from pathlib import Path
 FILE = Path(__file__).with_name("profiles.json")
 DESCENT, BAND_TEST, BAND = "walk: stack and branches", "walk: errors against bands", "walk: bands made"
 ERRORS, BOX, PIXEL = "walk: errors read", "walk: boxes of diamonds", "walk: pixels on a box"
-LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not attributed"
+LEAF, BLOCK, MERGED = "walk: leaves written", "walk: blocks and shapes", "walk: not attributed"
 KEPT = "walk: subtrees kept and taken"
 GROUND, FOOTPRINT = "walk: level ground", "walk: footprints"
 COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"

@@ -60,8 +60,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("cycles_edge", ANY_SIZE): (
         2.3,
-        "our bound holds for the longest edge of every triangle and takes 19 million of them; by the profile half "
-        "of the time or more is Cycles' tree of so many, and up to a third memory's pages.",
+        "our bound holds for the longest edge of every triangle and takes 19 million of them; by the profile four "
+        "fifths of the time are Cycles' tree of so many and memory's pages.",
     ),
     ("cycles_edge_memory", ANY_SIZE): (3.7, "the same 19 million triangles."),
     ("cycles_error", ANY_SIZE): (

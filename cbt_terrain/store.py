@@ -131,7 +131,9 @@ def check_target(path: str | os.PathLike) -> None:
             return
         if not folder.is_dir():
             raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
-        foreign = sorted(entry.name for entry in folder.iterdir() if not _is_own(entry))
+        foreign = sorted(entry.name for entry in folder.iterdir() if not _is_own(entry) and os.path.lexists(entry))
+        if foreign and (folder / JSON_NAME).exists():
+            return  # another process has made a store of it meanwhile
     except OSError as reason:
         shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
         raise TerrainError(

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from adaptive_terrain.cbt_terrain import store as store_module
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
@@ -98,6 +99,22 @@ def begin_imports(store, seeds):
         child.stdin.write(b"g")
         child.stdin.flush()
     return started
+
+
+@pytest.mark.parametrize("published", [False, True])
+def test_another_import_ends_while_a_folder_is_looked_at(tmp_path, monkeypatch, published):
+    """It was given up, and its arrays are gone when they are looked at; or there is a store now."""
+    (tmp_path / ("data-" + "0" * 32)).mkdir()
+
+    def ended(entry):
+        if published:
+            (tmp_path / store_module.JSON_NAME).write_text("{}")
+        else:
+            entry.rmdir()
+        return False
+
+    monkeypatch.setattr(store_module, "_is_own", ended)
+    store_module.check_target(tmp_path)
 
 
 @pytest.mark.parametrize("there_before", [False, True])

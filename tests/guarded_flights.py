@@ -42,7 +42,7 @@ def guarded(shape, dtype) -> np.ndarray:
 
 
 def fly(field, flights, threads: int) -> None:
-    """One terrain after the other: each mesh is the one that a terrain with one thread makes."""
+    """One update after the other: each mesh is the one that a new terrain with one thread makes."""
     terrain = Terrain(field, threads)
     terrain._refinement._capacity = 7
     for criterion, views in flights:

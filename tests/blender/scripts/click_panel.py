@@ -172,10 +172,11 @@ def keep_to_a_time():
     detail = terrain().adaptive_terrain.viewport
     terrain().adaptive_terrain.live = True
     curve = json.loads(detail.curve)
-    # A measured point, so that the budget's mesh is known; one that is dearer than the next coarser.
-    errors = enumerate(zip(curve["error"], curve["ms"], curve["ms"][1:], strict=False))
-    point = next(i for i, (error, ms, finer_ms) in errors if error != detail.error_px and ms < finer_ms)
-    detail.max_ms = curve["ms"][point] * 1.0001  # the property is float32
+    # A measured point, so that the budget's mesh is known. The curve rises steeply after it: where it is nearly level,
+    # as noise may make it, the property's rounding (float32) alone would buy a mesh that is some percent finer.
+    points = [i for i, error in enumerate(curve["error"][:-1]) if error != detail.error_px]
+    point = max(points, key=lambda i: curve["ms"][i + 1] / curve["ms"][i])
+    detail.max_ms = curve["ms"][point] * 1.0001
     before = len(terrain().data.polygons)
     detail.limit_time = True
     yield from until(lambda: len(terrain().data.polygons) != before)

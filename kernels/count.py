@@ -7,13 +7,15 @@ are split make one leaf more each. So it is enough to find each diamond's step a
 The pass does not follow the curve but the cells of a quadtree. A diamond of odd depth fills a cell, one of even depth
 lies on a side of two cells and is counted in the one north or east of it: each is met once, where a walk over triangles
 meets it twice. For a window of few steps it takes about half the time of a refinement, on level ground about all of it.
+
+A window of many octaves is estimated by a sample: see `count_state.halves_of`.
 """
 
 import warp as wp
 
 from .band import LEVEL, Limits, Measured, leaves_below, limits_of, measured_at, splits_below
 from .count_level_ground import count_level_ground
-from .count_state import CELLS, Cell, Count, last_of_edges, last_split, note
+from .count_state import BEYOND, CELLS, Cell, Count, halves_of, last_of_edges, last_split, note
 from .criterion import (
     Asked,
     Domain,
@@ -171,6 +173,7 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
         while top > 0 and step <= w.coarsest:
             top -= 1
             cell = w.stack[place + top]
+            halves = wp.int64(cell.halves)
             size = cells >> wp.uint64(cell.depth + 1)
             quarter = side >> ((cell.depth + 3) >> 1)
             part = wp.int32(3)
@@ -192,7 +195,7 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                     # What is certain to be split is measured for what can be said below it.
                     if (last < step and (not calm or depth < cell.leaf_depth)) or (below == 1 and calm):
                         m = measured_at(domain, asked, x, y, depth, error, cell.clear)
-                        measured += wp.int64(1)
+                        measured += wp.int64(1) << halves
                         noted = note(w, code, measured, noted)
                         long2 = m.long2 + m.climb2
                         legs2 = m.legs2 + m.climb2
@@ -225,10 +228,10 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                                         below = 0
                                         # 4 triangles at its sides, and twice as many at each depth from there on.
                                         certain = wp.int64(4) << wp.int64(inner.split_depth - depth - 1)
-                                        w.last_steps[bins + w.coarsest] = (
-                                            w.last_steps[bins + w.coarsest] + certain - wp.int64(4)
-                                        )
-                                        total += certain - wp.int64(4)
+                                        certain = wp.min(certain, BEYOND) << halves
+                                        below_sides = certain - (wp.int64(4) << halves)
+                                        w.last_steps[bins + w.coarsest] = w.last_steps[bins + w.coarsest] + below_sides
+                                        total += below_sides
                                         if inner.leaf_depth > inner.split_depth and last_below >= step:
                                             w.last_steps[bins + last_below] = w.last_steps[bins + last_below] + certain
                                             total += certain
@@ -238,8 +241,11 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                                         if height * height <= LEVEL * leaf2:
                                             below = LEVEL_GROUND
                     if last >= step and code >= w.first_cell:
-                        w.last_steps[bins + last] = w.last_steps[bins + last] + triangles
-                        total += triangles
+                        w.last_steps[bins + last] = w.last_steps[bins + last] + (triangles << halves)
+                        total += triangles << halves
+                    if below > 0:
+                        inner.halves = halves_of(w, last, cell.halves)
+                        below = wp.where(inner.halves < 0, 0, below)
                     if below > 0:
                         inner.x = x
                         inner.y = y

@@ -9,7 +9,7 @@ looked into.
 import warp as wp
 
 from .band import limits_of, measured_at
-from .count_state import STEPS_PER_SQUARE, Count, last_split, note
+from .count_state import BEYOND, STEPS_PER_SQUARE, Count, halves_of, last_split, note
 from .criterion import Asked, Domain, too_coarse_at
 from .footprint import Plan, heights_between, most_below, put_limits, spans
 from .walk_state import STACK
@@ -65,7 +65,7 @@ def count_level_ground(
         half = side >> ((cell.depth + 1) >> 1)
         quarter = half >> 1
         size = cells >> wp.uint64(cell.depth + 1)
-        measured += wp.int64(1)
+        measured += wp.int64(1) << wp.int64(cell.halves)
         noted = note(w, cell.code, measured, noted)
         # Quadrants 3 .. 0, so that the first is the next; then sides: south and west.
         part = wp.int32(3)
@@ -107,14 +107,18 @@ def count_level_ground(
                         deepest = w.level_limits[depths + ends - 1][1]
                         if most_below(plan, heights, x, y, limit[0]) * coarsest < deepest:
                             # 4 triangles at its sides, and twice as many at each depth from there on.
-                            found += (wp.int64(4) << wp.int64(ends - 1 - depth)) - wp.int64(4)
+                            found += wp.min(wp.int64(4) << wp.int64(ends - 1 - depth), BEYOND) - wp.int64(4)
                         else:
-                            w.stack[top].x = x
-                            w.stack[top].y = y
-                            w.stack[top].depth = depth
-                            w.stack[top].leaf_depth = ends
-                            w.stack[top].code = cell.code + wp.uint64(part) * size
-                            top += 1
+                            halves = halves_of(w, last, cell.halves)
+                            if halves >= 0:
+                                w.stack[top].x = x
+                                w.stack[top].y = y
+                                w.stack[top].depth = depth
+                                w.stack[top].leaf_depth = ends
+                                w.stack[top].halves = halves
+                                w.stack[top].code = cell.code + wp.uint64(part) * size
+                                top += 1
+                    found = found << wp.int64(cell.halves)
                     w.last_steps[bins + last] = w.last_steps[bins + last] + found
                     total += found
             part -= 1

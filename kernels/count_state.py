@@ -12,6 +12,9 @@ CELLS = wp.constant(128)  # entries of a slice's stack: three for every second l
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
+MOST_HALVES = wp.constant(16)
+# More triangles than any limit allows, and few enough that sums of what stands for 2**MOST_HALVES times as many hold.
+BEYOND = wp.constant(wp.int64(1 << 42))
 MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured
 
 
@@ -25,6 +28,7 @@ class Cell:
     clear: wp.int32  # the frustum holds the diamond's box
     split_depth: wp.int32  # above it edges ask for a split
     leaf_depth: wp.int32  # from it on they do not
+    halves: wp.int32  # it stands for 2**halves cells of a sample
     code: wp.uint64  # its first deepest cell, all squares in a row
     split_above: wp.float64  # metres of own error: above, a diamond is split
     leaf_up_to: wp.float64  # ... up to these no error asks for a split
@@ -41,6 +45,10 @@ class Count:
     slot: wp.int32
     finest: wp.int32  # steps from this one
     coarsest: wp.int32  # ... to this one
+    # Of cells that are split at finer steps than `thin_from` alone, a sample is counted; of half as many again after
+    # every `thin_steps`. 0: all are.
+    thin_from: wp.int32
+    thin_steps: wp.int32
     most: wp.int64  # steps at which more triangles than this are split are of no interest
     spacing: wp.int64  # diamonds that are measured from mark to mark
     limits: wp.array(dtype=wp.float64)  # of each step: what is asked is multiplied by it
@@ -48,9 +56,10 @@ class Count:
     stack: wp.array(dtype=Cell)
     # Per slice and step: triangles for which it is the last at which they are split.
     last_steps: wp.array(dtype=wp.int64)
+    turns: wp.array(dtype=wp.int32)  # per slice, and `halves` of the cell above: cells that were to be thinned
     from_step: wp.array(dtype=wp.int32)  # per slice: counts hold from here on; more than `coarsest`: nowhere
     marks: wp.array(dtype=wp.uint64)  # per slice: places, see MARKS
-    measured: wp.array(dtype=wp.int64)  # per slice: diamonds
+    measured: wp.array(dtype=wp.int64)  # per slice: diamonds, for which a sample stands
 
 
 @wp.func
@@ -100,9 +109,29 @@ def last_of_edges(
 
 
 @wp.func
+def halves_of(w: Count, last: wp.int32, above: wp.int32) -> wp.int32:
+    """For 2**how many cells one stands in a sample, `last` the last step at which it is split; -1: it is left out.
+
+    above: those of the cell above it. Of as many as one then stands for, one after the other along the quadtree, one is
+    taken by chance (stratified sampling: neighbours have about as many splits below them).
+    """
+    halves = wp.clamp((w.thin_from - last) / w.thin_steps, above, MOST_HALVES)
+    if halves > above:
+        place = w.slot * (MOST_HALVES + 1) + above
+        turn = w.turns[place]
+        w.turns[place] = turn + 1
+        bits = halves - above
+        taken = wp.int32(wp.rand_init(above, turn >> bits) >> wp.uint32(16))
+        if ((taken ^ turn) & ((1 << bits) - 1)) != 0:
+            halves = -1
+    return halves
+
+
+@wp.func
 def note(w: Count, code: wp.uint64, measured: wp.int64, noted: wp.int32) -> wp.int32:
-    """Note the place `code` if so many diamonds are measured that one is due; returns how many are noted."""
-    due = measured == wp.int64(noted + 1) * w.spacing and noted < MARKS
-    if due:
-        w.marks[w.slot * MARKS + noted] = code
-    return noted + wp.int32(due)
+    """Note the place `code` as often as that is due after so many diamonds; returns how many places are noted."""
+    places = noted
+    while measured >= wp.int64(places + 1) * w.spacing and places < MARKS:
+        w.marks[w.slot * MARKS + places] = code
+        places += 1
+    return places

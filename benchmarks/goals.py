@@ -25,6 +25,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("meshlets", 1_000_000): 0.4,
     ("ingest", 1_000_000): 0.15,
     ("frame", 1_000_000): 0.35,
+    ("program_ingest", 1_000_000): 0.15,
+    ("program_frame", 1_000_000): 0.35,
     ("depth", 500_000): 1.15,
     ("budget_first", ANY_SIZE): 3.0,
     ("budget_flight", ANY_SIZE): 3.0,

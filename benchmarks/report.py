@@ -26,6 +26,10 @@ MEANING = {
     "frame": "Camera moves to evaluated mesh, all that Blender does in between.",
     "frame_meshlets": "The same with 4⁴ triangles for each leaf.",
     "still_frame": "A frame change in Blender while the camera stands still; no mesh is written.",
+    **{
+        f"program_{name}": f"{name} inside the Blender program that is named above."
+        for name in ("ingest", "frame", "frame_meshlets", "still_frame")
+    },
     "depth": "refine_1t of the same leaves in trees of depth 20, 24, 28, 32: slowest beside fastest.",
     "depth_reached": "The same, each camera so low that its finest leaves reach that depth: other leaves, as many.",
     "budget_first": "An error 30 times too fine for a triangle limit: search and refinement of a first update, beside "

@@ -11,7 +11,7 @@ from pathlib import Path
 from ..cbt_terrain.errors import TerrainError
 from ..operators.frame_sources import need_bpy
 from ..operators.machine import machine
-from . import cycles, engine, files, fit_row, goals, in_blender, report, scale, scenes, start
+from . import cycles, engine, files, fit_row, goals, in_blender, in_program, report, scale, scenes, start
 from .baselines import RoamRebuild, build_roam_rebuild
 from .measure import Row
 
@@ -19,8 +19,8 @@ from .measure import Row
 Measure = Callable[[], Row | Iterable[Row]]
 
 
-def run(quick: bool, with_cycles: bool, json_file: Path | None, docs: Path | None) -> None:
-    """Measure, print a line a row, and write what was asked for.
+def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Path | None, docs: Path | None) -> None:
+    """Measure, print a line a row, and write what was asked for. `blender`: a command that starts the program.
 
     Raises TerrainError at once if that cannot be written, and at the end of a quick run if a row is worse than goals.py
     allows.
@@ -33,12 +33,15 @@ def run(quick: bool, with_cycles: bool, json_file: Path | None, docs: Path | Non
         notes.append(text)
         print(f"note: {text}", flush=True)
 
-    for name, value in machine().items():
+    described = machine()
+    if blender:
+        described["blender"] = in_program.program_version(blender)
+    for name, value in described.items():
         print(f"{name}: {value}")
     with scratch_folder(1 if quick else 2) as folder:
         roam = build_roam_rebuild(folder, note)
         try:
-            measures = everything(folder, quick, with_cycles, roam, note)
+            measures = everything(folder, quick, with_cycles, blender, roam, note)
             rows = measured(measures, goals.ATTEMPTS if quick else 1)
         finally:
             if roam:
@@ -46,7 +49,7 @@ def run(quick: bool, with_cycles: bool, json_file: Path | None, docs: Path | Non
     if json_file is not None:
         report.write_json(rows, json_file)
     if docs is not None:
-        report.write_docs(rows, machine(), notes, docs)
+        report.write_docs(rows, described, notes, docs)
     if quick and (failed := goals.failures(rows)):
         said = ", ".join(
             f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.most_allowed(row.name, row.size):.3g})"
@@ -82,7 +85,12 @@ def measured(measures: Iterable[Measure], attempts: int) -> list[Row]:
 
 
 def everything(
-    folder: Path, quick: bool, with_cycles: bool, roam: RoamRebuild | None, note: Callable[[str], None]
+    folder: Path,
+    quick: bool,
+    with_cycles: bool,
+    program: list[str] | None,
+    roam: RoamRebuild | None,
+    note: Callable[[str], None],
 ) -> Iterator[Measure]:
     """Every row, in the order of the table; a quick run leaves out files, an empty cache and the largest sizes."""
     flat, rough = scenes.flat(), scenes.rough()
@@ -110,6 +118,10 @@ def everything(
             yield partial(in_blender.frame_row, rough, store, size)
         yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
         yield partial(in_blender.still_frame_row, rough, store)
+    if program:
+        yield partial(in_program.program_rows, program, store)
+    else:
+        note("The rows program_ are measured with --blender only.")
     sizes = scale.QUICK_SIZES if quick else scale.SIZES
     yield partial(scale.refine_row, flat, sizes)
     yield partial(scale.surface_row, rough, sizes)

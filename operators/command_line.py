@@ -115,6 +115,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb = _verb(subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench)
     verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
+    verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
     verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
     verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its plot into this folder")
     return parser

@@ -202,7 +202,7 @@ def run_bench(arguments) -> None:
         raise TerrainError(
             "The benchmarks are not part of the extension; install the Python package adaptive-terrain for them."
         ) from None
-    suite.run(arguments.quick, arguments.with_cycles, arguments.json, arguments.docs)
+    suite.run(arguments.quick, arguments.with_cycles, arguments.blender, arguments.json, arguments.docs)
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:

@@ -3,8 +3,10 @@
 
 import json
 import os
+import re
 import shutil
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from adaptive_terrain.benchmarks import (
     fit_row,
     goals,
     in_blender,
+    in_program,
     measure,
     report,
     scale,
@@ -211,7 +214,7 @@ ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "cold_start"]
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     pytest.importorskip("bpy")
     notes = []
-    rows = suite.measured(suite.everything(tmp_path, True, False, None, notes.append), attempts=1)
+    rows = suite.measured(suite.everything(tmp_path, True, False, None, None, notes.append), attempts=1)
     scales = ["scale_refine", "scale_surface", "scale_ingest", "scale_frame"]
     assert [row.name for row in rows] == [
         *ENGINE_ROWS,
@@ -232,9 +235,41 @@ def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatc
 
     monkeypatch.setattr(suite, "need_bpy", no_blender)
     notes = []
-    rows = suite.measured(suite.everything(tmp_path, True, False, None, notes.append), attempts=1)
+    rows = suite.measured(suite.everything(tmp_path, True, False, None, None, notes.append), attempts=1)
     assert [row.name for row in rows] == [*ENGINE_ROWS, "scale_refine", "scale_surface"]
-    assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 2
+    assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 3
+
+
+def a_program(tmp_path, script: str) -> list[str]:
+    path = tmp_path / "blender"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return [str(path)]
+
+
+def test_rows_from_inside_a_program(tmp_path):
+    rows = [Row("program_ingest", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})]
+    said = in_program.MARK + json.dumps([asdict(row) for row in rows])
+    command = a_program(tmp_path, f"echo a line of its own\necho '{said}'\necho Blender quit")
+    assert in_program.program_rows(command, tmp_path) == rows
+    assert set(f"{in_program.PREFIX}{name}" for name in ("ingest", "frame", "frame_meshlets", "still_frame")) <= set(
+        MEANING
+    )
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo Krita 5", "no Blender program"),
+        ("echo no display >&2; exit 3", "ended with code 3 \\(no display\\)"),
+    ],
+)
+def test_what_is_no_blender_is_refused_before_anything_is_measured(one_row, tmp_path, capsys, script, said):
+    assert command_line.main(["bench", "--quick", "--blender", *a_program(tmp_path, script)]) == 1
+    printed = capsys.readouterr()
+    assert re.search(said, printed.err) and not printed.out
+    assert command_line.main(["bench", "--quick", "--blender", str(tmp_path / "nothing")]) == 1
+    assert "cannot be started" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adaptive_terrain.benchmarks import in_program
 from PIL import Image
 
 SCRIPTS = Path(__file__).parent / "scripts"
@@ -64,6 +65,12 @@ def test_freed_pages_are_held_and_given_back(program):
     found = program.script("freed_pages.py")
     assert max(found["held"], found["again"]) < 0.1 * found["before"], found
     assert found["after"] > 0.5 * found["before"] > 10, found
+
+
+def test_the_benchmark_finds_itself_inside(program):
+    """Its rows take more than a minute there; that they are printed and read is tested with a program that is none."""
+    call = "bpy = in_program.need_bpy('It'); print('HERE', bpy.app.background, bpy.types.Object.adaptive_terrain)"
+    assert "HERE True" in program.run(*in_program.inside(call))
 
 
 def test_command_line_exports_frames(program, scene, tmp_path):

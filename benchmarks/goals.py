@@ -53,6 +53,10 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         GROUND + " A fifth of the time passes before the first leaves, in launches from Python.",
     ),
     ("refine_1t", 50_000): (0.43, GROUND),
+    ("refine_2t", 500_000): (
+        0.11,
+        GROUND + " From run to run 0.05 to 0.12: two threads have both cores only while the host does nothing else.",
+    ),
     ("surface", 1_000_000): (
         0.55,
         "from minute to minute 0.33 to 0.55: half of it is the refinement for an error, on two threads: nine leaves "

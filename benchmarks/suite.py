@@ -35,7 +35,7 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
 
     described = machine()
     if blender:
-        described["blender"] = in_program.program_version(blender)
+        described["Program"] = in_program.program_version(blender)
     for name, value in described.items():
         print(f"{name}: {value}")
     with scratch_folder(1 if quick else 2) as folder:

@@ -2,6 +2,7 @@
 """Keeping to a number of leaves: by how much what is asked has to be coarsened."""
 
 import math
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -39,10 +40,7 @@ class Budget:
         """
         roots = 2 * self._lattice.squares
 
-        def splits(finest: int, coarsest: int, most: int, thinned) -> tuple[int, np.ndarray]:
-            return self._splits(domain, asked, max_depth, finest, coarsest, most, thinned)
-
-        return lowest(splits, most - roots, start, low)
+        return lowest(partial(self._splits, domain, asked, max_depth), most - roots, start, low)
 
     def _splits(self, domain: Domain, asked: Asked, max_depth: int, finest: int, coarsest: int, most: int, thinned):
         """The first step from `finest` to `coarsest` with at most `most` triangles that are split, and how many there

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The rows with Blender once more, inside a Blender program as artists run it, without a window.
 
-Its Python and numpy are its own; the package and Warp come from this process's environment, whatever its Python is:
-none of both is compiled for one.
+Its Python and numpy are its own; the package and Warp come from this process's environment, whatever Python that has:
+neither is compiled for one.
 """
 
 import json

@@ -12,7 +12,7 @@ CELLS = wp.constant(128)  # entries of a slice's stack: three for every second l
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
-MOST_HALVES = wp.constant(16)
+MOST_HALVES = wp.constant(16)  # of a sample a cell stands for 2**MOST_HALVES at most
 # More triangles than any limit allows, and few enough that sums of what stands for 2**MOST_HALVES times as many hold.
 BEYOND = wp.constant(wp.int64(1 << 42))
 MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured

@@ -36,8 +36,11 @@ def program_version(command: list[str]) -> str:
 def program_rows(command: list[str], store: Path) -> list[Row]:
     """`measure_here` inside the program that the command starts."""
     output = _output([*command, *inside(f"in_program.measure_here({str(store)!r})")])
-    [result] = [line.removeprefix(MARK) for line in output.splitlines() if line.startswith(MARK)]
-    return [Row(**row) for row in json.loads(result)]
+    results = [line.removeprefix(MARK) for line in output.splitlines() if line.startswith(MARK)]
+    if len(results) != 1:
+        said = (output.strip().splitlines() or ["no message"])[-1]
+        raise TerrainError(f"`{' '.join(command)}` has measured nothing ({said}); --blender expects a Blender program.")
+    return [Row(**row) for row in json.loads(results[0])]
 
 
 def inside(call: str) -> list[str]:
@@ -60,12 +63,12 @@ def measure_here(store: str) -> None:
 
 def _output(command: list[str]) -> str:
     try:
-        ended = subprocess.run(command, capture_output=True, text=True)
-    except OSError as reason:
+        ended = subprocess.run(command, capture_output=True, text=True, errors="replace")
+    except (OSError, ValueError) as reason:
         raise TerrainError(
-            f"{command[0]} cannot be started ({reason.strerror}); --blender expects the command that starts Blender."
+            f"{command[0]} cannot be started ({reason}); --blender expects the command that starts Blender."
         ) from reason
     if ended.returncode != 0:
         said = (ended.stderr.strip().splitlines() or ["no message"])[-1]
-        raise TerrainError(f"The Blender program {command[0]} ended with code {ended.returncode} ({said}).")
+        raise TerrainError(f"The program {command[0]} ended with code {ended.returncode} ({said}).")
     return ended.stdout

@@ -15,7 +15,7 @@ import warp as wp
 
 from .band import LEVEL, Limits, Measured, leaves_below, limits_of, measured_at, splits_below
 from .count_level_ground import count_level_ground
-from .count_state import BEYOND, CELLS, Cell, Count, halves_of, last_of_edges, last_split, note
+from .count_state import CELLS, Cell, Count, halves_of, last_of_edges, last_split, note
 from .criterion import (
     Asked,
     Domain,
@@ -227,8 +227,7 @@ def count(domain: Domain, asked: Asked, coarse: Asked, w: Count):
                                     if alike:
                                         below = 0
                                         # 4 triangles at its sides, and twice as many at each depth from there on.
-                                        certain = wp.int64(4) << wp.int64(inner.split_depth - depth - 1)
-                                        certain = wp.min(certain, BEYOND) << halves
+                                        certain = wp.int64(4) << (wp.int64(inner.split_depth - depth - 1) + halves)
                                         below_sides = certain - (wp.int64(4) << halves)
                                         w.last_steps[bins + w.coarsest] = w.last_steps[bins + w.coarsest] + below_sides
                                         total += below_sides

@@ -9,7 +9,7 @@ looked into.
 import warp as wp
 
 from .band import limits_of, measured_at
-from .count_state import BEYOND, STEPS_PER_SQUARE, Count, halves_of, last_split, note
+from .count_state import STEPS_PER_SQUARE, Count, halves_of, last_split, note
 from .criterion import Asked, Domain, too_coarse_at
 from .footprint import Plan, heights_between, most_below, put_limits, spans
 from .walk_state import STACK
@@ -107,7 +107,7 @@ def count_level_ground(
                         deepest = w.level_limits[depths + ends - 1][1]
                         if most_below(plan, heights, x, y, limit[0]) * coarsest < deepest:
                             # 4 triangles at its sides, and twice as many at each depth from there on.
-                            found += wp.min(wp.int64(4) << wp.int64(ends - 1 - depth), BEYOND) - wp.int64(4)
+                            found += (wp.int64(4) << wp.int64(ends - 1 - depth)) - wp.int64(4)
                         else:
                             halves = halves_of(w, last, cell.halves)
                             if halves >= 0:

@@ -12,9 +12,9 @@ CELLS = wp.constant(128)  # entries of a slice's stack: three for every second l
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
-MOST_HALVES = wp.constant(16)  # of a sample a cell stands for 2**MOST_HALVES at most
-# More triangles than any limit allows, and few enough that sums of what stands for 2**MOST_HALVES times as many hold.
-BEYOND = wp.constant(wp.int64(1 << 42))
+# Of a sample a cell stands for 2**MOST_HALVES at most. Below a cell there are fewer than 2**curve.DEEPEST triangles, so
+# sums of a cell's parts stay far below 2**63.
+MOST_HALVES = wp.constant(16)
 MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured
 
 
@@ -46,7 +46,7 @@ class Count:
     finest: wp.int32  # steps from this one
     coarsest: wp.int32  # ... to this one
     # Of cells that are split at finer steps than `thin_from` alone, a sample is counted; of half as many again after
-    # every `thin_steps`. 0: all are.
+    # every `thin_steps`. 0 or less: all are.
     thin_from: wp.int32
     thin_steps: wp.int32
     most: wp.int64  # steps at which more triangles than this are split are of no interest

@@ -252,6 +252,8 @@ def test_rows_from_inside_a_program(tmp_path):
     said = in_program.MARK + json.dumps([asdict(row) for row in rows])
     command = a_program(tmp_path, f"echo a line of its own\necho '{said}'\necho Blender quit")
     assert in_program.program_rows(command, tmp_path) == rows
+    with pytest.raises(TerrainError, match=r"has measured nothing \(Blender quit\)"):
+        in_program.program_rows(a_program(tmp_path, "echo Blender quit"), tmp_path)
     assert set(f"{in_program.PREFIX}{name}" for name in ("ingest", "frame", "frame_meshlets", "still_frame")) <= set(
         MEANING
     )
@@ -262,6 +264,7 @@ def test_rows_from_inside_a_program(tmp_path):
     [
         ("echo Krita 5", "no Blender program"),
         ("echo no display >&2; exit 3", "ended with code 3 \\(no display\\)"),
+        ("printf 'Krita \\351'", "no Blender program"),
     ],
 )
 def test_what_is_no_blender_is_refused_before_anything_is_measured(one_row, tmp_path, capsys, script, said):

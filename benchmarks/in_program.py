@@ -15,10 +15,10 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.store import open_store
 from ..operators.frame_sources import need_bpy
 from . import engine, in_blender
+from .child import PACKAGE
 from .measure import Row
 
 PREFIX = "program_"
-PACKAGE = __name__.rsplit(".", 1)[0]
 MARK = "ROWS "  # before the line of the result: Blender prints lines of its own
 
 

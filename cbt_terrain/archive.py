@@ -3,33 +3,16 @@
 
 import io
 import json
-import os
 import zipfile
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from .errors import TerrainError
+from .partial_files import written_beside
 
 # The earliest date that a zip can hold: the file says nothing of when it was written.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
-
-
-@contextmanager
-def written_beside(path: Path):
-    """Yield a temporary path beside `path`; when the block ends well it is renamed to `path`, else it is removed.
-
-    Nothing half-written ever stands under the final name. The temporary name ends like the final one, because some
-    writers choose a format by it.
-    """
-    path = Path(path)
-    partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_npz(path: Path, surface, origin, info: dict) -> None:

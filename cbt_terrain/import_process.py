@@ -10,12 +10,11 @@ import sys
 import tempfile
 import threading
 import time
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import child
+from . import child, stopping
 from . import store as stores
 from .errors import TerrainError
 from .sources import ImportSettings
@@ -49,11 +48,12 @@ class ImportJob:
         self._settings, self._store = settings, Path(store)
         self._progress, self._cancelled, self._lines = Progress(), False, []
         self._process = None
+        stores.remove_abandoned(self._store)
         report = _finished_before(self._store, source_digest(settings))
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
             return
-        self._folder = f"{stores.DATA_PREFIX}{uuid.uuid4().hex}"
+        self._folder = stores.new_data_name()
         self._new_store = not self._store.exists()
         self._start()
 
@@ -61,14 +61,15 @@ class ImportJob:
         self._errors = tempfile.TemporaryFile()
         try:
             pipe = subprocess.PIPE
-            self._process = child.start("cbt_terrain.import_process", stdin=pipe, stdout=pipe, stderr=self._errors)
+            self._process = child.start("cbt_terrain.import_process", stdout=pipe, stderr=self._errors)
             request = {
                 "settings": dataclasses.asdict(self._settings),
                 "store": str(self._store.absolute()),
                 "folder": self._folder,
+                "new_store": self._new_store,
             }
-            with self._process.stdin as requests:
-                requests.write(json.dumps(request).encode())
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()
         except OSError as reason:
             raise TerrainError(f"No Python process could be started for the import ({reason}): try again.") from reason
         self._reader = threading.Thread(target=self._read_lines, daemon=True)
@@ -126,6 +127,7 @@ class ImportJob:
 
     def _finish(self) -> None:
         """The child has ended: with a report, with an error, or killed, perhaps just after it published the store."""
+        self._process.stdin.close()
         self._process.stdout.close()
         last = self._lines[-1] if self._lines else {}
         report, error = last.get("report"), last.get("error")
@@ -156,16 +158,18 @@ def import_source(
     on_progress(fraction, message) is called as it goes on; the import stops when cancelled() is true. Raises
     TerrainError, and ImportCancelled if it was stopped; the store is then as it was before.
     """
-    job = ImportJob(settings, store)
-    try:
-        while not (progress := job.poll()).done:
-            if on_progress is not None:
-                on_progress(progress.fraction, progress.message)
-            if cancelled is not None and cancelled():
-                break
-            time.sleep(POLL_SECONDS)
-    finally:
-        job.cancel()
+    with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
+        job = ImportJob(settings, store)
+        try:
+            while not (progress := job.poll()).done:
+                stopping.check()
+                if on_progress is not None:
+                    on_progress(progress.fraction, progress.message)
+                if cancelled is not None and cancelled():
+                    break
+                time.sleep(POLL_SECONDS)
+        finally:
+            job.cancel()
     progress = job.poll()
     if job.cancelled:
         raise ImportCancelled(progress.error)
@@ -194,16 +198,18 @@ def child_main() -> None:
 
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print goes to stderr
-    request = json.load(sys.stdin)
+    request = json.loads(sys.stdin.readline())
+    path, folder = Path(request["store"]), request["folder"]
+    child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]), stopping.GRACE_SECONDS)
     said = 0.0
 
     def say(content: dict) -> None:
-        """Raises OSError when the parent is gone, which ends the import."""
         channel.write(json.dumps(content) + "\n")
         channel.flush()
 
     def on_progress(fraction: float, message: str) -> None:
         nonlocal said
+        stopping.check()
         if time.monotonic() - said > PROGRESS_SECONDS:
             said = time.monotonic()
             say({"fraction": fraction, "message": message})
@@ -212,7 +218,7 @@ def child_main() -> None:
     for name in ("raw_size", "extent"):
         settings[name] = tuple(settings[name]) if settings[name] is not None else None
     try:
-        say({"report": run_import(ImportSettings(**settings), request["store"], on_progress, request["folder"])})
+        say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
     except TerrainError as error:
         say({"error": str(error)})
     except MemoryError:

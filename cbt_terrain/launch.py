@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one place that launches Warp kernels: it slices work over threads and times every step.
+"""The one place that launches Warp kernels: it slices work over threads and times every step. Between two launches the
+work can be stopped.
 
 On the CPU a Warp launch is one serial loop on the calling thread, and ctypes releases the GIL, so two Python threads
 over two slices of one job run side by side. Results do not depend on the number of slices: every kernel writes only
@@ -14,6 +15,8 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
 import warp as wp
+
+from . import stopping
 
 DEVICE = "cpu"
 # Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work (shared/facts.md).
@@ -92,6 +95,7 @@ def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None =
     `recorded` is where a caller that launches again and again keeps the launches: replaying one takes 2 us instead of
     15. A struct that is the one of the last launch is read anew, so setting its fields is enough.
     """
+    stopping.check()
     with timed(step):
         _load(kernel)
         held = {} if recorded is None else recorded
@@ -118,6 +122,7 @@ def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cos
     """
     if count <= 0:
         return
+    stopping.check()
     with timed(step):
         _load(kernel)
         pieces = max(1, min(threads, int(count * cost / SLICE_ITEMS)))

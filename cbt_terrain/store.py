@@ -20,12 +20,11 @@ import os
 import re
 import shutil
 import struct
-import time
-import uuid
 from pathlib import Path
 
 import numpy as np
 
+from . import partial_files
 from .errors import TerrainError
 from .heightfield import HeightField
 from .lattice import Lattice
@@ -35,12 +34,11 @@ VERSION = 4
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 PAGE_BYTES = 4096
-# A folder of arrays that store.json does not name may be another process's work in progress; after a day it is not.
-STALE_SECONDS = 86_400.0
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
     r"(samples|raster|error|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
-    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"
+    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
+    rf"|{partial_files.LOCK}"
 )
 
 _NUMBERS = (
@@ -150,9 +148,15 @@ def _is_own(folder: Path) -> bool:
     if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
         return False
     try:
-        return all(_OWN_FILE.fullmatch(file.name) and not file.is_dir() for file in folder.iterdir())
+        return all(map(_is_own_entry, folder.iterdir()))
     except FileNotFoundError:
         return True  # another import has just removed it
+
+
+def _is_own_entry(entry: Path) -> bool:
+    if entry.is_dir():
+        return partial_files.is_partial_name(entry.name)
+    return _OWN_FILE.fullmatch(entry.name) is not None
 
 
 def data_folder(field: HeightField) -> Path | None:
@@ -190,14 +194,13 @@ def keep(field: HeightField, name: str, array: np.ndarray) -> None:
     folder = data_folder(field)
     if folder is None:
         return
-    part = folder / f"{name}.{uuid.uuid4().hex}.part"
+    partial_files.remove_abandoned(folder)
     try:
-        with part.open("wb") as file:
+        with partial_files.written_beside(folder / f"{name}.npy") as partial, partial.open("wb") as file:
             file.write(_header(array.shape, array.dtype))
             array.tofile(file)
-        os.replace(part, folder / f"{name}.npy")
     except OSError:
-        part.unlink(missing_ok=True)
+        pass
 
 
 class Draft:
@@ -206,8 +209,8 @@ class Draft:
     def __init__(self, path: Path, name: str | None = None):
         self.path = path
         self.made_parent = not path.exists()
-        self.folder = path / (name or f"{DATA_PREFIX}{uuid.uuid4().hex}")
-        self.folder.mkdir(parents=True)
+        self.folder = path / (name or new_data_name())
+        self._lock = partial_files.make_folder(self.folder, parents=True)
         self.published = False
 
     def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
@@ -251,12 +254,16 @@ class Draft:
         previous = _named_folder(self.path)
         os.replace(part, self.path / JSON_NAME)
         self.published = True
-        _discard_old(self.path, previous, self.folder)
+        partial_files.end_work(self.folder, self._lock)
+        if previous is not None and _is_own(previous):
+            shutil.rmtree(previous, ignore_errors=True)
+        remove_abandoned(self.path)
 
     def discard_unless_published(self) -> None:
         """Take away what was written for nothing; a store that stood there before is untouched."""
         if self.published:
             return
+        os.close(self._lock)
         discard(self.path, self.folder.name, self.made_parent)
 
 
@@ -278,12 +285,16 @@ def _named_folder(path: Path) -> Path | None:
         return None
 
 
-def _discard_old(path: Path, previous: Path | None, current: Path) -> None:
+def new_data_name() -> str:
+    """Name of a new folder of arrays."""
+    return f"{DATA_PREFIX}{partial_files.new_token()}"
+
+
+def remove_abandoned(path: Path) -> None:
+    """Take away the folders of arrays that neither a living process nor store.json has use for."""
+    if (path / JSON_NAME).exists() and _named_folder(path) is None:
+        return  # of a damaged store nobody knows what it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
-        try:
-            stale = time.time() - folder.stat().st_mtime > STALE_SECONDS
-            old = folder != current and (folder == previous or stale) and _is_own(folder)
-        except OSError:
-            continue
-        if old:
-            shutil.rmtree(folder, ignore_errors=True)
+        if is_data_name(folder.name) and _is_own(folder):
+            token = folder.name.removeprefix(DATA_PREFIX)
+            partial_files.remove_if_abandoned(folder, token, lambda folder=folder: _named_folder(path) == folder)

@@ -19,7 +19,7 @@ from types import ModuleType
 import warp as wp
 
 from .. import kernels
-from . import child, launch
+from . import child, launch, stopping
 from .errors import TerrainError
 
 POLL_SECONDS = 0.1
@@ -57,7 +57,7 @@ class _Preparation:
         self.fraction = 0.0
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
-        streams = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
         processes = []
         try:
             for i in range(count):
@@ -105,7 +105,8 @@ def wait() -> None:
     """Return when no kernels are being made ready. Raises TerrainError if that was stopped."""
     preparation = _current
     if preparation is not None:
-        preparation.done.wait()
+        while not preparation.done.wait(POLL_SECONDS):
+            stopping.check()
         if preparation.stopping.is_set():
             raise TerrainError("The extension was switched off while its kernels were being prepared; switch it on.")
 
@@ -140,6 +141,7 @@ def load(module: ModuleType) -> None:
 
 def child_main(first: str, step: str) -> None:
     """Fill Warp's cache with every `step`-th module from `first`."""
+    child.end_with_parent()
     if hasattr(os, "nice"):
         os.nice(5)  # the window and an import come first
     for module in kernel_modules()[int(first) :: int(step)]:

@@ -10,12 +10,12 @@ from ..cbt_terrain.errors import TerrainError
 from . import accuracy_page
 from .accuracy_plots import label
 from .accuracy_subject import Subject
-from .exporting import check_target, make_folder, write_text, write_texts
+from .exporting import check_room, check_target, make_folder, write_texts
 from .machine import machine
 
 PAGE = "index.html"
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", PAGE)
-PROBE, PROBE_BYTES = "accuracy.tmp", 1 << 19  # more than a report is
+REPORT_BYTES = 1 << 19  # more than it is
 SCRATCH = "adaptive_terrain_scratch"  # property of the mesh that is written into
 
 
@@ -24,8 +24,7 @@ def prepare(out: Path) -> None:
     make_folder(out)
     for name in FILES:
         check_target(out / name)
-    write_text(out / PROBE, " " * PROBE_BYTES)
-    (out / PROBE).unlink()
+    check_room(out / PAGE, REPORT_BYTES)
 
 
 def write(subjects: Sequence[Subject], out: Path) -> None:

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: `adaptive-terrain VERB`, and the same as `blender --command adaptive_terrain VERB`.
 
-Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage. bpy is imported only by what needs it;
-the engine, whose import takes a moment, only where an interruption is told in one line.
+Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM. bpy is
+imported only by what needs it; the engine, whose import takes a moment, only where a stop is told in one line.
 """
 
 import argparse
+import signal
 import sys
 from pathlib import Path
+from typing import NoReturn
 
+from ..cbt_terrain import stopping
 from ..cbt_terrain.errors import TerrainError
 from . import verbs
 from .argument_types import MAX_INT, argument, count, pair, path, positive
@@ -21,6 +24,24 @@ AT_MOST = "triangles at most, but not fewer than two for each root square"
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code."""
+    with stopping.listening():
+        try:
+            return _run(argv)
+        except KeyboardInterrupt:
+            print(f"{PROGRAM}: stopped", file=sys.stderr)
+            return 128 + (stopping.answer() or signal.SIGINT)
+
+
+def program() -> NoReturn:
+    """`main` for a process of its own: once the work is done, a signal just ends it, where Python would print a
+    traceback out of Blender's end."""
+    code = main()
+    for number in stopping.SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+    sys.exit(code)
+
+
+def _run(argv: list[str] | None) -> int:
     try:
         arguments = build_parser().parse_args(argv)
         arguments.run(arguments)
@@ -31,9 +52,6 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except (TerrainError, OSError) as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(f"{PROGRAM}: stopped", file=sys.stderr)
         return 1
     return 0
 
@@ -140,4 +158,4 @@ def _add_raw(verb: argparse.ArgumentParser) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -3,11 +3,11 @@
 
 import ctypes
 import os
-import signal
 import sys
-import threading
 import time
 from contextlib import contextmanager
+
+from ..cbt_terrain import stopping
 
 BAR_WIDTH = 28
 
@@ -27,11 +27,12 @@ class Progress:
         self._draw()
 
     def to(self, done: float, worked: bool = True) -> None:
-        """Move the bar to `done` steps; `worked` is False if getting there was free."""
+        """Move the bar to `done` steps; `worked` is False if getting there was free. Raises Stopped."""
         if worked:
             self._worked += done - self.done
         self.done = done
         self._draw()
+        stopping.check()
 
     def say(self, line: str) -> None:
         """Print a line to stdout, above the bar."""
@@ -93,25 +94,6 @@ def quiet():
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)
-
-
-@contextmanager
-def interruption_held():
-    """Let an interruption wait for the end: of one that comes while Blender's module starts, Blender prints a traceback
-    and goes on."""
-    alone = threading.current_thread() is threading.main_thread()  # the only one that is interrupted
-    # None: it is Blender's own, and cannot be put back.
-    if not alone or signal.getsignal(signal.SIGINT) in (None, signal.SIG_IGN):
-        yield
-        return
-    held = []
-    before = signal.signal(signal.SIGINT, lambda *_: held.append(True))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if held:
-        raise KeyboardInterrupt
 
 
 def _flush() -> None:

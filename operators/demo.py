@@ -13,7 +13,7 @@ from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.importing import ImportSettings, import_source
 from .console import Progress
 from .demo_page import write_page
-from .exporting import export_frames, make_folder
+from .exporting import export_frames, make_folder, write_text
 from .frame_sources import StoreFrames, need_bpy
 
 SIZE = 4097
@@ -48,8 +48,8 @@ def run(out: Path, show_progress: bool | None = None) -> None:
 
     def done(step: str, line: str, weight: float) -> None:
         steps[step] = time.perf_counter() - started - sum(steps.values())
-        bar.to(bar.done + weight)
         bar.say(f"{line} ({steps[step]:.1f} s)")
+        bar.to(bar.done + weight)
 
     started = time.perf_counter()
     warmup.start()  # what is compiled now is in no frame's time
@@ -91,7 +91,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
 def _export(out: Path, store: Path) -> tuple[list[dict], Criterion]:
     """The flight's meshes as .npz; returns the frames' summaries and what was asked."""
     flight = out / "flight.json"
-    flight.write_text(json.dumps(FLIGHT, indent=1) + "\n", encoding="utf-8")
+    write_text(flight, json.dumps(FLIGHT, indent=1) + "\n")
     criterion = Criterion(error_px=ERROR_PX)
     source = StoreFrames(store, flight, criterion, RESOLUTION, in_blender=False)
     summaries = []

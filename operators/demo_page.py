@@ -5,6 +5,7 @@ import html
 import statistics
 from pathlib import Path
 
+from .exporting import write_text
 from .page_blocks import document
 from .shown_bounds import bound_text
 
@@ -70,7 +71,7 @@ def write_page(
         + ", ".join(f"{html.escape(step.lower())} {seconds:.1f} s" for step, seconds in steps.items())
         + ".</p>",
     ]
-    path.write_text(document("Adaptive Terrain: a demonstration", body), encoding="utf-8")
+    write_text(path, document("Adaptive Terrain: a demonstration", body))
 
 
 def _figure(name: str, title: str, caption: str) -> str:

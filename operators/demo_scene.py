@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ..cbt_terrain.partial_files import written_beside
 from ..cbt_terrain.view import inverse
 from . import session
 from .console import quiet
@@ -131,8 +132,8 @@ def render(scene, path: Path) -> None:
     """Render the current frame to a PNG file; the frame handler brings the terrain up to date, as in any render."""
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode = "PNG", "RGB"
-    scene.render.filepath = str(path.resolve())
-    with quiet():
+    with written_beside(path.resolve()) as partial, quiet():
+        scene.render.filepath = str(partial)
         bpy.ops.render.render(write_still=True)
 
 

@@ -36,12 +36,14 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
     def _write(self, context, path: Path):
+        from ..cbt_terrain.partial_files import remove_abandoned
         from .exporting import FORMATS, check_target, figures, write_piece
         from .frame_sources import scene_piece
 
         if path.suffix[1:].lower() not in FORMATS:
             raise TerrainError(f"The file {path.name!r} has no known suffix; expected one of {', '.join(FORMATS)}.")
         check_target(path)
+        remove_abandoned(path.parent)
         piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
         write_piece(piece, path)
         triangles = figures(piece)["triangles"]

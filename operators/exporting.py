@@ -1,27 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
 
-import ctypes
 import hashlib
 import json
 import os
 import re
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ..cbt_terrain.archive import write_npz, written_beside
+from ..cbt_terrain import stopping
+from ..cbt_terrain.archive import write_npz
 from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.partial_files import final_names, private_folder, remove_abandoned, written_beside
 from .console import quiet
 from .frame_sources import Piece, bounds_of
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 MAX_FRAMES = 1_000_000
 MAX_FRAME = 1_048_574  # what Blender holds
-# A partial file of a process that runs may be work in progress, also on another machine; after a day it is not.
-STALE_SECONDS = 86_400.0
 # More than the blocks in which Blender's exporters write.
 PROBE_BYTES = 1 << 16
 
@@ -72,13 +70,13 @@ def export_frames(
     make_folder(out)
     settings = hashlib.blake2b(json.dumps(source.settings, sort_keys=True).encode(), digest_size=12).hexdigest()
     for frame in frames:
+        stopping.check()
         summary_path = out / f"frame_{frame:04d}.json"
         complete = _complete(summary_path, settings, formats)
         summary = complete if resume else None
         if summary is None:
             if complete is None:  # else it says of the files to come what it says of those that stand
                 summary_path.unlink(missing_ok=True)
-            _remove_interrupted(out, frame)
             summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
             write_text(summary_path, json.dumps(summary, indent=1) + "\n")
             on_frame(frame, summary, False)
@@ -87,13 +85,15 @@ def export_frames(
 
 
 def make_folder(path: Path) -> None:
-    """The folder and those above it, as far as they are missing; raises TerrainError where that cannot be."""
+    """The folder and those above it, as far as they are missing; what killed processes have left in it goes. Raises
+    TerrainError where it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise TerrainError(f"{path} is, or is inside, a file; expected a folder: choose another place.") from None
     except OSError as error:
         raise TerrainError(f"The folder {path} cannot be made ({error.strerror}); choose another place.") from None
+    remove_abandoned(path)
 
 
 def check_target(path: Path) -> None:
@@ -119,8 +119,15 @@ def _written(path: Path):
         reason = (lines or ["no reason given"])[-1].removeprefix("Error: ")
     else:
         return
-    reason = str(reason).replace(f".partial-{os.getpid()}-", "")  # the user knows the file by its final name
-    raise TerrainError(f"{path} cannot be written ({reason}); check the disk, or choose another place.")
+    raise TerrainError(
+        f"{path} cannot be written ({final_names(str(reason))}); check the disk, or choose another place."
+    )
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise TerrainError where `size` bytes cannot be written beside `path`."""
+    with _written(path), private_folder(path.parent) as folder:
+        (folder / path.name).write_bytes(bytes(size))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -134,35 +141,6 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
         for path, text in ((folder / name, text) for name, text in texts.items()):
             stack.enter_context(_written(path))
             stack.enter_context(written_beside(path)).write_text(text, encoding="utf-8")
-
-
-def _remove_interrupted(out: Path, frame: int) -> None:
-    """Delete what killed exports have left of a frame; the files of processes that still write stay."""
-    for partial in out.glob(f".partial-*_{frame:04d}.*"):
-        owner = re.match(r"\.partial-(\d+)-", partial.name)
-        try:
-            stale = time.time() - partial.stat().st_mtime > STALE_SECONDS
-            # This process writes nothing now: what bears its number is of another, earlier one.
-            if stale or owner is None or int(owner[1]) == os.getpid() or not _is_running(int(owner[1])):
-                partial.unlink(missing_ok=True)
-        except OSError:
-            continue  # its writer has just renamed it, or holds it open
-
-
-def _is_running(pid: int) -> bool:
-    """Whether this machine has a process of this number."""
-    if sys.platform == "win32":  # where os.kill ends it
-        handle = ctypes.windll.kernel32.OpenProcess(0x1000, False, pid)  # PROCESS_QUERY_LIMITED_INFORMATION
-        if handle:
-            ctypes.windll.kernel32.CloseHandle(handle)
-        return bool(handle)
-    try:
-        os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except (OSError, OverflowError):
-        return False
-    return True
 
 
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:

@@ -18,7 +18,7 @@ from ..cbt_terrain.store import open_store
 from ..cbt_terrain.surface import Surface
 from ..cbt_terrain.terrain import Terrain, Update
 from ..cbt_terrain.view import View
-from .console import interruption_held, quiet
+from .console import quiet
 
 MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
 
@@ -234,7 +234,7 @@ def _view(view: View) -> dict:
 def need_bpy(what: str):
     """The bpy module, with this extension's properties registered; raises TerrainError that says who needs it."""
     try:
-        with interruption_held(), quiet():
+        with quiet():
             import bpy
     except ImportError:
         raise TerrainError(

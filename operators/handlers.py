@@ -11,6 +11,7 @@ import traceback
 import bpy
 from bpy.app.handlers import persistent
 
+from ..cbt_terrain import stopping
 from ..cbt_terrain.errors import TerrainError
 from . import accuracy_report, freed_memory, live, measuring, session
 from .request import RENDER, VIEWPORT
@@ -22,6 +23,11 @@ _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene ->
 
 def update_all(scene, depsgraph, mode: str) -> None:
     """Update the scene's terrains; one that fails keeps its mesh, shows its message, and does not stop the others."""
+    with stopping.held():
+        _update_all(scene, depsgraph, mode)
+
+
+def _update_all(scene, depsgraph, mode: str) -> None:
     for obj in session.terrains_of(scene):
         after_render = session.record_of(obj).status.mode == RENDER
         if mode == VIEWPORT and not (obj.adaptive_terrain.live or after_render):

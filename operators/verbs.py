@@ -85,6 +85,7 @@ def _describe_source(path: Path, raw: dict) -> dict:
 
 
 def run_bake(arguments) -> None:
+    from ..cbt_terrain.partial_files import remove_abandoned
     from .exporting import FORMATS, check_target, figures, needs_blender, write_piece
     from .frame_sources import baked_piece
 
@@ -92,6 +93,7 @@ def run_bake(arguments) -> None:
     if form not in FORMATS:
         raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
     check_target(arguments.out)
+    remove_abandoned(arguments.out.parent)
     bar = Progress(1.0, "bake", arguments.progress)
     try:
         piece = baked_piece(
@@ -120,8 +122,8 @@ def run_export(arguments) -> None:
 
     def on_frame(frame: int, summary: dict, skipped: bool) -> None:
         line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
-        bar.to(next(counter), worked=not skipped)
         bar.say(f"{line}, complete before" if skipped else line)
+        bar.to(next(counter), worked=not skipped)
 
     try:
         export_frames(

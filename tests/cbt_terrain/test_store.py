@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import bicubic, store
+from adaptive_terrain.cbt_terrain import bicubic, partial_files, store
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings, describe, run_import
 
@@ -52,7 +52,7 @@ def test_meshlet_errors_are_kept_in_the_store(island):
     errors = store.open_store(island).error_for(1)
     assert len(list(island.glob("data-*/error_m1.npy"))) == 1
     kept = store.open_store(island).error_for(1)
-    assert np.array_equal(kept, errors) and not list(island.glob("data-*/*.part"))
+    assert np.array_equal(kept, errors) and not list(island.glob("data-*/.partial-*"))
 
 
 def test_a_bicubic_surface_is_kept_in_the_store(island):
@@ -89,7 +89,9 @@ def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, h
     made = replace(made, error=made.error.copy(), ranges=made.ranges.copy())  # its files are about to change
     numbers = next(island.glob("data-*/numbers_c.npy"))
     if how == "missing":  # killed between two files, with a part left over
-        (numbers.parent / f"ranges_c.{'0' * 32}.part").write_bytes(b"half")
+        left_over = numbers.parent / f".partial-{'0' * 32}"
+        left_over.mkdir()
+        (left_over / "ranges_c.npy").write_bytes(b"half")
         (numbers.parent / "ranges_c.npy").unlink()
     elif how == "short":
         os.truncate(numbers.parent / "error_c.npy", 5000)
@@ -100,7 +102,7 @@ def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, h
     assert (again.range_base, again.min_height, again.steepest_x) == (made.range_base, made.min_height, made.steepest_x)
     kept = store.open_store(island).interpolated("bicubic")
     assert kept.max_height == made.max_height and np.load(numbers)[1] > 0
-    run_import(ImportSettings(source="island", size=65), island)  # the part file is the store's own
+    run_import(ImportSettings(source="island", size=65), island)  # the left-over is the store's own
     assert len(folders(island)) == 1
 
 
@@ -125,17 +127,32 @@ def test_a_new_version_replaces_the_old_one_while_it_is_in_use(island):
     assert store.open_store(island).key != old.key
 
 
-def test_leftovers_of_dead_imports_go_after_a_day(island):
+def test_leftovers_of_dead_imports_go(island):
+    """At once those of this machine; those of others, which may be at work, after a day."""
+    here = store.new_data_name()
     fresh, stale, users, named = (island / f"data-{name}" for name in ("0" * 32, "1" * 32, "2" * 32, "2023"))
-    for folder in (fresh, stale, users, named):
+    for folder in (island / here, fresh, stale, users, named):
         folder.mkdir()
         (folder / "error_m1.npy").touch()
     (users / "photo.jpg").touch()
-    for folder in (stale, users, named):
-        os.utime(folder, (time.time() - 2 * store.STALE_SECONDS,) * 2)
+    for file in (stale / "error_m1.npy", stale, users, named):
+        os.utime(file, (time.time() - 2 * partial_files.STALE_SECONDS,) * 2)
+    living = store.Draft(island)
     run_import(ImportSettings(source="island", size=65), island)
-    assert fresh.exists() and not stale.exists()
+    assert fresh.exists() and living.folder.exists() and not stale.exists() and not (island / here).exists()
     assert (users / "photo.jpg").exists() and named.exists()  # the user's own
+    living.discard_unless_published()
+    assert not living.folder.exists()
+
+
+def test_the_current_arrays_of_a_store_stay_though_nobody_holds_them(island):
+    [current] = folders(island)
+    (island / current / "lock").touch()  # killed just after it was published
+    store.remove_abandoned(island)
+    assert folders(island) == [current] and not (island / current / "lock").exists()
+    (island / "store.json").write_text("{")
+    store.remove_abandoned(island)
+    assert folders(island) == [current], "of a damaged store nobody knows what is of use"
 
 
 @pytest.mark.parametrize("target", ["", ".", "photos", "file", "x" * 300, "a\0b"])

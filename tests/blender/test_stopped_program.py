@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Commands inside the real Blender program, which has signal handlers of its own, are stopped as those outside are."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+FLIGHT = {
+    "clip": [1, 50000],
+    "keyframes": [
+        {"frame": 1, "eye": [-4700, -3900, 1150], "target": [0, 100, 420]},
+        {"frame": 900, "eye": [2500, -1900, 880], "target": [300, 400, 760]},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def store(program, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stopped")
+    program.run("--command", "adaptive_terrain", "import", "island", "--size", "257", "--store", folder / "store")
+    (folder / "flight.json").write_text(json.dumps(FLIGHT))
+    return folder
+
+
+def processes(mark: str) -> list[int]:
+    """Blender programs, and their children, whose command line or environment names this folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (process / "environ").read_bytes():
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("verb", ["import", "export"])
+def test_a_command_is_stopped(program, store, tmp_path, verb, number):
+    out = tmp_path / "out"
+    arguments = {
+        "import": ["import", "island", "--size", "4097", "--store", out, "--progress"],
+        "export": ["export", "--store", store / "store", "--path", store / "flight.json", "--frames", "1-900"],
+    }[verb]
+    if verb == "export":
+        arguments += ["--format", "npz,ply", "--out", out]
+    command = program.command("--command", "adaptive_terrain", *arguments)
+    environment = program.environment() | {"ADAPTIVE_TERRAIN_TEST_TOKEN": str(tmp_path)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 120
+        pattern = "data-*" if verb == "import" else "frame_0002.json"
+        while not list(out.glob(pattern)):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        for pid in processes(str(tmp_path)):
+            if "blender" in Path(f"/proc/{pid}/comm").read_text():
+                os.kill(pid, number)
+        said = process.communicate(timeout=60)[1]
+    finally:
+        process.kill()
+    assert process.returncode == 128 + number, said
+    assert "adaptive-terrain: stopped\n" in said and "Traceback" not in said
+    assert not processes(str(tmp_path))
+    if verb == "import":
+        assert not out.exists()
+    else:
+        frames = {path.stem for path in out.glob("frame_*.json")}
+        assert 2 <= len(frames) < 900 and not list(out.glob(".partial-*"))

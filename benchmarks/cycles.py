@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whole Cycles renders of one frame: our mesh against Cycles' own adaptive subdivision of the same heights.
+"""Whole Cycles renders of one frame: our mesh against Cycles' own adaptive subdivision of the same heights, and how
+close each picture comes to that of the whole uniform grid.
 
 Each way is a process of its own (cycles_frame.py), so that its peak memory can be told. A pixel of ours bounds the
 longest edge of every triangle; Cycles' rate is a length that its edges come near to, so ours has more triangles.
@@ -13,25 +14,32 @@ import numpy as np
 from .child import run_child
 from .measure import Row
 
-ADAPTIVE, EDGE, ERROR = "adaptive", "edge", "error"
+ADAPTIVE, EDGE, ERROR, GRID = "adaptive", "edge", "error", "grid"
 PIXEL = 1.0
 # Levels of 255 by which a pixel may differ before it counts as another.
 VISIBLE = 8
+# Of the index of structural similarity (Wang, Bovik, Sheikh and Simoncelli 2004, section III): its window's Gaussian,
+# and its constants for levels of 255.
+SSIM_TAPS, SSIM_SIGMA = 11, 1.5
+SSIM_C1, SSIM_C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
 
 
 def cycles_rows(store: Path, tiff: Path, folder: Path) -> Iterator[Row]:
     """(a) our edges at most 1 pixel long, (b) our error at most 1 pixel, each against dicing at 1 pixel."""
     found, pictures = {}, {}
-    for mode in (ADAPTIVE, EDGE, ERROR):
+    for mode in (GRID, ADAPTIVE, EDGE, ERROR):
         picture = folder / f"cycles_{mode}.png"
         found[mode] = run_child("cycles_frame", mode, store, tiff, PIXEL, picture)
-        pictures[mode] = picture
+        pictures[mode] = pixels(picture)
     theirs = found[ADAPTIVE]
     for mode in (EDGE, ERROR):
         ours = found[mode]
         row = Row(f"cycles_{mode}", ours["triangles"], ours["ms"], "cycles dicing", theirs["ms"])
         row.first_ms = ours["first_ms"]
-        row.figures = difference(pixels(pictures[mode]), pixels(pictures[ADAPTIVE]))
+        row.figures = difference(pictures[mode], pictures[ADAPTIVE])
+        for name, other in (("", mode), ("baseline_", ADAPTIVE)):
+            row.figures[f"{name}ssim"] = similarity(pictures[other], pictures[GRID])
+            row.figures[f"{name}cpu_s"] = found[other]["cpu_s"]
         yield row
         if ours["peak_mb"] is None:
             continue
@@ -58,3 +66,23 @@ def difference(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
     """Mean difference in levels of 255, and the share of pixels that differ visibly."""
     apart = np.abs(ours - theirs).max(axis=2)
     return {"mean_levels": float(apart.mean()), "pixels_apart_percent": 100 * float((apart > VISIBLE).mean())}
+
+
+def similarity(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean structural similarity of two pictures, 1 for equal ones, of the mean of their channels."""
+    x, y = (picture.mean(axis=2, dtype=np.float64) for picture in (one, other))
+    mean_x, mean_y = _blurred(x), _blurred(y)
+    variances = _blurred(x * x) - mean_x**2 + _blurred(y * y) - mean_y**2
+    covariance = _blurred(x * y) - mean_x * mean_y
+    light = (2 * mean_x * mean_y + SSIM_C1) / (mean_x**2 + mean_y**2 + SSIM_C1)
+    return float((light * (2 * covariance + SSIM_C2) / (variances + SSIM_C2)).mean())
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    """The Gaussian mean about each pixel whose whole window is in the image."""
+    weights = np.exp(-0.5 * ((np.arange(SSIM_TAPS) - SSIM_TAPS // 2) / SSIM_SIGMA) ** 2)
+    weights /= weights.sum()
+    for axis in (0, 1):
+        windows = np.lib.stride_tricks.sliding_window_view(image, SSIM_TAPS, axis)
+        image = windows @ weights
+    return image

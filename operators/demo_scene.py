@@ -28,7 +28,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
 
     Returns the scene and the terrain's object.
     """
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # the preferences stay, with their extensions
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames[0], frames[-1]
     scene.render.use_lock_interface = True

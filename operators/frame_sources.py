@@ -278,7 +278,7 @@ def _surface_of(mesh) -> Surface:
 def new_object(name: str):
     """A mesh object in an otherwise empty Blender file."""
     bpy = need_bpy("This format")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # the preferences stay, with their extensions
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     bpy.context.collection.objects.link(obj)
     return obj

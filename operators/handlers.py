@@ -7,6 +7,8 @@ topology over the shutter, so it is rebuilt for the frame of `render_pre` only, 
 """
 
 import traceback
+from contextlib import contextmanager
+from functools import wraps
 
 import bpy
 from bpy.app.handlers import persistent
@@ -18,6 +20,29 @@ from .request import RENDER, VIEWPORT
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
+_pauses = 0
+
+
+@contextmanager
+def paused():
+    """No handler of ours runs inside: an exporter may change the frame while it reads meshes that a handler would
+    write, and what goes through frames for itself updates each terrain itself. May be nested."""
+    global _pauses
+    _pauses += 1
+    try:
+        yield
+    finally:
+        _pauses -= 1
+
+
+def _unless_paused(handler):
+    @persistent
+    @wraps(handler)
+    def unless_paused(scene, depsgraph=None):
+        if not _pauses:
+            handler(scene, depsgraph)
+
+    return unless_paused
 
 
 def update_all(scene, depsgraph, mode: str) -> None:
@@ -42,7 +67,6 @@ def _mesh_is_needed_now() -> bool:
     return any(running.bl_idname == VIEWPORT_RENDER for window in windows for running in window.modal_operators)
 
 
-@persistent
 def on_frame_change(scene, depsgraph) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
@@ -53,18 +77,15 @@ def on_frame_change(scene, depsgraph) -> None:
         live.mark_dirty()
 
 
-@persistent
 def on_render_pre(scene, _unused=None) -> None:
     freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
 
 
-@persistent
 def on_render_post(scene, _unused=None) -> None:
     _rendered_frames.pop(scene.session_uid, None)
 
 
-@persistent
 def on_render_end(scene, _unused=None) -> None:
     """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
     _rendered_frames.clear()
@@ -74,23 +95,19 @@ def on_render_end(scene, _unused=None) -> None:
         live.mark_dirty()
 
 
-@persistent
 def on_depsgraph_update(scene, depsgraph) -> None:
     if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
 
-@persistent
 def on_load_pre(_path, _unused=None) -> None:
     session.clear()
 
 
-@persistent
 def on_load_post(_path, _unused=None) -> None:
     live.mark_dirty()
 
 
-@persistent
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
     measuring.stop()
@@ -98,7 +115,7 @@ def on_undo(_scene, _unused=None) -> None:
     live.mark_dirty()
 
 
-HANDLERS = {
+CALLED = {
     "frame_change_post": on_frame_change,
     "render_pre": on_render_pre,
     "render_post": on_render_post,
@@ -110,6 +127,7 @@ HANDLERS = {
     "undo_post": on_undo,
     "redo_post": on_undo,
 }
+HANDLERS = {event: _unless_paused(handler) for event, handler in CALLED.items()}
 
 
 def register() -> None:

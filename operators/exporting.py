@@ -32,23 +32,27 @@ def parse_frames(text: str) -> tuple[int, ...]:
 
     So `1-240:24,1-240` begins with a first look at the whole and then fills it in, as render farms have it.
     """
-    parts = [_frame_range(part.strip(), text) for part in text.split(",")]
+    parts = [_frame_range(part.strip()) for part in text.split(",")]
     if sum(map(len, parts)) > MAX_FRAMES:
-        raise ValueError(f"frames {text!r} are more than {MAX_FRAMES:,}")
+        raise ValueError(f"frames {_short(text)} are more than {MAX_FRAMES:,}")
     return tuple(dict.fromkeys(frame for part in parts for frame in part))
 
 
-def _frame_range(part: str, text: str) -> range:
-    """One part of a list of frames; `text` is the whole list, for the message."""
+def _frame_range(part: str) -> range:
+    """One part of a list of frames."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
-        raise ValueError(f"frames {text!r}: {part!r} is not A, A-B or A-B:S")
+        raise ValueError(f"frames {_short(part)} are not A, A-B or A-B:S")
     first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
     if last < first or step < 1:
-        raise ValueError(f"frames {text!r}: {part!r} goes backwards or stands still")
+        raise ValueError(f"frames {_short(part)} go backwards or stand still")
     if max(abs(first), abs(last)) > MAX_FRAME:
-        raise ValueError(f"frames {text!r}: {part!r} is not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
+        raise ValueError(f"frames {_short(part)} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
     return range(first, last + 1, step)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}...")
 
 
 def parse_formats(text: str) -> tuple[str, ...]:

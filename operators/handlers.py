@@ -14,7 +14,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
-from . import accuracy_report, freed_memory, live, measuring, session
+from . import accuracy_report, freed_memory, live, measuring, session, stale_renders
 from .request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
@@ -45,18 +45,30 @@ def _unless_paused(handler):
     return unless_paused
 
 
-def update_all(scene, depsgraph, mode: str) -> None:
-    """Update the scene's terrains; one that fails keeps its mesh, shows its message, and does not stop the others."""
+def update_all(scene, depsgraph, mode: str) -> list[str]:
+    """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns why they failed.
+
+    A render needs those that its dependency graph has: what is rendered, and what that is made from.
+    """
+    failed = []
     for obj in session.terrains_of(scene):
+        if mode == RENDER and not obj.evaluated_get(depsgraph).is_evaluated:
+            continue
         after_render = session.record_of(obj).status.mode == RENDER
         if mode == VIEWPORT and not (obj.adaptive_terrain.live or after_render):
             continue
         try:
             session.update_object(obj, depsgraph, mode)
-        except TerrainError as error:
-            print(f"Adaptive Terrain: {error}")
-        except Exception:
-            traceback.print_exc()
+        except Exception as error:
+            failed.append(session.explain(error))
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
+    return failed
+
+
+def _update_viewport(scene, depsgraph) -> None:
+    for reason in update_all(scene, depsgraph, VIEWPORT):
+        print(f"Adaptive Terrain: {reason}")
 
 
 def _mesh_is_needed_now() -> bool:
@@ -70,9 +82,10 @@ def _mesh_is_needed_now() -> bool:
 def on_frame_change(scene, depsgraph) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
-            update_all(scene, depsgraph, RENDER)
+            if failed := update_all(scene, depsgraph, RENDER):
+                stale_renders.meet(scene, failed)
     elif _mesh_is_needed_now():
-        update_all(scene, depsgraph, VIEWPORT)
+        _update_viewport(scene, depsgraph)
     else:
         live.mark_dirty()
 
@@ -83,14 +96,17 @@ def on_render_pre(scene, _unused=None) -> None:
 
 
 def on_render_post(scene, _unused=None) -> None:
+    stale_renders.leave()
     _rendered_frames.pop(scene.session_uid, None)
 
 
 def on_render_end(scene, _unused=None) -> None:
     """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
+    stale_renders.leave()
+    stale_renders.report()
     _rendered_frames.clear()
     if bpy.app.background:
-        update_all(scene, bpy.context.evaluated_depsgraph_get(), VIEWPORT)
+        _update_viewport(scene, bpy.context.evaluated_depsgraph_get())
     else:
         live.mark_dirty()
 

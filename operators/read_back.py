@@ -37,8 +37,8 @@ def _in_ply(file, size: int) -> int:
             element, counts[line[1].decode()] = line[1].decode(), int(line[2])
         elif line[0] == b"property" and element == "vertex":
             stride += PLY_BYTES[line[1].decode()]
-    _need_size(size, file.tell() + counts["vertex"] * stride + counts["face"] * (1 + 3 * 4))
-    return counts["face"]
+    _need_size(size, file.tell() + counts["vertex"] * stride + counts.get("face", 0) * (1 + 3 * 4))
+    return counts.get("face", 0)
 
 
 def _in_obj(file, size: int) -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From leaves to the arrays that Blender keeps: welding, meshlets, displacement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -46,6 +46,10 @@ class Surface:
     def triangles(self) -> np.ndarray:
         """int32 [T, 3]: vertices, counter-clockwise seen from above."""
         return self.corner_verts.reshape(-1, 3)
+
+    def copy(self) -> "Surface":
+        """The same mesh in arrays of its own, which no update overwrites."""
+        return replace(self, **{name: array.copy() for name, array in vars(self).items()})
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..cbt_terrain.sweep import Row
 from ..cbt_terrain.sweep_settings import Setting, settings_for
 from ..cbt_terrain.timed_runs import Frame
 from ..cbt_terrain.view import View
-from .frame_sources import SceneFrames, file_name, handlers_off
+from .frame_sources import SceneFrames, file_name
 
 # Frames of a camera path that are measured where none are named: so many, evenly spread.
 SPREAD = 4
@@ -106,10 +106,11 @@ class Look:
 def looks_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
     """What `scene` shows of the terrains `objects` at its frames `numbers`, which it goes through; `look` as of
     `request.gather`. Each frame is followed by the next one, if the scene has one."""
+    from . import handlers
     from .request import RENDER, gather
 
     requests, shown = {}, {}
-    with handlers_off():
+    with handlers.paused():
         for number in sorted({n + step for n in numbers for step in (0, 1) if n + step <= max(scene.frame_end, n)}):
             scene.frame_set(number)
             for obj in objects:

@@ -6,6 +6,7 @@ imported only by what needs it; the engine, whose import takes a moment, only wh
 """
 
 import argparse
+import importlib.util
 import signal
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from .argument_types import MAX_INT, argument, count, pair, path, positive
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+FRAMES = "A,B-C,D-E:STEP"
 AT_MOST = "triangles at most, but not fewer than two for each root square"
 
 
@@ -103,7 +105,7 @@ def build_parser() -> argparse.ArgumentParser:
     source = verb.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
     source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
-    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar="A-B[:S]")
+    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
     verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
@@ -124,19 +126,24 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
     verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
     verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
-    verb.add_argument("--frames", type=argument(parse_frames), metavar="A-B[:S]", help="of the path or the scene")
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
 
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
+    if importlib.util.find_spec("..benchmarks", __package__):  # they are no part of the extension
+        _add_bench(subparsers)
+    return parser
+
+
+def _add_bench(subparsers) -> None:
     verb = _verb(subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench)
     verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
     verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
     verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
     verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its plot into this folder")
-    return parser
 
 
 def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:

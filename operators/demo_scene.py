@@ -13,6 +13,7 @@ from ..cbt_terrain.view import inverse
 from . import session
 from .console import quiet
 from .demo_materials import HAZE, Nodes, land_material, level_material, plain_material, sea_material
+from .frame_sources import open_empty_file
 from .properties import CHOSEN_CAMERA
 from .request import RENDER
 
@@ -28,7 +29,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
 
     Returns the scene and the terrain's object.
     """
-    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # the preferences stay, with their extensions
+    open_empty_file()
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames[0], frames[-1]
     scene.render.use_lock_interface = True

@@ -16,6 +16,7 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.partial_files import final_names, private_folder, remove_abandoned, written_beside
 from .console import quiet
 from .frame_sources import Piece, bounds_of
+from .read_back import count_triangles
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 MAX_FRAMES = 1_000_000
@@ -24,19 +25,32 @@ MAX_FRAME = 1_048_574  # what Blender holds
 PROBE_BYTES = 1 << 16
 
 
-def parse_frames(text: str) -> range:
-    """`7`, `1-24` or `1-24:2` as a range that includes its end."""
-    match = re.fullmatch(r"(-?\d+)(?:-(-?\d+)(?::(\d+))?)?", text.strip())
+def parse_frames(text: str) -> tuple[int, ...]:
+    """`7`, `1-24`, `1-24:2` or several of them, as `1,3,7-20:2`: ends included, in the order given, each frame once.
+
+    So `1-240:24,1-240` begins with a first look at the whole and then fills it in, as render farms have it.
+    """
+    parts = [_frame_range(part.strip()) for part in text.split(",")]
+    if sum(map(len, parts)) > MAX_FRAMES:
+        raise ValueError(f"frames {_short(text)} are more than {MAX_FRAMES:,}")
+    return tuple(dict.fromkeys(frame for part in parts for frame in part))
+
+
+def _frame_range(part: str) -> range:
+    """One part of a list of frames."""
+    match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
-        raise ValueError(f"frames {text!r} are not A, A-B or A-B:S")
-    first = int(match[1])
-    last = first if match[2] is None else int(match[2])
-    step = int(match[3] or 1)
-    if last < first or step < 1 or (last - first) // step >= MAX_FRAMES:
-        raise ValueError(f"frames {text!r} go backwards, stand still or are more than {MAX_FRAMES:,}")
+        raise ValueError(f"frames {_short(part)} are not A, A-B or A-B:S")
+    first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
+    if last < first or step < 1:
+        raise ValueError(f"frames {_short(part)} go backwards or stand still")
     if max(abs(first), abs(last)) > MAX_FRAME:
-        raise ValueError(f"frames {text!r} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
+        raise ValueError(f"frames {_short(part)} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
     return range(first, last + 1, step)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}...")
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
@@ -146,18 +160,22 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
     """Write one frame's files; returns sizes in bytes by file name, and each terrain's figures."""
     start = time.perf_counter()
-    files, terrains = [], []
+    files, pieces = [], []
     for piece in source.pieces(frame):
         for form in formats:
             if form != "blend":
                 files.append(out / f"{piece.name}_{frame:04d}.{form}")
                 write_piece(piece, files[-1])
-        terrains.append(figures(piece))
+        pieces.append(piece)
     if "blend" in formats:
         files.append(out / f"{source.name}_{frame:04d}.blend")
-        write_blend(files[-1])
+        write_blend(pieces, files[-1])
     elapsed = (time.perf_counter() - start) * 1e3
-    return {"files": {f.name: f.stat().st_size for f in files}, "terrains": terrains, "elapsed_ms": round(elapsed, 3)}
+    return {
+        "files": {file.name: file.stat().st_size for file in files},
+        "terrains": [figures(piece) for piece in pieces],
+        "elapsed_ms": round(elapsed, 3),
+    }
 
 
 def figures(piece: Piece) -> dict:
@@ -192,15 +210,20 @@ def write_piece(piece: Piece, path: Path) -> None:
         with _written(path):
             write_npz(path, piece.surface, piece.origin, piece.info)
     elif form == "blend":
-        write_blend(path)
+        write_blend([piece], path)
     else:
-        _write_with_blender(piece.obj, path, form)
+        _write_with_blender(piece, path, form)
 
 
 @contextmanager
 def _written_by_blender(path: Path):
-    """As `written_beside`; what Blender could not even begin is found out first, as its exporters print tracebacks."""
-    with written_beside(path) as partial:
+    """As `written_beside`; what Blender could not even begin is found out first, as its exporters print tracebacks.
+
+    No handler of ours runs meanwhile: an exporter may change the frame while it reads the mesh.
+    """
+    from . import handlers
+
+    with written_beside(path) as partial, handlers.paused():
         partial.touch()
         partial.unlink()
         yield partial
@@ -220,32 +243,67 @@ def _need_room_for_more(path: Path) -> None:
         file.truncate(size)
 
 
-def write_blend(path: Path) -> None:
-    """Save a copy of the open file; its own path stays what it was."""
+def write_blend(pieces: Sequence[Piece], path: Path) -> None:
+    """Save a copy of the open file; its own path stays what it was.
+
+    To read it back takes as long as to write it, so the meshes of `pieces` are counted before Blender copies them.
+    """
     import bpy
 
     path = path.resolve()
+    for piece in pieces:
+        _need_count(piece, path, len(piece.obj.data.polygons))
     with _written(path), _written_by_blender(path) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
 
 
-def _write_with_blender(obj, path: Path, form: str) -> None:
-    """One object through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z."""
+def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
+    """One terrain through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
+
+    The file holds the terrain's own mesh, whose bound is known: modifiers are left out. It is read back before it gets
+    its name.
+    """
+    with _written(path), _written_by_blender(path) as partial:
+        with _only_selected(piece.obj), quiet():
+            _export_selected(str(partial.resolve()), form)
+        try:
+            found = count_triangles(partial)
+        except ValueError as reason:
+            raise RuntimeError(str(reason)) from None
+        _need_count(piece, path, found)
+
+
+def _export_selected(name: str, form: str) -> None:
+    """Have Blender's exporter of this format write what is selected to the file `name`."""
     import bpy
 
-    with _written(path), _written_by_blender(path) as partial, _only_selected(obj), quiet():
-        name = str(partial.resolve())
-        if form == "ply":
-            bpy.ops.wm.ply_export(filepath=name, export_selected_objects=True, export_normals=True, export_uv=True)
-        elif form == "obj":
-            bpy.ops.wm.obj_export(filepath=name, export_selected_objects=True, export_materials=False)
-        elif form == "stl":
-            bpy.ops.wm.stl_export(filepath=name, export_selected_objects=True)
-        else:
-            _enable_gltf()
-            bpy.ops.export_scene.gltf(
-                filepath=name, export_format="GLB", use_selection=True, export_animations=False, export_materials="NONE"
-            )
+    only = {"filepath": name, "export_selected_objects": True, "apply_modifiers": False}
+    if form == "ply":
+        bpy.ops.wm.ply_export(**only, export_normals=True, export_uv=True)
+    elif form == "obj":
+        bpy.ops.wm.obj_export(**only, export_materials=False)
+    elif form == "stl":
+        bpy.ops.wm.stl_export(**only)
+    else:
+        _enable_gltf()
+        bpy.ops.export_scene.gltf(
+            filepath=name,
+            export_format="GLB",
+            use_selection=True,
+            export_current_frame=True,  # else it goes to frame 0
+            export_animations=False,
+            export_materials="NONE",
+        )
+
+
+def _need_count(piece: Piece, path: Path, found: int) -> None:
+    """Raise TerrainError where a file would hold another mesh than its summary says."""
+    expected = len(piece.surface.level)
+    if found != expected:
+        raise TerrainError(
+            f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "
+            "written: remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)."
+        )
 
 
 @contextmanager

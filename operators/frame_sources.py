@@ -3,7 +3,6 @@
 
 import hashlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,9 @@ MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix t
 class Piece:
     """One terrain at one frame. `origin` float64 [3], metres: what the positions are about. `info`: see `describe`.
 
-    `obj` is the Blender object that shows it, None where Blender was not asked for.
+    `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
+    the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
+    that surface may stay the engine's, until the next frame is asked for.
     """
 
     name: str
@@ -130,7 +131,9 @@ class SceneFrames:
         """Every terrain of the scene at `frame`; its mesh is written first."""
         import bpy
 
-        with handlers_off():
+        from . import handlers
+
+        with handlers.paused():  # an export updates each terrain once, for the render
             self.scene.frame_set(frame)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         for obj in self.objects:
@@ -143,10 +146,11 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     from . import session
     from .request import RENDER, gather
 
-    update = session.update_object(obj, depsgraph, RENDER, **asked)
-    request = gather(obj, depsgraph, RENDER, **asked)
+    with session.engine_lock:  # the live update's thread would go on with the same engine
+        update = session.update_object(obj, depsgraph, RENDER, **asked)
+        request = gather(obj, depsgraph, RENDER, **asked)
+        surface = _surface_of(obj.data) if request.cleanup.active else update.surface.copy()
     field = session.record_of(obj).field
-    surface = _surface_of(obj.data) if request.cleanup.active else update.surface
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
     return Piece(file_name(obj), surface, field.origin, update, info, obj)
@@ -278,10 +282,18 @@ def _surface_of(mesh) -> Surface:
 def new_object(name: str):
     """A mesh object in an otherwise empty Blender file."""
     bpy = need_bpy("This format")
-    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # the preferences stay, with their extensions
+    open_empty_file()
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     bpy.context.collection.objects.link(obj)
     return obj
+
+
+def open_empty_file() -> None:
+    """A file with nothing in it. Preferences stay: factory settings would switch this extension off, and Blender then
+    deletes the wheels that it lives on."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
 def file_digest(path: Path) -> str:
@@ -321,15 +333,3 @@ def _linked_digest(library) -> str:
         return file_digest(bpy.path.abspath(library.filepath))
     except OSError:
         return ""
-
-
-@contextmanager
-def handlers_off():
-    """An export updates each terrain once, for the render; the frame handler would do it a second time."""
-    from . import handlers
-
-    handlers.unregister()
-    try:
-        yield
-    finally:
-        handlers.register()

@@ -7,37 +7,70 @@ topology over the shutter, so it is rebuilt for the frame of `render_pre` only, 
 """
 
 import traceback
+from contextlib import contextmanager
+from functools import wraps
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ..cbt_terrain import stopping
 from ..cbt_terrain.errors import TerrainError
-from . import accuracy_report, freed_memory, live, measuring, session
+from . import accuracy_report, freed_memory, live, measuring, session, stale_renders
 from .request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
+_pauses = 0
 
 
-def update_all(scene, depsgraph, mode: str) -> None:
-    """Update the scene's terrains; one that fails keeps its mesh, shows its message, and does not stop the others."""
-    with stopping.held():
-        _update_all(scene, depsgraph, mode)
+@contextmanager
+def paused():
+    """No handler of ours runs inside: an exporter may change the frame while it reads meshes that a handler would
+    write, and what goes through frames for itself updates each terrain itself. May be nested."""
+    global _pauses
+    _pauses += 1
+    try:
+        yield
+    finally:
+        _pauses -= 1
 
 
-def _update_all(scene, depsgraph, mode: str) -> None:
+def _unless_paused(handler):
+    @persistent
+    @wraps(handler)
+    def unless_paused(scene, depsgraph=None):
+        if not _pauses:
+            with stopping.held():
+                handler(scene, depsgraph)
+
+    return unless_paused
+
+
+def update_all(scene, depsgraph, mode: str) -> list[str]:
+    """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns why they failed.
+
+    A render needs those that its dependency graph has: what is rendered, and what that is made from.
+    """
+    failed = []
     for obj in session.terrains_of(scene):
+        if mode == RENDER and not obj.evaluated_get(depsgraph).is_evaluated:
+            continue
         after_render = session.record_of(obj).status.mode == RENDER
         if mode == VIEWPORT and not (obj.adaptive_terrain.live or after_render):
             continue
         try:
             session.update_object(obj, depsgraph, mode)
-        except TerrainError as error:
-            print(f"Adaptive Terrain: {error}")
-        except Exception:
-            traceback.print_exc()
+        except Exception as error:
+            failed.append(session.explain(error))
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
+    return failed
+
+
+def _update_viewport(scene, depsgraph) -> None:
+    for reason in update_all(scene, depsgraph, VIEWPORT):
+        print(f"Adaptive Terrain: {reason}")
 
 
 def _mesh_is_needed_now() -> bool:
@@ -48,55 +81,51 @@ def _mesh_is_needed_now() -> bool:
     return any(running.bl_idname == VIEWPORT_RENDER for window in windows for running in window.modal_operators)
 
 
-@persistent
 def on_frame_change(scene, depsgraph) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
-            update_all(scene, depsgraph, RENDER)
+            if failed := update_all(scene, depsgraph, RENDER):
+                stale_renders.meet(scene, failed)
     elif _mesh_is_needed_now():
-        update_all(scene, depsgraph, VIEWPORT)
+        _update_viewport(scene, depsgraph)
     else:
         live.mark_dirty()
 
 
-@persistent
 def on_render_pre(scene, _unused=None) -> None:
     freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
 
 
-@persistent
 def on_render_post(scene, _unused=None) -> None:
+    stale_renders.leave()
     _rendered_frames.pop(scene.session_uid, None)
 
 
-@persistent
 def on_render_end(scene, _unused=None) -> None:
     """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
+    stale_renders.leave()
+    stale_renders.report()
     _rendered_frames.clear()
     if bpy.app.background:
-        update_all(scene, bpy.context.evaluated_depsgraph_get(), VIEWPORT)
+        _update_viewport(scene, bpy.context.evaluated_depsgraph_get())
     else:
         live.mark_dirty()
 
 
-@persistent
 def on_depsgraph_update(scene, depsgraph) -> None:
     if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
 
-@persistent
 def on_load_pre(_path, _unused=None) -> None:
     session.clear()
 
 
-@persistent
 def on_load_post(_path, _unused=None) -> None:
     live.mark_dirty()
 
 
-@persistent
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
     measuring.stop()
@@ -104,7 +133,7 @@ def on_undo(_scene, _unused=None) -> None:
     live.mark_dirty()
 
 
-HANDLERS = {
+CALLED = {
     "frame_change_post": on_frame_change,
     "render_pre": on_render_pre,
     "render_post": on_render_post,
@@ -116,6 +145,7 @@ HANDLERS = {
     "undo_post": on_undo,
     "redo_post": on_undo,
 }
+HANDLERS = {event: _unless_paused(handler) for event, handler in CALLED.items()}
 
 
 def register() -> None:

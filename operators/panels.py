@@ -168,6 +168,7 @@ class RenderPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         _draw_detail(self._columns(), context.object.adaptive_terrain.render)
+        self.layout.prop(context.scene.adaptive_terrain, "stop_stale_renders")
 
 
 class MeshPanel(TerrainSubpanel, bpy.types.Panel):

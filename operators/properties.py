@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings of a terrain, kept on its object: `object.adaptive_terrain`."""
+"""Settings: of a terrain on its object (`object.adaptive_terrain`), of all on the scene (`scene.adaptive_terrain`)."""
 
 import math
 
@@ -242,16 +242,28 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (DetailSettings, CleanupSettings, TerrainSettings)
+class SceneSettings(bpy.types.PropertyGroup):
+    """What holds for every terrain of a scene."""
+
+    stop_stale_renders: BoolProperty(
+        name="Stop Renders That Would Be Stale",
+        description="Without a window, end Blender with an error where a terrain cannot be refined for the frame that "
+        "is to be rendered; else that frame shows the mesh of another one",
+        default=True,
+    )  # fmt: skip
+
+
+CLASSES = (DetailSettings, CleanupSettings, TerrainSettings, SceneSettings)
 
 
 def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Object.adaptive_terrain = PointerProperty(type=TerrainSettings)
+    bpy.types.Scene.adaptive_terrain = PointerProperty(type=SceneSettings)
 
 
 def unregister() -> None:
-    del bpy.types.Object.adaptive_terrain
+    del bpy.types.Object.adaptive_terrain, bpy.types.Scene.adaptive_terrain
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

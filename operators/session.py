@@ -76,8 +76,9 @@ class Record:
     status: Status = dataclasses.field(default_factory=Status)
 
 
-# An engine's surface is valid until its next update, and two updates side by side would share the same cores.
-engine_lock = threading.Lock()
+# An engine's surface is valid until its next update, and two updates side by side would share the same cores. Who
+# needs a surface longer holds the lock around the update and copies it.
+engine_lock = threading.RLock()
 _records: dict[int, Record] = {}
 _fields: dict[tuple[str, int], object] = {}
 

@@ -10,10 +10,10 @@ import bpy
 from ..cbt_terrain.criterion import Criterion
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.sweep import sweep
-from . import accuracy_report, session
+from . import accuracy_report, handlers, session
 from .accuracy_plots import label
 from .accuracy_subject import Look, Subject, looks_at
-from .frame_sources import file_name, handlers_off
+from .frame_sources import file_name
 from .measuring import Job, MeasuringOperator
 from .request import RENDER, gather
 
@@ -57,7 +57,7 @@ def beside(scene, view_layer):
     try:
         yield copy, copy.view_layers[view_layer.name]
     finally:
-        with handlers_off():  # objects are shared: handlers of other extensions may have moved them
+        with handlers.paused():  # objects are shared: handlers of other extensions may have moved them
             copy.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         bpy.data.scenes.remove(copy)
 

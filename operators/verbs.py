@@ -196,14 +196,8 @@ def run_demo(arguments) -> None:
 def run_bench(arguments) -> None:
     if arguments.quick and (arguments.docs or arguments.with_cycles):
         raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
-    try:
-        from ..benchmarks import suite
-    except ModuleNotFoundError as error:
-        if not error.name.endswith("benchmarks"):
-            raise
-        raise TerrainError(
-            "The benchmarks are not part of the extension; install the Python package adaptive-terrain for them."
-        ) from None
+    from ..benchmarks import suite
+
     suite.run(arguments.quick, arguments.with_cycles, arguments.blender, arguments.json, arguments.docs)
 
 

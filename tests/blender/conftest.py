@@ -107,3 +107,10 @@ def dem(tmp_path_factory):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Y": heights}).write(str(folder / "dem.exr"))
     return {"tif": folder / "dem.tif", "exr": folder / "dem.exr", "whole": folder / "whole.tif", "heights": heights}
+
+
+@pytest.fixture(scope="session")
+def scene(program, dem, tmp_path_factory):
+    """A .blend with the GeoTIFF as terrain and an animated camera, made by the real program, and what it said."""
+    path = tmp_path_factory.mktemp("scene") / "scene.blend"
+    return path, program.script("import_dem.py", path, dem["tif"])

@@ -19,13 +19,6 @@ SCRIPTS = Path(__file__).parent / "scripts"
 SCREEN = 1600, 1000
 
 
-@pytest.fixture(scope="session")
-def scene(program, dem, tmp_path_factory):
-    """A .blend with the GeoTIFF as terrain and an animated camera, made by the real program, and what it said."""
-    path = tmp_path_factory.mktemp("scene") / "scene.blend"
-    return path, program.script("import_dem.py", path, dem["tif"])
-
-
 def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
     names = zipfile.ZipFile(extension_zip).namelist()
     assert {"__init__.py", "blender_manifest.toml", "operators/registration.py", "LICENSE"} <= set(names)

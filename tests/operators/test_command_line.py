@@ -333,11 +333,24 @@ def test_the_process_ends_well_after_blender_was_used(store, flight, tmp_path):
 
 
 def test_frames_and_formats():
-    assert list(parse_frames("7")) == [7]
-    assert list(parse_frames("1-9:4")) == [1, 5, 9]
-    assert list(parse_frames("-2-1")) == [-2, -1, 0, 1]
+    assert parse_frames("7") == (7,)
+    assert parse_frames("1-9:4") == (1, 5, 9)
+    assert parse_frames("-2-1") == (-2, -1, 0, 1)
+    assert parse_frames("-5--3") == (-5, -4, -3)
+    assert parse_frames("1,3,7-20:2") == (1, 3, 7, 9, 11, 13, 15, 17, 19)
+    assert parse_frames("9, 1-9:4,1-3") == (9, 1, 5, 2, 3), "in the order given, each once"
+    for text, wrong in (
+        ("1,,3", "'' are"),
+        ("1,4-2", "'4-2' go"),
+        ("1,5;", "'5;' are"),
+        ("2,9999999", "'9999999' are not within"),
+    ):
+        with pytest.raises(ValueError, match=f"frames {wrong}"):
+            parse_frames(text)
+    with pytest.raises(ValueError, match="more than 1,000,000"):
+        parse_frames("0-999998,0-5")
     assert parse_formats("ply, npz,ply") == ("ply", "npz")
-    for text in ("", "a", "3-1", "1-5:0", "1:2", "0-99999999"):
+    for text in ("", "a", "3-1", "1-5:0", "1:2", "1,", "0-99999999"):
         with pytest.raises(ValueError):
             parse_frames(text)
 

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A frame whose terrain cannot be refined would show the mesh of another frame, and nobody would know.
+
+Without a window, on a farm say, such a frame is not written and the process ends with exit code 1, unless the scene
+says otherwise. With one, Blender lets nobody but the user cancel a render, so a message tells of it in the end.
+"""
+
+import os
+import signal
+import sys
+from contextlib import suppress
+
+import bpy
+
+EXIT_CODE = 1
+_ending = False
+_shown_stale: dict[int, str] = {}  # frame -> why
+
+
+def meet(scene, reasons: list[str]) -> None:
+    """The terrains of the frame that is about to be rendered cannot be refined, for these `reasons`."""
+    global _ending
+    why = " ".join(reasons)
+    if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
+        print(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
+        _shown_stale[scene.frame_current] = why
+        return
+    print(
+        f"Adaptive Terrain: frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}",
+        file=sys.stderr,
+    )
+    _ending = True
+    # The Blender program takes an interruption as the wish to end the render: it writes no more frames and closes a
+    # movie. Blender as a Python module has nothing of the kind, nor has a program whose script caught it first.
+    if bpy.app.binary_path and signal.getsignal(signal.SIGINT) is None:
+        signal.raise_signal(signal.SIGINT)
+    else:
+        leave()
+
+
+def leave() -> None:
+    """End the process if a render was stopped; called again when Blender has closed what it was writing."""
+    if not _ending:
+        return
+    with suppress(OSError):
+        os.rmdir(bpy.app.tempdir)  # as Blender does at its end; only if nothing is in it
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(EXIT_CODE)
+
+
+def report() -> None:
+    """Tell who looks at a window which frames of the render that has ended are stale."""
+    if _shown_stale and not bpy.app.background:
+        bpy.app.timers.register(_pop_up, first_interval=0.0)  # a popup is the main thread's
+    else:
+        _shown_stale.clear()
+
+
+def _pop_up() -> None:
+    frames = ", ".join(map(str, sorted(_shown_stale)))
+    lines = [f"Rendered with the mesh of another frame: {frames}", *dict.fromkeys(_shown_stale.values())]
+    _shown_stale.clear()
+    manager = bpy.context.window_manager
+    if not manager.windows:
+        return
+
+    def draw(self, _context):
+        for line in lines:
+            self.layout.label(text=line)
+
+    with bpy.context.temp_override(window=manager.windows[0]):
+        manager.popup_menu(draw, title="Adaptive Terrain", icon="ERROR")

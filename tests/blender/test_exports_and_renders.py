@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What leaves the real program is right, or does not leave it: exports in every format, renders that would be stale."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from mesh_files import read_mesh
+
+FORMATS = ("glb", "npz", "stl", "obj", "ply", "blend")
+# The terrain is turned and stretched, and the render is much finer than the viewport.
+PREPARE = """
+import bpy, sys
+scene = bpy.context.scene
+terrain = scene.objects["Terrain"]
+terrain.adaptive_terrain.viewport.error_px, terrain.adaptive_terrain.render.error_px = 40.0, 12.0
+terrain.rotation_euler, terrain.scale = (0.1, 0.0, 0.4), (0.8, 1.1, 1.2)
+scene.render.resolution_x, scene.render.resolution_y = 480, 270
+scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+scene.frame_start, scene.frame_end = 1, 4
+"""
+
+
+@pytest.fixture(scope="module")
+def prepared(program, scene, tmp_path_factory):
+    path = tmp_path_factory.mktemp("prepared") / "shot.blend"
+    save = f"bpy.ops.wm.save_as_mainfile(filepath={str(path)!r})"
+    program.run("-b", scene[0], "--python-exit-code", "1", "--python-expr", f"{PREPARE}\n{save}")
+    return path
+
+
+def in_world(path, info):
+    """Corners of the triangles of a file, float64 [T, 3, 3], in the world; `info` of the .npz of its frame."""
+    points, triangles = read_mesh(path)
+    if path.suffix == ".npz":
+        place = np.array(info["placement"])
+        points = points @ place[:3, :3].T + place[:3, 3]
+    return points[triangles]
+
+
+def test_every_format_holds_the_render_mesh_of_its_frame(program, prepared, tmp_path):
+    export = ["--command", "adaptive_terrain", "export", "--scene", prepared, "--frames", "3,2", "--out", tmp_path]
+    said = program.run(*export, "--format", ",".join(FORMATS)).splitlines()
+    assert [line.split(":")[0] for line in said if "locale" not in line] == ["frame 3", "frame 2"], said
+    sizes = set()
+    for frame in (2, 3):
+        with np.load(tmp_path / f"Terrain_{frame:04d}.npz") as data:
+            info = json.loads(str(data["info"]))
+        assert info["frame"] == frame and info["asked"]["error_px"] == 12.0
+        sizes.add(info["triangles"])
+        wanted = in_world(tmp_path / f"Terrain_{frame:04d}.npz", info)
+        for form in FORMATS[:-1]:
+            found = in_world(tmp_path / f"Terrain_{frame:04d}.{form}", info)
+            assert found.shape == wanted.shape == (info["triangles"], 3, 3), form
+            assert np.allclose(found, wanted, atol=1e-5 * np.ptp(wanted)), form
+        count = "import bpy; print('HOLDS', len(bpy.data.objects['Terrain'].data.polygons))"
+        blend = tmp_path / f"shot_{frame:04d}.blend"
+        assert f"HOLDS {info['triangles']}\n" in program.run("-b", blend, "--python-expr", count)
+    assert len(sizes) == 2, "the camera moves"
+
+
+def test_the_operator_writes_the_same_glb(program, prepared, tmp_path):
+    script = f"""
+import bpy
+bpy.context.scene.frame_set(3)
+for form in ("glb", "npz"):
+    assert bpy.ops.adaptive_terrain.export(filepath={str(tmp_path)!r} + "/shot." + form) == {{"FINISHED"}}
+"""
+    program.run("-b", prepared, "--python-exit-code", "1", "--python-expr", script)
+    with np.load(tmp_path / "shot.npz") as data:
+        info = json.loads(str(data["info"]))
+    wanted = in_world(tmp_path / "shot.npz", info)
+    assert np.allclose(in_world(tmp_path / "shot.glb", info), wanted, atol=1e-5 * np.ptp(wanted))
+
+
+def test_an_export_of_a_store_leaves_the_extension_whole(program, scene, tmp_path):
+    """Blender deletes the wheels of an extension that factory settings switch off."""
+    [terrain] = scene[1]["terrains"].values()
+    bake = ["--command", "adaptive_terrain", "bake", "--store", terrain["store"], "--max-error", "50", "--out"]
+    wheels = set((program.user / "extensions").glob(".local/lib/*/site-packages/*"))
+    for form in ("ply", "stl"):
+        program.run(*bake, tmp_path / f"dem.{form}")
+    assert wheels and set((program.user / "extensions").glob(".local/lib/*/site-packages/*")) == wheels
+    counts = {len(read_mesh(tmp_path / f"dem.{form}")[1]) for form in ("ply", "stl")}
+    assert len(counts) == 1 and counts.pop() > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "how", "frames", "why"),
+    [
+        ("terrain.adaptive_terrain.store = '/gone'", ["-a"], [], "There is no terrain store at '/gone'"),
+        ("terrain.adaptive_terrain.camera_source = 'CHOSEN'", ["-f", "2"], [], "No camera is chosen"),
+        ("flatten()", ["-f", "1,2,3,4"], [1, 2], "frame 3 is not rendered"),
+        ("flatten(); movie()", ["-a"], "1-4", "frame 3 is not rendered"),
+        ("flatten(); scene.adaptive_terrain.stop_stale_renders = False", ["-f", "2,3"], [2, 3], ""),
+    ],
+)
+def test_a_render_that_would_be_stale_ends(program, prepared, tmp_path, change, how, frames, why):
+    """Hard case 68 in the real program: one line, exit code 1, no stale frame, and a movie that is closed."""
+    script = f"""
+import bpy
+scene = bpy.context.scene
+terrain = scene.objects["Terrain"]
+def flatten():
+    for frame, scale in ((2, 1.0), (3, 0.0), (4, 1.0)):
+        terrain.scale.z = scale
+        terrain.keyframe_insert("scale", index=2, frame=frame)
+def movie():
+    scene.render.image_settings.file_format = "FFMPEG"
+    scene.render.ffmpeg.format = "MPEG4"
+{change}
+scene.render.resolution_x, scene.render.resolution_y = 64, 36
+scene.render.filepath = {str(tmp_path / "frame_")!r}
+"""
+    command = program.command("-b", prepared, "--python-exit-code", "2", "--python-expr", script, *how)
+    done = subprocess.run(command, env=program.environment(), capture_output=True, text=True, timeout=200)
+    said = [line for line in (done.stdout + done.stderr).splitlines() if line.startswith("Adaptive Terrain:")]
+    assert done.returncode == (1 if why else 0), done.stdout + done.stderr
+    assert len(said) == 1 and (why in said[0] if why else "is rendered with a stale mesh" in said[0])
+    if frames == "1-4":
+        [movie] = tmp_path.glob("frame_*")
+        assert b"moov" in movie.read_bytes(), "a movie that is not closed has no index"
+    else:
+        assert sorted(int(path.stem[-4:]) for path in tmp_path.glob("frame_*.png")) == frames

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard case 68: a background render whose mesh is stale ends with an error. The real program's is in tests/blender."""
+
+import subprocess
+import sys
+
+import bpy
+import pytest
+
+RENDER = """
+import sys, adaptive_terrain, bpy
+adaptive_terrain.register()
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+scene = bpy.context.scene
+exec(sys.argv[2])
+bpy.ops.render.render(animation=True)
+print("the script goes on")
+"""
+ON = "the script goes on"
+
+
+@pytest.fixture
+def blend(flight, add_terrain, tmp_path):
+    """A terrain that is scaled to nothing at frame 4, beside one that has no store and that no render shows."""
+    terrain = add_terrain("Hills")
+    for frame, scale in ((3, 1.0), (4, 0.0), (5, 1.0)):
+        terrain.scale.z = scale
+        terrain.keyframe_insert("scale", index=2, frame=frame)
+    broken = add_terrain("Unused")
+    broken.adaptive_terrain.store, broken.hide_render = "/nowhere", True
+    flight.render.engine, flight.cycles.samples, flight.cycles.use_denoising = "CYCLES", 1, False
+    flight.render.resolution_x = flight.render.resolution_y = 32
+    flight.frame_start, flight.frame_end = 2, 6
+    flight.render.filepath = str(tmp_path / "frame_")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    return tmp_path / "scene.blend"
+
+
+@pytest.mark.parametrize(
+    ("change", "frames", "why"),
+    [
+        ("", [2, 3], "frame 4 is not rendered, since its mesh would be stale. The terrain 'Hills' has a scale of 0"),
+        ("bpy.data.objects['Hills'].adaptive_terrain.store = '/gone'", [], "There is no terrain store at '/gone'"),
+        ("bpy.data.objects['Hills'].adaptive_terrain.camera_source = 'CHOSEN'", [], "No camera is chosen"),
+        ("scene.adaptive_terrain.stop_stale_renders = False", [2, 3, 4, 5, 6], ""),
+        ("scene.frame_start = 5", [5, 6], ""),
+    ],
+)
+def test_case_68_a_render_that_would_be_stale_ends(blend, change, frames, why):
+    """Frames before the stale one are whole, it is not written, one line says why, the exit code is 1; unless it is
+    allowed, or no render shows the terrain that is broken."""
+    command = [sys.executable, "-c", RENDER, blend, change]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert sorted(int(path.stem[-4:]) for path in blend.parent.glob("frame_*.png")) == frames, done.stderr
+    for path in blend.parent.glob("frame_*.png"):
+        assert bpy.data.images.load(str(path)).pixels[:4]
+    said = [line for line in done.stderr.splitlines() if line.startswith("Adaptive Terrain:")]
+    if why:
+        assert done.returncode == 1 and ON not in done.stdout
+        assert len(said) == 1 and why in said[0] and "Adaptive Terrain" not in done.stdout
+    else:
+        assert done.returncode == 0 and ON in done.stdout and not said
+        assert ("frame 4 is rendered with a stale mesh" in done.stdout) == (4 in frames)

@@ -18,8 +18,11 @@ from pathlib import Path
 from . import child
 from . import store as stores
 from .errors import TerrainError
+from .guard import VARIABLES, guard_import
 from .sources import ImportSettings
+from .stall import Stall, stalled_text
 
+READING = "Reading"  # the part of an import in which files from outside are read
 POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
 
@@ -43,13 +46,13 @@ class ImportJob:
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
     def __init__(self, settings: ImportSettings, store: str | os.PathLike):
-        from .importing import source_digest
+        from .importing import finished_before, source_digest
 
         stores.check_target(store)
         self._settings, self._store = settings, Path(store)
         self._progress, self._cancelled, self._lines = Progress(), False, []
-        self._process = None
-        report = _finished_before(self._store, source_digest(settings))
+        self._process, self._stall, self._stalled = None, Stall(), False
+        report = finished_before(self._store, source_digest(settings))
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
             return
@@ -61,7 +64,9 @@ class ImportJob:
         self._errors = tempfile.TemporaryFile()
         try:
             pipe = subprocess.PIPE
-            self._process = child.start("cbt_terrain.import_process", stdin=pipe, stdout=pipe, stderr=self._errors)
+            self._process = child.start(
+                "cbt_terrain.import_process", variables=VARIABLES, stdin=pipe, stdout=pipe, stderr=self._errors
+            )
             request = {
                 "settings": dataclasses.asdict(self._settings),
                 "store": str(self._store.absolute()),
@@ -86,6 +91,11 @@ class ImportJob:
         """How far the import is; never waits."""
         if self._progress.done:
             return self._progress
+        reading = self._progress.message in (Progress.message, READING)
+        if reading and not self._stalled and self._stall.is_over(len(self._lines)):
+            self._stalled = True
+            self._process.kill()
+            self._process.wait()
         ended = self._process.poll() is not None
         if ended:
             self._reader.join()
@@ -113,6 +123,8 @@ class ImportJob:
         source = self._settings.source
         if self._cancelled:
             return f"The import of {source} was cancelled; the store is as it was before."
+        if self._stalled:
+            return stalled_text(source)
         code = self._process.returncode
         self._errors.seek(0)
         said = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
@@ -176,18 +188,6 @@ def import_source(
     return progress.report
 
 
-def _finished_before(path: Path, digest: str) -> dict | None:
-    """The report of an earlier import of the same source with the same settings, if the store is whole."""
-    try:
-        content = stores.read_json(path)
-        if content["digest"] != digest:
-            return None
-        stores.open_store(path)
-        return content["report"] | {"unchanged": True}
-    except (TerrainError, KeyError):
-        return None
-
-
 def child_main() -> None:
     """Read a request from stdin, import, and say on stdout how it goes."""
     from .importing import run_import
@@ -212,6 +212,7 @@ def child_main() -> None:
     for name in ("raw_size", "extent"):
         settings[name] = tuple(settings[name]) if settings[name] is not None else None
     try:
+        guard_import(ImportSettings(**settings), Path(request["store"]))
         say({"report": run_import(ImportSettings(**settings), request["store"], on_progress, request["folder"])})
     except TerrainError as error:
         say({"error": str(error)})

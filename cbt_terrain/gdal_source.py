@@ -19,17 +19,16 @@ from .vrt_source import read_mosaic
 
 # GDAL may try no other driver on a file than the one of its suffix.
 DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
-# More bands than any height map has; each costs time and memory when a file is opened.
+# More bands than any height map has; where they lie together, all are read.
 MAX_BANDS = 1024
 # Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
-LARGEST_BLOCK = 512 << 20
+LARGEST_BLOCK = 256 << 20
 CACHE_MB = 256
 # No network, no code out of a file, no sidecar files written, a bounded cache.
 OPTIONS = {
     "GDAL_CACHEMAX": CACHE_MB,
     "GDAL_PAM_ENABLED": "NO",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
-    "GDAL_MAX_BAND_COUNT": MAX_BANDS,
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
 }
 UNITS_IN_METRES = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 1200.0 / 3937.0, "cm": 0.01}
@@ -76,7 +75,8 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
-        dataset, sources = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [])
+        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [])
+    dataset, sources, texts = opened
     band = settings.band
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
@@ -116,7 +116,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         offset=dataset.offsets[band - 1] * in_metres,
         warnings=notes,
         sources=tuple(sources),
-        close=read_from.close,
+        close=lambda: [thing.close() for thing in (read_from, dataset, *texts)],
     )
 
 
@@ -130,7 +130,8 @@ def _open_file(path: Path, driver: str):
 
 
 def _open_vrt(path: Path) -> tuple:
-    """A dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew, and the files that it names."""
+    """A dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the files that it names; and the texts of VRTs,
+    which GDAL has as long as they are kept."""
     import rasterio
     from rasterio.env import setenv
 
@@ -155,7 +156,7 @@ def _open_vrt(path: Path) -> tuple:
     ]
     dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
     _check_blocks(path, dataset)
-    return dataset, list(mosaic.sources)
+    return dataset, list(mosaic.sources), texts
 
 
 def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None):
@@ -195,10 +196,14 @@ def _georeference(dataset) -> Georeference | None:
 
 
 def _check_blocks(path: Path, dataset) -> None:
-    """Refuse a file whose smallest readable piece is too large, before GDAL asks for it; have room for two of them."""
+    """Refuse too many bands, and too large a smallest readable piece, before GDAL reads one; have room for two."""
     from rasterio.enums import Interleaving
     from rasterio.env import setenv
 
+    if not 1 <= dataset.count <= MAX_BANDS:
+        raise TerrainError(
+            f"{shown(path)} has {dataset.count} bands, expected 1 to {MAX_BANDS}: write the one of heights alone."
+        )
     rows, columns = dataset.block_shapes[0]
     size = rows * columns * max(np.dtype(kind).itemsize for kind in dataset.dtypes)
     if dataset.count > 1 and dataset.interleaving == Interleaving.pixel:

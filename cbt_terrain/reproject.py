@@ -74,8 +74,8 @@ def _utm_zone(path: Path, dataset) -> str:
     """The WGS 84 UTM zone of a raster's middle, as EPSG:n."""
     from rasterio.crs import CRS
 
-    middle = dataset.transform * (dataset.width / 2, dataset.height / 2)
-    x, y = _transformed(path, dataset.crs, CRS.from_epsg(4326), *np.array([middle]).T)
+    middle = _position(dataset, np.array([dataset.width / 2]), np.array([dataset.height / 2]))
+    x, y = _transformed(path, dataset.crs, CRS.from_epsg(4326), *middle)
     longitude, latitude = float(x[0]), float(y[0])
     if not -80.0 <= latitude <= 84.0:
         raise TerrainError(
@@ -95,9 +95,9 @@ def _grid(path: Path, dataset, crs, name: str) -> tuple:
     columns, rows = sides.T
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])
     rows = np.concatenate([np.full_like(rows, 0.5), np.full_like(rows, bottom), rows, rows])
-    x, y = _transformed(path, dataset.crs, crs, *(dataset.transform * (columns, rows)))
+    x, y = _transformed(path, dataset.crs, crs, *_position(dataset, columns, rows))
     column, row = dataset.width / 2, dataset.height / 2
-    near = dataset.transform * (np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
+    near = _position(dataset, np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
     near_x, near_y = _transformed(path, dataset.crs, crs, *near)
     steps = np.hypot(near_x[1:] - near_x[0], near_y[1:] - near_y[0])
     along_x = abs(near_y[1] - near_y[0]) < 0.1 * steps[0]
@@ -109,6 +109,12 @@ def _grid(path: Path, dataset, crs, name: str) -> tuple:
             f"{dataset.height}: it lies too far from that system's area; choose another one."
         )
     return Affine(step_x, 0.0, x.min() - step_x / 2, 0.0, -step_y, y.max() + step_y / 2), width, height
+
+
+def _position(dataset, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where columns and rows (from the raster's corner) lie in its own coordinate system."""
+    a, b, c, d, e, f = tuple(dataset.transform)[:6]
+    return a * columns + b * rows + c, d * columns + e * rows + f
 
 
 def _transformed(path: Path, source, target, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

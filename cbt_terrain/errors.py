@@ -7,3 +7,9 @@ class TerrainError(Exception):
 
     The message is one sentence for the user: what is wrong, where (file, value), what was expected, what to do.
     """
+
+
+def shown(text: object, most: int = 200) -> str:
+    """A name from outside as messages show it: one line, and not longer than `most` characters."""
+    line = " ".join(str(text).split())
+    return line if len(line) <= most else f"{line[:most]}..."

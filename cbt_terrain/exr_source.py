@@ -7,11 +7,13 @@ its symbols bind to Blender's own library and reading crashes.
 
 from pathlib import Path
 
-from .errors import TerrainError
+from .errors import TerrainError, shown
 from .sources import ImportSettings, Raster, blank, physical_memory
 
 # Where a height is looked for, in this order, when no channel is named; then the first channel.
 CHANNELS = ("height", "Height", "Y", "Z", "V", "R")
+# Times that EXR's methods can pack pixels at most (zlib: 1,030), with a margin for the others.
+MOST_PACKED = 20_000
 
 
 def open_exr(path: Path, settings: ImportSettings) -> Raster:
@@ -32,10 +34,11 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
     if channels[name] != (1, 1):
         raise TerrainError(f"{path} stores channel {name!r} at a fraction of the resolution: expected every pixel.")
     needed = width * height * len(channels) * 4
-    if width < 1 or height < 1 or needed > physical_memory() // 2:
+    if width < 1 or height < 1 or needed > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
         raise TerrainError(
             f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {needed / 1e9:.1f} GB: "
-            "more than half of this machine's memory, so it is damaged or must be cut into tiles."
+            "more than a quarter of this machine's memory or than such a file can hold, so it is damaged or must be "
+            "cut into tiles."
         )
     try:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -58,4 +61,4 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _short(reason: BaseException) -> str:
-    return " ".join(str(reason).split()).rstrip(".")
+    return shown(reason, 300).rstrip(".")

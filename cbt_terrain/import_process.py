@@ -17,8 +17,11 @@ from pathlib import Path
 from . import child, stopping
 from . import store as stores
 from .errors import TerrainError
+from .guard import VARIABLES, guard_import
 from .sources import ImportSettings
+from .stall import Stall, stalled_text
 
+READING = "Reading"  # the part of an import in which files from outside are read
 POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
 
@@ -42,14 +45,14 @@ class ImportJob:
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
     def __init__(self, settings: ImportSettings, store: str | os.PathLike):
-        from .importing import source_digest
+        from .importing import finished_before, source_digest
 
         stores.check_target(store)
         self._settings, self._store = settings, Path(store)
         self._progress, self._cancelled, self._lines = Progress(), False, []
-        self._process = None
+        self._process, self._stall, self._stalled = None, Stall(), False
         stores.remove_abandoned(self._store)
-        report = _finished_before(self._store, source_digest(settings))
+        report = finished_before(self._store, source_digest(settings))
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
             return
@@ -61,7 +64,9 @@ class ImportJob:
         self._errors = tempfile.TemporaryFile()
         try:
             pipe = subprocess.PIPE
-            self._process = child.start("cbt_terrain.import_process", stdout=pipe, stderr=self._errors)
+            self._process = child.start(
+                "cbt_terrain.import_process", variables=VARIABLES, stdout=pipe, stderr=self._errors
+            )
             request = {
                 "settings": dataclasses.asdict(self._settings),
                 "store": str(self._store.absolute()),
@@ -87,6 +92,11 @@ class ImportJob:
         """How far the import is; never waits."""
         if self._progress.done:
             return self._progress
+        reading = self._progress.message in (Progress.message, READING)
+        if reading and not self._stalled and self._stall.is_over(len(self._lines)):
+            self._stalled = True
+            self._process.kill()
+            self._process.wait()
         ended = self._process.poll() is not None
         if ended:
             self._reader.join()
@@ -114,6 +124,8 @@ class ImportJob:
         source = self._settings.source
         if self._cancelled:
             return f"The import of {source} was cancelled; the store is as it was before."
+        if self._stalled:
+            return stalled_text(source)
         code = self._process.returncode
         self._errors.seek(0)
         said = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
@@ -180,18 +192,6 @@ def import_source(
     return progress.report
 
 
-def _finished_before(path: Path, digest: str) -> dict | None:
-    """The report of an earlier import of the same source with the same settings, if the store is whole."""
-    try:
-        content = stores.read_json(path)
-        if content["digest"] != digest:
-            return None
-        stores.open_store(path)
-        return content["report"] | {"unchanged": True}
-    except (TerrainError, KeyError):
-        return None
-
-
 def child_main() -> None:
     """Read a request from stdin, import, and say on stdout how it goes."""
     from .importing import run_import
@@ -200,7 +200,6 @@ def child_main() -> None:
     os.dup2(2, 1)  # what libraries print goes to stderr
     request = json.loads(sys.stdin.readline())
     path, folder = Path(request["store"]), request["folder"]
-    child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]), stopping.GRACE_SECONDS)
     said = 0.0
 
     def say(content: dict) -> None:
@@ -218,6 +217,9 @@ def child_main() -> None:
     for name in ("raw_size", "extent"):
         settings[name] = tuple(settings[name]) if settings[name] is not None else None
     try:
+        guard_import(ImportSettings(**settings), path)
+        # After the guard: a thread that was there before it would still be able to write elsewhere.
+        child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]), stopping.GRACE_SECONDS)
         say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
     except TerrainError as error:
         say({"error": str(error)})

@@ -3,14 +3,14 @@
 
 `run_import` is the work. `import_source` (waits) and `ImportJob` (is polled) run it in a Python process of its own, so
 that a bad file or a clash of libraries cannot hurt the calling process, which is Blender. The child prints one JSON
-object a line: {"fraction", "message"}, and at the end {"report"} or {"error"}.
+object a line: {"fraction", "message"}, and at the end {"report"} or {"error"}. That process gives up the network and
+writing elsewhere (guard.py) before it opens a file, and nothing of a file from outside is parsed in the calling one.
 """
 
 import dataclasses
 import hashlib
 import json
 import os
-import re
 import shutil
 import time
 from collections.abc import Callable
@@ -21,7 +21,7 @@ import numpy as np
 from . import heightfield, resample, store
 from .errors import TerrainError
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
-from .import_process import ImportCancelled, ImportJob, Progress, import_source
+from .import_process import READING, ImportCancelled, ImportJob, Progress, import_source
 from .sources import ISLAND, ImportSettings, Raster, check_file, open_source
 
 __all__ = [
@@ -42,7 +42,6 @@ METHOD = 1
 # Heights by which files mean that there is none, often without saying so.
 NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
 SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
-_REFERENCED = re.compile(r"<SourceFilename[^>]*>([^<]+)<")
 
 
 def run_import(
@@ -53,7 +52,8 @@ def run_import(
 ) -> dict:
     """Import in this process and return the report; the store at `path` changes at the very end or not at all.
 
-    folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError.
+    folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError. What comes from
+    outside is safe only in a process of its own (import_process.py): this one gives nothing up before it opens a file.
     """
     started = time.monotonic()
     store.check_target(path)
@@ -61,7 +61,10 @@ def run_import(
     path = Path(path)
     draft = None
     try:
-        digest = source_digest(settings)
+        digest = source_digest(settings, raster.sources)
+        report = finished_before(path, digest)
+        if report is not None:  # only who has opened a file of files knows all that it is made of
+            return report
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
         lattice = resample.lattice_for(width, height, place.step_x, place.step_y, settings.source)
@@ -70,7 +73,7 @@ def run_import(
         draft = store.Draft(path, folder)
         heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
         missing, source_max, lowest = _read_heights(
-            raster, settings, place, heights, lambda f: on_progress(0.5 * f, "Reading")
+            raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
         )
         field = heightfield.build(
             heights,
@@ -104,8 +107,9 @@ def run_import(
             draft.discard_unless_published()
 
 
-def source_digest(settings: ImportSettings) -> str:
-    """Hex digest of the settings and of the files' paths, sizes and times of change. Raises TerrainError if missing."""
+def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
+    """Hex digest of the settings and of the files' paths, sizes and times of change: of the source, what belongs to it,
+    and `sources`, the files that it names. Raises TerrainError if it is missing."""
     settings.check()
     parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
     if settings.source != ISLAND:
@@ -113,14 +117,23 @@ def source_digest(settings: ImportSettings) -> str:
         check_file(source)
         files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
         files += [source.with_name(source.name + suffix) for suffix in SIDECARS]
-        if source.suffix.lower() == ".vrt":
-            text = source.read_text(encoding="utf-8", errors="replace")
-            files += [source.parent / name for name in _REFERENCED.findall(text)]
-        for file in files:
-            if file.is_file():
+        for file in [*files, *sources]:
+            if os.path.isfile(file):  # unlike Path.is_file, never an error: with a suffix a name may be too long
                 stat = file.stat()
                 parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
+    """The report of an earlier import of the same source with the same settings, if the store is whole."""
+    try:
+        content = store.read_json(Path(path))
+        if content["digest"] != digest:
+            return None
+        store.open_store(path)
+        return content["report"] | {"unchanged": True}
+    except (TerrainError, KeyError):
+        return None
 
 
 def describe(path: str | os.PathLike) -> dict:
@@ -149,7 +162,7 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
             )
         return place
     step_x, step_y = settings.extent[0] / max(raster.width - 1, 1), settings.extent[1] / max(raster.height - 1, 1)
-    return dataclasses.replace(place, step_x=step_x, step_y=step_y)
+    return dataclasses.replace(place, step_x=step_x, step_y=step_y, size_warnings=())
 
 
 def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
@@ -231,9 +244,16 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
     return 0.5 * scale * float(np.spacing(stored.type(value)))
 
 
+def _reference(raster: Raster, place: Georeference) -> str:
+    """What the bounds are measured against, where that is not the file's own raster."""
+    if not raster.projected_from:
+        return ""
+    return f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
+
+
 def _report(field: heightfield.HeightField, raster: Raster, place: Georeference) -> dict:
     lattice = field.lattice
-    warnings = [*raster.warnings, *place.warnings]
+    warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     if raster.stored == "float16":
         largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
         warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
@@ -251,5 +271,6 @@ def _report(field: heightfield.HeightField, raster: Raster, place: Georeference)
         "moved_rms_m": field.resample_rms,
         "source_step_m": field.source_max,
         "crs": field.crs,
+        "bounds_against": _reference(raster, place),
         "warnings": warnings,
     }

@@ -3,6 +3,7 @@
 
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from . import island
-from .errors import TerrainError
+from .errors import TerrainError, shown
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 
 ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
+# Of files that can say where on Earth they are.
+PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt")
+_PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 
 
@@ -27,7 +31,8 @@ class ImportSettings:
     the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that stands for missing
     samples, instead of the file's own; NaN: no value does. size, seed: samples a side and seed of the island. band:
     number of the band, from 1. channel: name of an EXR channel, "" for the first that looks like a height.
-    first_row_south: for files that do not say where north is; pictures begin in the north.
+    first_row_south: for files that do not say where north is; pictures begin in the north. project: the coordinate
+    system to bring the raster into, "utm" or "EPSG:n"; "": as it is.
     """
 
     source: str
@@ -43,6 +48,7 @@ class ImportSettings:
     band: int = 1
     channel: str = ""
     first_row_south: bool = False
+    project: str = ""
 
     def check(self) -> None:
         """Raise TerrainError for settings that cannot mean anything."""
@@ -62,6 +68,14 @@ class ImportSettings:
             raise TerrainError(f"A RAW size of {tuple(self.raw_size)} samples: expected two positive counts.")
         if self.source == ISLAND and not 2 <= self.size <= 1 << 16:
             raise TerrainError(f"An island of {self.size} samples a side: expected 2 to 65536.")
+        if not _PROJECT.fullmatch(self.project):
+            raise TerrainError(
+                f"The coordinate system {shown(self.project)!r} to reproject to: expected utm or EPSG:n, as EPSG:32632."
+            )
+        if self.project and (self.source == ISLAND or Path(self.source).suffix.lower() not in PLACED_SUFFIXES):
+            raise TerrainError(
+                f"{shown(self.source)} has no coordinate system, so it cannot be reprojected: import it as it is."
+            )
 
 
 @dataclass
@@ -70,6 +84,8 @@ class Raster:
 
     `block_rows`: rows that are best read together. A height is the value * scale + offset metres, before the settings'
     own scale and offset. `georeference` is None where the file does not say how large and where it is.
+    `projected_from`: the coordinate system that it was reprojected from, if it was. `sources`: other files that it is
+    made of.
     """
 
     width: int
@@ -81,7 +97,9 @@ class Raster:
     block_rows: int = 1
     scale: float = 1.0
     offset: float = 0.0
+    projected_from: str = ""
     warnings: list[str] = field(default_factory=list)
+    sources: tuple[Path, ...] = ()
     close: Callable[[], None] = lambda: None
 
 
@@ -117,28 +135,31 @@ def check_file(path: Path) -> None:
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         regular = path.is_file()
-    except OSError as reason:
-        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:200]}..."
-        raise TerrainError(
-            f"{shown} cannot be read ({reason.strerror or reason}): expected the file of a height map."
-        ) from reason
+    except (OSError, ValueError) as reason:
+        said = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"{shown(path)} cannot be read ({said}): expected the file of a height map.") from reason
     if not regular:
-        raise TerrainError(f"{path} {what}: expected the file of a height map.")
+        raise TerrainError(f"{shown(path)} {what}: expected the file of a height map.")
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user: change its permissions.")
     if path.stat().st_size == 0:
         raise TerrainError(f"{path} is empty: expected the file of a height map.")
 
 
+def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
+    """Whether a value of type `kind` can be the number `no_data`, so that it stands for a missing sample."""
+    if no_data is None or math.isnan(no_data):
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):
+        return kind.kind not in "iu" or float(np.array(no_data).astype(kind)) == no_data
+
+
 def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
     """Rows with the value `no_data` made NaN; as they are if it is None or cannot occur in their type."""
-    if no_data is None or math.isnan(no_data):
+    if not stands_for_missing(no_data, rows.dtype):
         return rows
     with np.errstate(over="ignore", invalid="ignore"):
-        value = np.array(no_data).astype(rows.dtype)
-    if rows.dtype.kind in "iu" and float(value) != no_data:
-        return rows
-    missing = rows == value
+        missing = rows == np.array(no_data).astype(rows.dtype)
     if missing.any():
         rows = rows.astype(np.float64 if rows.dtype.kind in "iu" and rows.itemsize > 2 else np.result_type(rows, "f4"))
         rows[missing] = np.nan
@@ -182,10 +203,11 @@ def _open_raw(path: Path, settings: ImportSettings) -> Raster:
 
 def _open_npy(path: Path, settings: ImportSettings) -> Raster:
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
     except Exception as reason:  # whatever the parser of a damaged header raises
-        said = " ".join(str(reason).split()).rstrip(".")
-        raise TerrainError(f"{path} is not a whole .npy file of numbers ({said}): get the file again.") from reason
+        raise TerrainError(
+            f"{path} is not a whole .npy file of numbers ({shown(reason).rstrip('.')}): get the file again."
+        ) from reason
     if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
         raise TerrainError(f"{path} holds {values.dtype} {values.shape}: expected a 2-D array of real numbers.")
     return _from_array(values, settings, "NumPy")

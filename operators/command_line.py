@@ -83,12 +83,16 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
+    project = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
+    verb.add_argument("--project", **project)
     _add_raw(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
 
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
-    verb.add_argument("path", type=path)
+    verb.add_argument("path", type=path, nargs="?")
+    verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
+    verb.add_argument("--project", **project)
     _add_raw(verb)
 
     verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)

@@ -227,14 +227,13 @@ def _written_by_blender(path: Path):
         partial.touch()
         partial.unlink()
         yield partial
-        if not partial.exists():
-            raise RuntimeError("Blender wrote nothing")
-        _need_room_for_more(partial)
 
 
-def _need_room_for_more(path: Path) -> None:
-    """Raise OSError where a file cannot grow: Blender's PLY, OBJ and STL writers do not say that a full disk, a quota
-    or a limit has cut theirs short."""
+def _need_whole(path: Path) -> None:
+    """Raise RuntimeError where Blender wrote nothing, and OSError where the file cannot grow: Blender's PLY, OBJ and STL
+    writers do not say that a full disk, a quota or a limit has cut theirs short."""
+    if not path.exists():
+        raise RuntimeError("Blender wrote nothing")
     with path.open("r+b") as file:
         size = file.seek(0, os.SEEK_END)
         file.write(bytes(PROBE_BYTES))
@@ -253,8 +252,10 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     path = path.resolve()
     for piece in pieces:
         _need_count(piece, path, len(piece.obj.data.polygons))
-    with _written(path), _written_by_blender(path) as partial, quiet():
-        bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+    with _written(path), _written_by_blender(path) as partial:
+        with quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+        _need_whole(partial)
 
 
 def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
@@ -266,6 +267,7 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
     with _written(path), _written_by_blender(path) as partial:
         with _only_selected(piece.obj), quiet():
             _export_selected(str(partial.resolve()), form)
+        _need_whole(partial)
         try:
             found = count_triangles(partial)
         except ValueError as reason:

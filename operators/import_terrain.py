@@ -10,7 +10,7 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.import_process import ImportJob, import_source
 from ..cbt_terrain.importing import source_digest
 from ..cbt_terrain.sources import ISLAND as ISLAND_SOURCE
-from ..cbt_terrain.sources import RAW_SUFFIXES, ImportSettings
+from ..cbt_terrain.sources import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
 from . import live, session
 from .properties import ISLAND
 
@@ -49,6 +49,7 @@ def settings_of(obj) -> ImportSettings:
         band=settings.band,
         channel=settings.channel,
         first_row_south=settings.first_row_south,
+        project=settings.project.strip() if placed(settings.source_path) else "",
         **raw,
         **heights,
     )
@@ -56,6 +57,11 @@ def settings_of(obj) -> ImportSettings:
 
 def is_raw(path: str) -> bool:
     return path.lower().endswith(RAW_SUFFIXES)
+
+
+def placed(path: str) -> bool:
+    """Whether a file of this kind can say where on Earth it is."""
+    return path.lower().endswith(PLACED_SUFFIXES)
 
 
 def store_folder(obj, settings: ImportSettings) -> str:

@@ -101,6 +101,8 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
         else:
             column.prop(settings, "band")
         column.prop(settings, "first_row_south")
+        if import_terrain.placed(settings.source_path):
+            column.prop(settings, "project")
         switched(column, settings, "use_no_data", "no_data")
 
 

@@ -162,6 +162,10 @@ class TerrainSettings(bpy.types.PropertyGroup):
     first_row_south: BoolProperty(
         name="First Row South", description="For files that do not say where north is; pictures begin in the north"
     )
+    project: StringProperty(
+        name="Reproject",
+        description="Coordinate system to bring the height map into at import: utm, or EPSG:n; empty: as it is",
+    )  # fmt: skip
     use_extent: BoolProperty(name="Set Size", description="Give the real-world size instead of taking it from the file")
     extent: FloatVectorProperty(
         name="Size",

@@ -4,9 +4,7 @@
 import os
 import sys
 import time
-from pathlib import Path
 
-from ..cbt_terrain.errors import TerrainError
 from .console import Progress, duration
 
 DEFAULT_RESOLUTION = (1920, 1080)
@@ -33,6 +31,7 @@ def run_import(arguments) -> None:
         band=arguments.band,
         channel=arguments.channel,
         first_row_south=arguments.first_row_south,
+        project=arguments.project,
         size=DEFAULT_SIZE if arguments.size is None else arguments.size,
         seed=DEFAULT_SEED if arguments.seed is None else arguments.seed,
     )
@@ -47,41 +46,40 @@ def run_import(arguments) -> None:
 
 
 def run_info(arguments) -> None:
+    if arguments.versions == (arguments.path is not None):
+        raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
+    if arguments.versions:
+        print_fields(_versions())
+        return
     if arguments.path.suffix == ".npz":
         from ..cbt_terrain.archive import read_npz
 
         print_fields(read_npz(arguments.path)["info"])
         return
-    from ..cbt_terrain.importing import describe
+    if os.path.isdir(arguments.path):
+        from ..cbt_terrain.importing import describe
 
-    is_store = os.path.isdir(arguments.path)
-    print_fields(describe(arguments.path) if is_store else _describe_source(arguments.path, _raw_settings(arguments)))
+        print_fields(describe(arguments.path))
+        return
+    from ..cbt_terrain.source_info import describe_source
+    from ..cbt_terrain.sources import ImportSettings
+
+    print_fields(
+        describe_source(ImportSettings(str(arguments.path), **_raw_settings(arguments), project=arguments.project))
+    )
+
+
+def _versions() -> dict:
+    from ..cbt_terrain.source_info import versions
+
+    bpy = sys.modules.get("bpy")
+    return versions() | ({"Blender": bpy.app.version_string} if bpy is not None else {})
 
 
 def _raw_settings(arguments) -> dict:
     """What the arguments say of a RAW file."""
     little_endian = not arguments.big_endian
     return {"raw_size": arguments.raw_size, "raw_dtype": arguments.raw_type, "raw_little_endian": little_endian}
-
-
-def _describe_source(path: Path, raw: dict) -> dict:
-    """What a height map's header says; `raw`: of a RAW file, which has none."""
-    from ..cbt_terrain.sources import ImportSettings, open_source
-
-    bpy = sys.modules.get("bpy")
-    if path.suffix.lower() == ".exr" and bpy is not None and bpy.app.binary_path:
-        # The OpenEXR package clashes with the one inside the Blender program; an import has a process of its own.
-        raise TerrainError(f"{path} is an EXR file, which is not opened inside Blender; import it first.")
-    raster = open_source(ImportSettings(source=str(path), **raw))
-    try:
-        place = raster.georeference
-        fields = {"path": str(path), "format": raster.format, "stored": raster.stored}
-        fields["raster"] = [raster.width, raster.height]
-        if place is not None:
-            fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}
-        return fields | {"warnings": [*raster.warnings, *(place.warnings if place else ())]}
-    finally:
-        raster.close()
 
 
 def run_bake(arguments) -> None:

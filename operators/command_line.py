@@ -69,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path)
+    verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
     _add_raw(verb)
 
     verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)

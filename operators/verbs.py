@@ -47,14 +47,20 @@ def run_import(arguments) -> None:
 
 
 def run_info(arguments) -> None:
-    if arguments.path.suffix == ".npz":
+    if arguments.path.suffix == ".npz" and not arguments.verify:
         from ..cbt_terrain.archive import read_npz
 
         print_fields(read_npz(arguments.path)["info"])
         return
     from ..cbt_terrain.importing import describe
+    from ..cbt_terrain.store import verify
 
     is_store = os.path.isdir(arguments.path)
+    if arguments.verify:
+        if not is_store:
+            raise UsageError(f"--verify checks a store, and {arguments.path} is no folder")
+        blocks = verify(arguments.path)
+        print(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
     print_fields(describe(arguments.path) if is_store else _describe_source(arguments.path, _raw_settings(arguments)))
 
 

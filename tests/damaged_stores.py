@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged stores through updates and through `export`: FOLDER SEED COUNT.
 
-A process of its own, which a read or a write beyond an array may end; tests/hard_cases/test_damaged_stores.py runs it.
+A process of its own, which a read or a write beyond an array ends: a page that may not be touched lies behind each.
 Each mutant gives a mesh with all invariants or one sentence. Prints what came of them as JSON.
 """
 
@@ -12,9 +12,10 @@ import io
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
-from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain import buffers, launch
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.heightfield import build
@@ -23,6 +24,7 @@ from adaptive_terrain.cbt_terrain.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from adaptive_terrain.operators.command_line import main as command_line
+from guarded_flights import guarded
 from invariants import assert_invariants
 from mutants import mutate
 
@@ -120,6 +122,7 @@ def export(store: Path, out: Path, path: Path) -> str:
 
 def main(folder: Path, seed: int, count: int) -> None:
     faulthandler.enable()
+    buffers.np = SimpleNamespace(empty=guarded)
     launch.SLICE_ITEMS = 200  # so that small meshes are welded in slices, too
     stores, outcomes = whole_stores(folder), collections.Counter()
     flight, mutant, exported = folder / "flight.json", folder / f"mutant{seed}", folder / f"out{seed}"

@@ -17,6 +17,8 @@ import numpy as np
 PAGE, BLOCK = 4096, 1 << 18
 VALUES = (np.nan, np.inf, -np.inf, 3e38, -3e38, -1e9, 1e9, -1.0, 1e-38, 0.0)
 
+REPLACEMENTS = "cut", "longer", "header", "fortran", "object", "zip", "empty", "missing", "folder", "link", "pipe"
+
 
 def mutate(store: Path, out: Path, rng: np.random.Generator) -> str:
     """Make `out` a damaged copy of `store`; says what was done. Most mutants have checksums that fit."""
@@ -92,11 +94,7 @@ def _replace(file: Path, rng: np.random.Generator) -> str:
     if not file.is_file() or file.is_symlink():
         return f"{file.name} was gone"
     raw = file.read_bytes()
-    how = str(
-        rng.choice(
-            ["cut", "longer", "header", "fortran", "object", "zip", "empty", "missing", "folder", "link", "pipe"]
-        )
-    )
+    how = str(rng.choice(REPLACEMENTS))
     file.unlink()
     if how == "cut":
         file.write_bytes(raw[: rng.integers(len(raw))])

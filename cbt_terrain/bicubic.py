@@ -36,7 +36,6 @@ from ..kernels.smooth import patches as kernels
 from . import hierarchy, launch, store
 from .errors import TerrainError
 from .hierarchy import extent_of, flat, stored_at
-from .lattice import Lattice
 
 if TYPE_CHECKING:
     from .heightfield import HeightField
@@ -52,13 +51,14 @@ NUMBERS = ("range_base", "range_step", "min_height", "max_height", "steepest_x",
 def bicubic(field: "HeightField") -> "HeightField":
     """The bicubic surface through the samples of a bilinear field; kept in its store, if it has one."""
     lattice = field.lattice
-    if max(len_of_errors(lattice), 2 * lattice.node_count) > MOST_ENTRIES:
+    if 2 * lattice.node_count > MOST_ENTRIES:
         raise TerrainError(
             f"The terrain has {lattice.width} x {lattice.height} samples, more than an index of 31 bits can number for "
             "a bicubic surface (about 22,000 x 22,000): choose bilinear interpolation or import it smaller."
         )
     kept = _load(field)
     if kept is None:
+        field.check_samples()
         made = build(field, launch.default_threads())
         for name, array in made.items():
             store.keep(field, name, array)
@@ -76,20 +76,11 @@ def bicubic(field: "HeightField") -> "HeightField":
     )
 
 
-def len_of_errors(lattice: Lattice) -> int:
-    """Entries of the errors: those of a bilinear surface and, behind them, the bends of the raster's cells."""
-    return 2 * lattice.node_count - lattice.range_count
-
-
 def _arrays(field: "HeightField") -> dict[str, tuple]:
     """Names, shapes and dtypes of the arrays of a bicubic surface."""
-    lattice = field.lattice
-    arrays = {
-        "error_c": ((len_of_errors(lattice),), np.float32),
-        "ranges_c": ((lattice.node_count, 2), np.uint16),
-        "numbers_c": ((len(NUMBERS),), np.float64),
-    }
-    return arrays | ({} if field.moved is None else {"moved_c": ((lattice.node_count,), np.float32)})
+    names = ["error_c", "ranges_c", "numbers_c", *([] if field.moved is None else ["moved_c"])]
+    arrays = store.kept_arrays(field.lattice)
+    return {name: arrays[name] for name in names}
 
 
 def _load(field: "HeightField") -> dict[str, np.ndarray] | None:

@@ -88,7 +88,7 @@ class Fitter:
         if not self.scale or self._hopeless(error_m):
             return None
         field, buffers = self.field, Buffers()
-        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(buffers, self.threads)
+        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
         errors = field.error * np.float32(1.0 / START)
         domain = make_domain(replace(field, error=errors, _expanded={}), 0, *self.placement)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()

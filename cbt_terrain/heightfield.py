@@ -77,6 +77,16 @@ class HeightField:
             made._interpolated = {self.interpolation: self}
         return self._interpolated[name]
 
+    def damage(self, what: str) -> TerrainError:
+        """The error of a field whose arrays cannot be what an import has written."""
+        where = f"The store {self.path}" if self.path else "The height field"
+        return TerrainError(f"{where} is damaged: {what}; import it again.")
+
+    def check_samples(self) -> None:
+        """Raise TerrainError if a sample is not finite: for what reads all of them, and takes longer than this."""
+        if not all(np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256)):
+            raise self.damage("it has heights that are not finite")
+
     def error_for(self, meshlet: int) -> np.ndarray:
         """float32 [node_count]: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
 
@@ -96,6 +106,8 @@ class HeightField:
         if kept is not None:
             return kept
         errors = np.array(self.error)
+        if not (errors >= 0).all() or np.isinf(errors).any():
+            raise self.damage("it has errors that are negative or not finite")
         hierarchy.expand_errors(self.lattice, errors, meshlet, launch.default_threads())
         store.keep(self, name, errors)
         return errors

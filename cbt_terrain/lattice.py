@@ -22,6 +22,8 @@ import numpy as np
 # A raster that needs more root squares than this along its short side is resampled instead: the coarsest mesh has two
 # triangles a root square.
 MAX_SHORT_SIDE_SQUARES = 16
+# Indices of Warp's arrays and coordinates of the lattice are int32; those have at least 5 bits more than samples.
+MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
 # Vertices along the side of a page of the arrays of diamonds.
 PAGE = 32
 
@@ -101,6 +103,11 @@ class Lattice:
         return self.index(
             1, np.arange(self.columns) * side + side // 2, np.arange(self.rows)[:, None] * side + side // 2
         )
+
+    @property
+    def can_be_numbered(self) -> bool:
+        """Whether indices of 31 bits can number it."""
+        return max(self.width, self.height) <= MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
 
     @property
     def range_count(self) -> int:

@@ -11,6 +11,8 @@ from ..kernels.meshlet import Template
 # Corners and sides are kept left, apex, right at odd depths, and mirrored at even ones.
 _MIRRORED_CORNERS, _MIRRORED_SIDES = [2, 1, 0], [1, 0, 2]
 
+MAX_MESHLET = 4
+
 Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
 
 

@@ -21,15 +21,17 @@ from .buffers import Buffers, bind, shared
 from .cell_streams import AHEAD
 from .coherence import MOST_DRIFT, Walked, move
 from .heightfield import HeightField
+from .meshlet_template import MAX_MESHLET
 from .tree import MIN_DEPTH, ConcurrentBinaryTree
 
 # Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
 PLANE_BITS = 23
 # Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
 MAX_TREE_DEPTH = curve.DEEPEST
+# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
+LARGEST_ERROR = 1000.0
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
-MAX_MESHLET = 4
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
 MAX_TRIANGLES = 1 << 26
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
@@ -37,6 +39,8 @@ SLACK = 0.05
 # What a leaf costs that is taken from the last frame, of one that is found anew: 8 ns of 91, by a fit to flights of
 # four speeds.
 TAKEN_COST = 0.1
+# A count and a walk agree but where errors are not nested, except on step 0, which need not be counted.
+MOST_SEARCHES = 2
 # What a walk writes that the next one may copy.
 WRITTEN = ("code", "point", "kept", "kept_counts")
 
@@ -98,6 +102,7 @@ def make_domain(
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale, domain.rounding = abs(height_scale), rounding
+    domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
     domain.resampled = int(field.moved is not None)
     domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
@@ -112,11 +117,17 @@ def make_domain(
     return domain
 
 
+def _largest_error(field: HeightField) -> float:
+    """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
+    rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
+    return min(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, 1e38)
+
+
 class Refinement:
     """Persistent state of the refinement of one height field: the tree and the walk's buffers."""
 
     def __init__(self, field: HeightField, buffers: Buffers, threads: int):
-        self.lattice = field.lattice
+        self.field, self.lattice = field, field.lattice
         self.buffers = buffers
         self.threads = threads
         self.tree: ConcurrentBinaryTree | None = None
@@ -148,14 +159,20 @@ class Refinement:
         plain = not limited or (start is not None and start.step == 0)
         if plain:
             walks, counts = self._walk(domain, asked, max_depth, most)
-        low = int(plain)
+        low, too_many = int(plain), 0
         while walks is None:
             near = start if start and start.step else None
             self._found = self._budget.search(domain, asked, max_depth, most, near, low)
             asked.limit, low = limit_of(self._found.step), self._found.step + 1
             leaves = self._found.splits + 2 * self.lattice.squares
             walks, counts = self._walk(domain, asked, max_depth, most, leaves)
+            too_many += walks is None
+            if too_many > MOST_SEARCHES:
+                raise self.field.damage("there are more leaves than its errors allow")
         leaves = self._leaves(walks, counts)
+        if np.isnan(leaves.bounds).any():
+            self._last = None
+            raise self.field.damage("its heights are not finite")
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
             self._last.leaves, self._last.after = leaves, None

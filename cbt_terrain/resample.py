@@ -74,7 +74,7 @@ def lattice_for(width: int, height: int, step_x: float, step_y: float, name: str
             levels += 1
     cells_x, cells_y = columns << levels, rows << levels
     lattice = Lattice(columns, rows, levels, step_x * (width - 1) / cells_x, step_y * (height - 1) / cells_y)
-    if max(lattice.node_count, 2 * lattice.range_count) >= 2**31:
+    if not lattice.can_be_numbered:
         raise TerrainError(
             f"{name} has {width} x {height} samples, more than an index of 31 bits can number (about 27,000 x "
             "27,000): cut it into tiles or reduce it first."

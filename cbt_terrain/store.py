@@ -14,12 +14,12 @@ A new version is written into a folder of its own; then store.json is replaced, 
 while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
 """
 
+import hashlib
 import json
 import math
 import os
 import re
 import shutil
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +28,15 @@ from . import partial_files
 from .errors import TerrainError
 from .heightfield import HeightField
 from .lattice import Lattice
+from .meshlet_template import MAX_MESHLET
+from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
 from .store_entries import check_entries, is_data_name
 
-VERSION = 4
+VERSION = 5
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
-PAGE_BYTES = 4096
+# More than any store's: coordinate systems and warnings are texts of some thousand characters.
+MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
     r"(samples|raster|error|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
@@ -51,9 +54,11 @@ def read_json(path: Path) -> dict:
     """The content of a store's JSON file, checked entry by entry."""
     file = path / JSON_NAME
     try:
-        if file.exists() and not file.is_file():  # to read a pipe would wait for ever
-            raise OSError("it is not a regular file")
-        content = json.loads(file.read_text(encoding="utf-8"))
+        with open_regular(file) as handle:
+            text = handle.read(MOST_JSON_BYTES + 1)
+        if len(text) > MOST_JSON_BYTES:
+            raise ValueError(f"it is larger than {MOST_JSON_BYTES} bytes")
+        content = json.loads(text.decode("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         raise TerrainError(
             f"There is no terrain store at {path}: expected a folder that `import` has written."
@@ -65,7 +70,15 @@ def read_json(path: Path) -> dict:
         found = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
     check_entries(file, content)
+    if content["sum"] != _sum_of(content):
+        raise TerrainError(f"The store {file} is damaged: its entries differ from their checksum; import it again.")
     return content
+
+
+def _sum_of(content: dict) -> str:
+    """Checksum of all other entries of store.json."""
+    others = {name: value for name, value in content.items() if name != "sum"}
+    return hashlib.blake2b(json.dumps(others, sort_keys=True).encode(), digest_size=8).hexdigest()
 
 
 def open_store(path: str | os.PathLike) -> HeightField:
@@ -85,12 +98,14 @@ def _open(path: Path) -> HeightField:
     content = read_json(path)
     lattice = Lattice(**content["lattice"])
     folder = path / content["data"]
-    moved = _map(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
+    if folder.is_symlink():
+        raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
+    moved = map_array(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
     return HeightField(
-        samples=_map(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
+        samples=map_array(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
         lattice=lattice,
-        error=_map(folder / "error.npy", (lattice.node_count,), np.float32),
-        ranges=_map(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        error=map_array(folder / "error.npy", (lattice.node_count,), np.float32),
+        ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         moved=moved,
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
@@ -101,19 +116,36 @@ def _open(path: Path) -> HeightField:
     )
 
 
-def _map(file: Path, shape: tuple, dtype) -> np.ndarray:
-    """Map a .npy file copy-on-write: kernels take it as an ordinary array, and nothing can change the file."""
-    try:
-        array = np.load(file, mmap_mode="c", allow_pickle=False) if np.prod(shape) else np.load(file)
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, EOFError) as reason:
-        raise TerrainError(f"{file} is damaged ({reason}): import the terrain again.") from reason
-    if array.shape != shape or array.dtype != dtype:
-        raise TerrainError(
-            f"{file} holds {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}: import the terrain again."
-        )
-    return array.view(np.ndarray)
+def verify(path: str | os.PathLike) -> dict[str, int]:
+    """Check every block of every array of a store; returns how many blocks each file has.
+
+    Raises TerrainError for the first array with a fault.
+    """
+    field = open_store(path)
+    folder, found = data_folder(field), {}
+    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "moved")}
+    for name, array in shapes.items():
+        if array is not None:
+            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+    for name, (shape, dtype) in kept_arrays(field.lattice).items():
+        file = folder / f"{name}.npy"
+        if os.path.lexists(file):
+            try:
+                found[file.name] = verify_array(file, shape, dtype)
+            except TerrainError as error:
+                cause = str(error).removesuffix("import the terrain again.")
+                raise TerrainError(f"{cause}delete the file, it is made again when it is needed.") from error
+    return found
+
+
+def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
+    """Names, shapes and dtypes of the arrays that a store may have kept."""
+    plain, cells = lattice.node_count, lattice.node_count - lattice.range_count
+    # Behind the errors of a bicubic surface are the bends of the raster's cells.
+    errors = {"error": plain, "error_c": plain + cells}
+    kept = {f"{name}_m{m}": ((n,), np.float32) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
+    kept |= {"error_c": ((plain + cells,), np.float32), "ranges_c": ((plain, 2), np.uint16)}
+    return kept | {"moved_c": ((plain,), np.float32), "numbers_c": ((6,), np.float64)}
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -176,17 +208,9 @@ def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray 
     if folder is None:
         return None
     try:
-        return _map(folder / f"{name}.npy", shape, dtype)
+        return map_array(folder / f"{name}.npy", shape, dtype)
     except (OSError, TerrainError):
         return None
-
-
-def _header(shape: tuple[int, ...], dtype) -> bytes:
-    """The header of a .npy file, as long as a page of memory, so that a page of the hierarchy is one (layout.py)."""
-    plain = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": tuple(shape)}
-    magic = np.lib.format.magic(1, 0)
-    text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"
-    return magic + struct.pack("<H", len(text)) + text
 
 
 def keep(field: HeightField, name: str, array: np.ndarray) -> None:
@@ -197,8 +221,9 @@ def keep(field: HeightField, name: str, array: np.ndarray) -> None:
     partial_files.remove_abandoned(folder)
     try:
         with partial_files.written_beside(folder / f"{name}.npy") as partial, partial.open("wb") as file:
-            file.write(_header(array.shape, array.dtype))
+            file.write(header(array.shape, array.dtype))
             array.tofile(file)
+            file.write(all_checksums(array))
     except OSError:
         pass
 
@@ -212,6 +237,7 @@ class Draft:
         self.folder = path / (name or new_data_name())
         self._lock = partial_files.make_folder(self.folder, parents=True)
         self.published = False
+        self._arrays: dict[str, np.ndarray] = {}
 
     def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
         """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
@@ -219,22 +245,26 @@ class Draft:
         Raises OSError (ENOSPC) now if the disk is full: a mapped page that finds no room later would kill the process.
         """
         file = self.folder / f"{name}.npy"
+        file.write_bytes(header(shape, dtype))
         if not np.prod(shape):
-            np.save(file, np.empty(shape, dtype))
             return np.empty(shape, dtype)
-        file.write_bytes(_header(shape, dtype))
-        os.truncate(file, PAGE_BYTES + math.prod(shape) * np.dtype(dtype).itemsize)
-        array = np.load(file, mmap_mode="r+")
+        os.truncate(file, file_bytes(math.prod(shape) * np.dtype(dtype).itemsize))
+        self._arrays[name] = array = np.load(file, mmap_mode="r+").view(np.ndarray)
         if hasattr(os, "posix_fallocate"):
             with file.open("r+b") as handle:
                 os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
-        return array.view(np.ndarray)
+        return array
 
     def remove(self, name: str) -> None:
+        del self._arrays[name]
         (self.folder / f"{name}.npy").unlink()
 
     def publish(self, field: HeightField, digest: str, report: dict) -> None:
         """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
+        for name, array in self._arrays.items():
+            with (self.folder / f"{name}.npy").open("r+b") as file:
+                file.seek(PAGE_BYTES + array.nbytes)
+                file.write(all_checksums(array))
         lattice = {k: getattr(field.lattice, k) for k in ("columns", "rows", "levels", "step_x", "step_y")}
         content = {
             "version": VERSION,
@@ -249,6 +279,7 @@ class Draft:
             "provenance": field.provenance,
             "report": report,
         }
+        content["sum"] = _sum_of(json.loads(json.dumps(content)))
         part = self.folder / JSON_NAME
         part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
         previous = _named_folder(self.path)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from .errors import TerrainError
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
+from .lattice import MAX_SHORT_SIDE_SQUARES, Lattice
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
 LATTICE = ("columns", "rows", "levels", "step_x", "step_y")
@@ -18,8 +19,8 @@ def is_data_name(name: str) -> bool:
     return _DATA_NAME.fullmatch(name) is not None
 
 
-def _is_number(value, least: float = -1e300) -> bool:
-    return type(value) in (int, float) and least <= value <= 1e300
+def _is_number(value, least: float = -1e300, most: float = 1e300) -> bool:
+    return type(value) in (int, float) and least <= value <= most
 
 
 def _is_count(value, least: int) -> bool:
@@ -37,7 +38,10 @@ def _is_lattice(value) -> bool:
     if not (_is_count(columns, 1) and _is_count(rows, 1) and _is_count(levels, 0) and levels < 32):
         return False
     wide, high = columns << levels, rows << levels
-    return wide * high < MAX_CELLS and _is_extent(wide, value["step_x"]) and _is_extent(high, value["step_y"])
+    if wide * high >= MAX_CELLS or min(columns, rows) > MAX_SHORT_SIDE_SQUARES:
+        return False
+    known = _is_extent(wide, value["step_x"]) and _is_extent(high, value["step_y"])
+    return known and Lattice(columns, rows, levels).can_be_numbered
 
 
 def _is_provenance(value) -> bool:
@@ -50,10 +54,13 @@ def _is_text(value) -> bool:
     return isinstance(value, str)
 
 
-_HEIGHT = (_is_number, "a finite number of metres")
-_DISTANCE = (lambda value: _is_number(value, 0.0), "a finite number of metres, at least 0")
+LARGEST = 1e39  # metres: float32 has no more, and squares and sums of it are far from overflow
+_HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
+_DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
+_SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
 _ENTRIES = {
     "data": (lambda value: isinstance(value, str) and is_data_name(value), "data- and 32 hex digits"),
+    "sum": (_is_text, "a text"),
     "digest": (_is_text, "a text"),
     "key": (_is_text, "a text"),
     "crs": (_is_text, "a text"),
@@ -62,8 +69,8 @@ _ENTRIES = {
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,
     "max_height": _HEIGHT,
-    "steepest_x": (lambda value: _is_number(value, 0.0), "a finite number, at least 0"),
-    "steepest_y": (lambda value: _is_number(value, 0.0), "a finite number, at least 0"),
+    "steepest_x": _SLOPE,
+    "steepest_y": _SLOPE,
     "resampled": (lambda value: type(value) is bool, "true or false"),
     "resample_max": _DISTANCE,
     "resample_rms": _DISTANCE,

@@ -16,10 +16,12 @@ from ..kernels.smooth import displace as smooth_kernels
 from ..kernels.tree import Run, Runs
 from . import launch
 from .buffers import Buffers, bind
+from .heightfield import HeightField
 from .meshlet_template import template
 from .refinement import Leaves
 from .tree import no_runs
 
+NOT_NESTED = "its errors are not nested, so triangles would not meet"
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
 
@@ -64,8 +66,8 @@ class _Meshlets:
 class SurfaceBuilder:
     """Builds surfaces in memory of its own: once that is large enough, a build allocates no array."""
 
-    def __init__(self, buffers: Buffers, threads: int):
-        self._buffers = buffers
+    def __init__(self, field: HeightField, buffers: Buffers, threads: int):
+        self._field, self._buffers = field, buffers
         self._threads = threads
         self._weld = weld_state.Weld()
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
@@ -75,7 +77,11 @@ class SurfaceBuilder:
         self._inner_runs = Runs()
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
-        """Weld the leaves, expand them to 4**meshlet triangles each, displace the points."""
+        """Weld the leaves, expand them to 4**meshlet triangles each, displace the points.
+
+        Raises TerrainError where a damaged field gives leaves that do not fit together or positions that are not
+        finite; then nothing of a surface holds, the last one's neither.
+        """
         slices = leaves.counts.tolist()
         triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
@@ -114,6 +120,7 @@ class SurfaceBuilder:
         """Number vertices and edges along the curve, each slice from its exact base, and join the slices."""
         get, w = self._buffers.get, self._weld
         slices, squares = len(leaves.counts), domain.columns * domain.rows
+        self._check_sides(leaves.sides.reshape(domain.rows, domain.columns, 4))
         side_base = get("side_base", 2 * squares + 1, wp.int32)
         ends = self._buffers.numpy("side_base")
         ends[0] = 0
@@ -130,8 +137,10 @@ class SurfaceBuilder:
             side_base=side_base,
             code=get("code", 0, wp.uint16),
             side=get("side", int(ends[2 * squares]), wp.vec2i),
+            side_level=get("side_level", int(ends[2 * squares]), wp.int32),
             corners=get("corners", 2 * squares, wp.int32),
             stack=get("weld_stack", 2 * room, wp.vec2i),
+            stack_level=get("weld_stack_level", 2 * room, wp.int32),
             imports=get("imports", 2 * room, wp.vec2i),
             fixes=get("fixes", room, wp.int32),
             state=get("weld_state", (slices + 1) * weld_state.STATE_SIZE, wp.int32),
@@ -140,7 +149,21 @@ class SurfaceBuilder:
         launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld", recorded=self._recorded)
         if slices > 1:
             open_edges, found = get("open_edges", 2 * room, wp.vec2i), get("found", 2 * room, wp.vec2i)
-            launch.once(join_kernels.join, [slices, room, w, open_edges, found], step="weld", recorded=self._recorded)
+            open_level = get("open_level", 2 * room, wp.int32)
+            inputs = [slices, room, w, open_edges, open_level, found]
+            launch.once(join_kernels.join, inputs, step="weld", recorded=self._recorded)
+        state = self._buffers.numpy("weld_state")[: slices * weld_state.STATE_SIZE].reshape(slices, -1)
+        entered, left = state[:, weld_state.FIRST_LEVEL], state[:, weld_state.LAST_LEVEL]
+        torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
+        # What a single slice would ask of earlier ones nobody has.
+        if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
+            raise self._field.damage(NOT_NESTED)
+
+    def _check_sides(self, sides: np.ndarray) -> None:
+        """Every square takes as many edges of a side as its neighbour gives; sides int32 [rows, columns, 4]."""
+        left, below, right, above = np.moveaxis(sides, 2, 0)
+        if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
+            raise self._field.damage(NOT_NESTED)
 
     def _expand(
         self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, t: meshlet_kernels.Template
@@ -223,13 +246,18 @@ class SurfaceBuilder:
             positions=get("positions", vertices, wp.vec3f),
             normals=get("normals", vertices, wp.vec3f),
             uv=get("uv", vertices, wp.vec2f),
+            not_finite=get("not_finite", 1, wp.int32),
         )
         inputs, first = [], 0
         for (base, n), slot in zip(parts, slots, strict=True):
             inputs += [[*_piece(n, k, pieces), base, first, slot, domain, p] for k in range(pieces)]
             first += n
         kernel = smooth_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
+        not_finite = self._buffers.numpy("not_finite")
+        not_finite[0] = 0
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
+        if not_finite[0]:
+            raise self._field.damage("it has heights that are not finite or too large for a mesh")
 
     def _mesh_arrays(self, prefix: str, triangles: int, edges: int) -> dict[str, wp.array]:
         get = self._buffers.get

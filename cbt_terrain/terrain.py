@@ -77,7 +77,7 @@ class Terrain:
         self.threads = launch.default_threads() if threads is None else max(1, threads)
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
-        self._builder = SurfaceBuilder(self._buffers, self.threads)
+        self._builder = SurfaceBuilder(field, self._buffers, self.threads)
         self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None

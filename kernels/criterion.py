@@ -18,6 +18,7 @@ PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)
 MAX_PLANES = wp.constant(6)
+LARGEST = wp.constant(wp.float32(3e38))
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
 
@@ -67,11 +68,18 @@ def larger(a: wp.float64, b: wp.float64) -> wp.float64:
 
 
 @wp.func
+def sound(value: wp.float32, largest: wp.float32) -> wp.float32:
+    """An error from a store, whatever bytes that has: none where it is negative or not a number, `largest` at most."""
+    some = wp.where(value > wp.float32(0.0), value, wp.float32(0.0))
+    return wp.where(some < largest, some, largest)
+
+
+@wp.func
 def cell_entry(domain: Domain, base: wp.int64, i: wp.int32, j: wp.int32) -> wp.float32:
     """What the errors hold from `base` on for raster cell (i, j)."""
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < (domain.columns << domain.levels) and j < (domain.rows << domain.levels):
-        e = height_at(domain.error, base + tile_index(i, j, domain.cell_pages))
+        e = sound(height_at(domain.error, base + tile_index(i, j, domain.cell_pages)), domain.largest_error)
     return e
 
 
@@ -95,7 +103,7 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
     if finer < 0:
-        error = height_at(domain.error, place(domain, x, y, depth))
+        error = sound(height_at(domain.error, place(domain, x, y, depth)), domain.largest_error)
     else:
         bits = domain.unit_bits - domain.levels
         i = x >> bits
@@ -241,7 +249,7 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
     moved = wp.float32(0.0)
     if domain.resampled == 1:
         if depth <= 2 * domain.levels:
-            moved = height_at(domain.moved, place(domain, x, y, depth))
+            moved = sound(height_at(domain.moved, place(domain, x, y, depth)), LARGEST)
         else:
             reach = reach_of(domain.unit_bits, depth)
             bits = domain.unit_bits - domain.levels
@@ -250,7 +258,7 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
             for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
                 for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
                     cell = height_at(domain.moved, domain.cell_base + tile_index(i, j, domain.cell_pages))
-                    moved = wp.where(cell > moved, cell, moved)
+                    moved = wp.where(cell > moved, sound(cell, LARGEST), moved)
     return moved
 
 

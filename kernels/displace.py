@@ -10,6 +10,7 @@ from .unchecked import copy_vec2s, copy_vec3s, height_at, pair_at, prefetch, put
 wp.set_module_options({"enable_backward": False})
 
 AHEAD = wp.constant(32)
+HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32 is infinite
 
 
 @wp.struct
@@ -20,6 +21,7 @@ class Points:
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
     uv: wp.array(dtype=wp.vec2f)
+    not_finite: wp.array(dtype=wp.int32)  # [1]: set to 1 where a position or a normal is not finite
     # Points that were in the last frame, and what became of them.
     taken: Runs
     last_base: wp.array(dtype=wp.int64)  # of each slice of it: its first point
@@ -102,6 +104,9 @@ def put_vertex(
     nx = -g[1] * slope_x
     ny = -g[2] * slope_y
     nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
+    # Samples of a damaged store may be anything; whatever is not finite makes the sum so.
+    if not (wp.abs(pz + (nx + ny) * nz) < HIGHEST):
+        points.not_finite[0] = 1
     put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
     put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
     u = wp.float32(wp.float64(p[0]) * per_width)

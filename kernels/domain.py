@@ -34,6 +34,7 @@ class Domain:
     cell_base: wp.int64  # the same of the raster's cells
     cell_pages: wp.int32
     bend_base: wp.int64  # of what errors below the cells begin with: of a bilinear surface the cells' own
+    largest_error: wp.float32  # no error is larger, whatever the store has
     error: wp.array(dtype=wp.float32)
     moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
     ranges: wp.array(dtype=wp.uint16)  # of a bicubic surface those of the cells follow

@@ -10,14 +10,17 @@ from .weld_state import (
     FIXES,
     FRONT,
     IMPORTS,
+    LEVEL_SHIFT,
     POPS,
     RESTARTED,
     SIDE,
     STACK,
     STATE_SIZE,
+    TORN,
     UPPER_LEFT,
     Weld,
     base_of,
+    meet,
     stack_base,
 )
 
@@ -34,7 +37,14 @@ def settle(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), o
 
 
 @wp.func
-def resolve(slices: wp.int32, size: wp.int32, w: Weld, open: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
+def resolve(
+    slices: wp.int32,
+    size: wp.int32,
+    w: Weld,
+    open: wp.array(dtype=wp.vec2i),
+    open_level: wp.array(dtype=wp.int32),
+    found: wp.array(dtype=wp.vec2i),
+):
     """Find the (edge, vertex) that each import stands for, slice by slice; settle what later slices will ask for."""
     squares = w.columns * w.rows
     top0 = wp.int32(0)
@@ -45,18 +55,24 @@ def resolve(slices: wp.int32, size: wp.int32, w: Weld, open: wp.array(dtype=wp.v
         room = base_of(w.counts, k).room
         first = 2 * room
         for i in range(w.state[e + IMPORTS]):
-            kind = w.imports[first + i][0]
+            level = w.imports[first + i][0] >> LEVEL_SHIFT
+            kind = w.imports[first + i][0] & ((1 << LEVEL_SHIFT) - 1)
             value = w.imports[first + i][1]
             number = wp.vec2i(0, 0)
             if kind == FRONT:
                 n = w.state[e - STATE_SIZE + END_FRONT + value]
                 number = wp.vec2i(n, n)
-            elif kind == STACK:
-                number = open[top0 - 1 - value]
-            elif kind == STACK + 1:
-                number = open[size + top1 - 1 - value]
+            elif kind == STACK or kind == STACK + 1:
+                at = wp.where(kind == STACK, top0, top1) - 1 - value
+                if at < 0:  # nothing is open
+                    w.state[e + TORN] = 1
+                else:
+                    at += wp.where(kind == STACK, 0, size)
+                    number = open[at]
+                    meet(w, e, level, open_level[at])
             elif kind == SIDE:
                 number = w.side[value]
+                meet(w, e, level, w.side_level[value])
             elif kind == UPPER_LEFT:
                 number = wp.vec2i(0, w.corners[2 * value])
             else:
@@ -68,14 +84,18 @@ def resolve(slices: wp.int32, size: wp.int32, w: Weld, open: wp.array(dtype=wp.v
             top0 = 0
             top1 = 0
         else:
-            top0 -= w.state[e + POPS]
-            top1 -= w.state[e + POPS + 1]
+            top0 = wp.max(top0 - w.state[e + POPS], 0)
+            top1 = wp.max(top1 - w.state[e + POPS + 1], 0)
         for i in range(w.state[e + END_TOPS]):
-            edge = w.stack[stack_base(room, leaves, 0) + i]
+            at = stack_base(room, leaves, 0) + i
+            edge = w.stack[at]
+            open_level[top0] = w.stack_level[at]
             open[top0] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
             top0 += 1
         for i in range(w.state[e + END_TOPS + 1]):
-            edge = w.stack[stack_base(room, leaves, 1) + i]
+            at = stack_base(room, leaves, 1) + i
+            edge = w.stack[at]
+            open_level[size + top1] = w.stack_level[at]
             open[size + top1] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
             top1 += 1
         # The sides and corners that this slice has written: up to where the next one begins.
@@ -118,11 +138,19 @@ def patch(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
 
 
 @wp.kernel
-def join(slices: wp.int32, size: wp.int32, w: Weld, open: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
+def join(
+    slices: wp.int32,
+    size: wp.int32,
+    w: Weld,
+    open: wp.array(dtype=wp.vec2i),
+    open_level: wp.array(dtype=wp.int32),
+    found: wp.array(dtype=wp.vec2i),
+):
     """Join the slices: serial, as what they share is short.
 
-    `open`: room for two stacks of `size` entries, all that is open at the end of a slice. `found`: for every import.
+    `open`, `open_level`: room for two stacks of `size` entries, all that is open at the end of a slice. `found`: for
+    every import.
     """
-    resolve(slices, size, w, open, found)
+    resolve(slices, size, w, open, open_level, found)
     for k in range(slices):
         patch(k, w, found)

@@ -27,22 +27,26 @@ from .curve import (
     TAKE_LEFT,
     TO_CORNER,
 )
-from .unchecked import code_at, packed_at, put, put_packed
+from .unchecked import code_at, number_at, packed_at, put, put_packed
 from .weld_border import corner_below, enter, give_above, give_right, take_side
 from .weld_state import (
     END_FRONT,
     END_TOPS,
+    FIRST_LEVEL,
     FIRST_OWN,
     FIXES,
     FRONT,
+    LAST_LEVEL,
     LEFT,
     RESTARTED,
     SQUARE,
     STATE_SIZE,
+    TORN,
     Weld,
     ask,
     ask_stack,
     base_of,
+    meet,
     stack_base,
 )
 
@@ -68,6 +72,10 @@ SIDES = wp.constant(by_shape(lambda passage, odd: 1 - odd if passage == LEG_LEG 
 FIRST_CORNER = wp.constant(by_shape(first_corner))
 SECOND_CORNER = wp.constant(by_shape(lambda passage, odd: (first_corner(passage, odd) + 1) % 3))
 THIRD_CORNER = wp.constant(by_shape(lambda passage, odd: (first_corner(passage, odd) + 2) % 3))
+# Which of the three edges that the curve enters by, leaves by and passes beside are legs: a bit for each passage.
+ENTRY_LEGS = wp.constant(1 << LEG_LEG | 1 << LEG_HYP)
+LEAVE_LEGS = wp.constant(1 << LEG_LEG | 1 << HYP_LEG)
+THIRD_LEGS = wp.constant(1 << HYP_LEG | 1 << LEG_HYP)
 # Two int32 in an int64: the low and the high one.
 LOW = wp.constant(wp.int64(0xFFFFFFFF))
 SIGNS = wp.constant(wp.int64(-(1 << 63) | 1 << 31))
@@ -93,6 +101,12 @@ def high_of(pair: wp.int64) -> wp.int32:
 def side_of(code: wp.int32) -> wp.int32:
     """The side, 0 or 1, whose vertex of the front a leaf moves."""
     return (SIDES >> (code & SHAPE)) & 1
+
+
+@wp.func
+def level_of(code: wp.int32, legs: wp.int32) -> wp.int32:
+    """The level of an edge of a leaf: that of the triangles whose longest edge it is. `legs`: says if it is a leg."""
+    return ((code >> DEPTH_SHIFT) & 63) + ((legs >> (code & PASSAGE)) & 1)
 
 
 @wp.func
@@ -156,6 +170,8 @@ def weld(slot: wp.int32, w: Weld):
         front0 = ask(w, b, e, FRONT, 0)
         front1 = ask(w, b, e, FRONT, 1)
         entry = ask(w, b, e, FRONT, 2)
+    left_at = wp.int32(0)  # the level of the edge of leave; 0: a square begins or ends
+    torn = wp.int32(0)
     k = wp.int32(0)
     while k < leaves:
         # Ordinary leaves. Pairs share a register each: the front's vertices, the stacks' next places, the next edge and
@@ -179,6 +195,12 @@ def weld(slot: wp.int32, w: Weld):
             leave64 = edge64 + new
             put_packed(w.edges, edge64, moved64 | (far64 << wp.int64(32)))
             put_packed(w.stack, at, (across & LOW) | (moved64 << wp.int64(32)))
+            # Where an edge that is closed, or the front, has another level, leaves do not fit together.
+            third_level = level_of(code, THIRD_LEGS)
+            torn = torn | (left_at ^ level_of(code, ENTRY_LEGS))
+            torn = torn | ((number_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
+            put(w.stack_level, at, third_level)
+            left_at = level_of(code, LEAVE_LEGS)
             write_triangle(
                 w,
                 b.triangle + k,
@@ -207,6 +229,9 @@ def weld(slot: wp.int32, w: Weld):
             # The first or last of a square, on a side that squares share, or with an import.
             code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
             passage = code & PASSAGE
+            entered_at = level_of(code, ENTRY_LEGS)
+            third_level = level_of(code, THIRD_LEGS)
+            leave_level = level_of(code, LEAVE_LEGS)
             if ((code >> FIRST) & 1) == 1:
                 for i in range(4):
                     w.state[e + LEFT + i] = 0
@@ -214,12 +239,17 @@ def weld(slot: wp.int32, w: Weld):
                 w.state[e + RESTARTED] = 1
                 next0 = bottom0
                 next1 = bottom1
-                corner, end, entry, vertices, edges = enter(w, b, e, slot, code, vertices, edges)
+                corner, end, entry, vertices, edges = enter(w, b, e, slot, code, entered_at, vertices, edges)
+                entered_at = 0
                 front0 = corner
                 front1 = end
                 if (passage == HYP_LEG) == (((code >> PARITY) & 1) == 1):
                     front0 = end
                     front1 = corner
+            if k == 0:
+                w.state[e + FIRST_LEVEL] = entered_at
+            else:
+                meet(w, e, entered_at, left_at)
             side = side_of(code)
             top = wp.where(side == 0, next0, next1)
             moved = wp.where(side == 0, front0, front1)
@@ -234,10 +264,12 @@ def weld(slot: wp.int32, w: Weld):
                 far = w.stack[top - 1][1]
                 if top == wp.where(side == 0, bottom0, bottom1):
                     step = 0
-                    third = ask_stack(w, b, e, side)
+                    third = ask_stack(w, b, e, side, third_level)
                     far = third
+                else:
+                    meet(w, e, third_level, w.stack_level[top - 1])
             elif role == TAKE_LEFT or role == TAKE_BELOW:
-                taken = take_side(w, b, e, slot, role)
+                taken = take_side(w, b, e, slot, role, third_level)
                 third = taken[0]
                 far = taken[1]
             else:
@@ -248,11 +280,12 @@ def weld(slot: wp.int32, w: Weld):
                     vertices += 1
                 w.edges[third] = wp.vec2i(moved, far)
                 if role == GIVE_RIGHT:
-                    give_right(w, e, third, moved, far)
+                    give_right(w, e, third, third_level, moved, far)
                 elif role == GIVE_ABOVE:
-                    give_above(w, e, third, moved)
+                    give_above(w, e, third, third_level, moved)
                 else:
                     w.stack[top] = wp.vec2i(third, moved)
+                    w.stack_level[top] = third_level
                     step = 1
             leave = edges
             write_triangle(w, b.triangle + k, code, side, front0, front1, far, entry, third, leave)
@@ -261,7 +294,7 @@ def weld(slot: wp.int32, w: Weld):
                 w.fixes[b.room + n] = b.triangle + k
                 w.state[e + FIXES] = n + 1
             if ((code >> LAST) & 1) == 1 and w.state[e + SQUARE] < w.columns * (w.rows - 1):
-                give_above(w, e, leave, wp.where(passage == HYP_LEG, far, pivot))
+                give_above(w, e, leave, leave_level, wp.where(passage == HYP_LEG, far, pivot))
             front0 = wp.where(side == 0, far, front0)
             front1 = wp.where(side == 0, front1, far)
             w.edges[leave] = wp.vec2i(front0, front1)
@@ -269,7 +302,11 @@ def weld(slot: wp.int32, w: Weld):
             next1 += wp.where(side == 0, 0, step)
             edges += 1
             entry = leave
+            left_at = wp.where(((code >> LAST) & 1) == 1, 0, leave_level)
             k += 1
+    w.state[e + LAST_LEVEL] = left_at
+    if torn != 0:
+        w.state[e + TORN] = 1
     w.state[e + END_FRONT] = front0
     w.state[e + END_FRONT + 1] = front1
     w.state[e + END_FRONT + 2] = entry

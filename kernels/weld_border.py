@@ -12,6 +12,7 @@ from .weld_state import (
     BELOW,
     FIRST_OWN,
     LEFT,
+    LEVEL_SHIFT,
     RIGHT,
     SIDE,
     SQUARE,
@@ -20,6 +21,7 @@ from .weld_state import (
     Base,
     Weld,
     ask,
+    meet,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -45,9 +47,11 @@ def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
 
 
 @wp.func
-def enter(w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, vertices: wp.int32, edges: wp.int32):
-    """Begin a square: the left side's first edge, from the upper left corner down. Returns corner, lower end, edge,
-    and how many vertices and edges were made."""
+def enter(
+    w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, level: wp.int32, vertices: wp.int32, edges: wp.int32
+):
+    """Begin a square: the left side's first edge, of this level, from the upper left corner down. Returns corner, lower
+    end, edge, and how many vertices and edges were made."""
     square = w.state[e + SQUARE]
     column = square % w.columns
     corner = vertices
@@ -62,9 +66,10 @@ def enter(w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, vertice
             corner = w.corners[2 * owner + 1]
             entry = w.side[at][0]
             end = w.side[at][1]
+            meet(w, e, level, w.side_level[at])
         else:
             corner = ask(w, b, e, UPPER_RIGHT, owner)
-            end = ask(w, b, e, SIDE, at)
+            end = ask(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
             entry = end
     else:
         made = 1
@@ -79,8 +84,8 @@ def enter(w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, vertice
 
 
 @wp.func
-def take_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32) -> wp.vec2i:
-    """The edge, and its far vertex, that the square to the left or below has left on its side."""
+def take_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
+    """The edge of this level, and its far vertex, that the square to the left or below has left on its side."""
     square = w.state[e + SQUARE]
     at = wp.int32(0)
     own = wp.bool(False)
@@ -99,24 +104,27 @@ def take_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32) -> 
     taken = wp.vec2i(0, 0)
     if own:
         taken = w.side[at]
+        meet(w, e, level, w.side_level[at])
     else:
-        n = ask(w, b, e, SIDE, at)
+        n = ask(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
         taken = wp.vec2i(n, n)
     return taken
 
 
 @wp.func
-def give_right(w: Weld, e: wp.int32, edge: wp.int32, begun: wp.int32, far: wp.int32):
+def give_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     square = w.state[e + SQUARE]
     n = w.side_base[square] + w.state[e + RIGHT]
     w.side[n] = wp.vec2i(edge, begun)
+    w.side_level[n] = level
     w.state[e + RIGHT] = w.state[e + RIGHT] + 1
     if n + 1 == w.side_base[square + 1]:
         w.corners[2 * square + 1] = far
 
 
 @wp.func
-def give_above(w: Weld, e: wp.int32, edge: wp.int32, begun: wp.int32):
-    above = w.columns * w.rows + w.state[e + SQUARE]
-    w.side[w.side_base[above] + w.state[e + ABOVE]] = wp.vec2i(edge, begun)
+def give_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
+    n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
+    w.side[n] = wp.vec2i(edge, begun)
+    w.side_level[n] = level
     w.state[e + ABOVE] = w.state[e + ABOVE] + 1

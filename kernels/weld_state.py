@@ -9,7 +9,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# What an import asks for.
+# What an import asks for; above these LEVEL_SHIFT bits is the edge's level, of STACK and SIDE.
+LEVEL_SHIFT = wp.constant(3)
 FRONT = wp.constant(0)  # value 0, 1: that vertex of the front, 2: its edge
 STACK = wp.constant(1)  # + side (1 or 2): the value-th edge from the top of the stack
 SIDE = wp.constant(3)  # entry `value` of the shared sides
@@ -24,7 +25,9 @@ LEFT, BELOW, RIGHT, ABOVE = wp.constant(5), wp.constant(6), wp.constant(7), wp.c
 FIRST_OWN = wp.constant(9)  # the first square of which this slice has made the upper left corner
 RESTARTED = wp.constant(10)  # 1: a square began in the slice, so what was open before it is not needed
 END_FRONT, END_TOPS = wp.constant(11), wp.constant(14)
-STATE_SIZE = wp.constant(16)
+TORN = wp.constant(16)  # 1: an edge met one of another level, so the leaves do not fit together
+FIRST_LEVEL, LAST_LEVEL = wp.constant(17), wp.constant(18)  # of the edges of entry and leave; 0 at a square's ends
+STATE_SIZE = wp.constant(20)
 SPARE = wp.constant(8)  # entries of a slice's lists beyond one a leaf
 
 
@@ -41,8 +44,10 @@ class Weld:
     side_base: wp.array(dtype=wp.int32)  # first entry of every square's right side in `side`, then of upper sides, end
     code: wp.array(dtype=wp.uint16)
     side: wp.array(dtype=wp.vec2i)  # edges of the shared sides, each with the vertex where it was begun
+    side_level: wp.array(dtype=wp.int32)  # ... and its level
     corners: wp.array(dtype=wp.int32)  # per square: upper left and upper right vertex
     stack: wp.array(dtype=wp.vec2i)
+    stack_level: wp.array(dtype=wp.int32)  # of each open edge
     imports: wp.array(dtype=wp.vec2i)
     fixes: wp.array(dtype=wp.int32)  # triangles with a number that is an import
     state: wp.array(dtype=wp.int32)  # [slices, STATE_SIZE]
@@ -89,8 +94,15 @@ def ask(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.in
 
 
 @wp.func
-def ask_stack(w: Weld, b: Base, e: wp.int32, side: wp.int32) -> wp.int32:
-    """The next edge from the top of what earlier slices have left open on a side."""
+def ask_stack(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
+    """The next edge, of this level, from the top of what earlier slices have left open on a side."""
     n = w.state[e + POPS + side]
     w.state[e + POPS + side] = n + 1
-    return ask(w, b, e, STACK + side, n)
+    return ask(w, b, e, (STACK + side) | (level << LEVEL_SHIFT), n)
+
+
+@wp.func
+def meet(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
+    """An edge of two leaves has one level. Levels differ only where errors are not nested: then the mesh is torn."""
+    if level != other:
+        w.state[e + TORN] = 1

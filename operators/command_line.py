@@ -92,6 +92,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path, nargs="?")
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
+    verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
     verb.add_argument("--project", **project)
     _add_raw(verb)
 

@@ -230,7 +230,7 @@ def _written_by_blender(path: Path):
 
 
 def _need_whole(path: Path) -> None:
-    """Raise RuntimeError where Blender wrote nothing, and OSError where the file cannot grow: Blender's PLY, OBJ and STL
+    """Raise RuntimeError where Blender wrote nothing, and OSError where the file cannot grow: its PLY, OBJ and STL
     writers do not say that a full disk, a quota or a limit has cut theirs short."""
     if not path.exists():
         raise RuntimeError("Blender wrote nothing")

@@ -51,12 +51,17 @@ def run_info(arguments) -> None:
     if arguments.versions:
         print_fields(_versions())
         return
-    if arguments.path.suffix == ".npz":
+    is_store = os.path.isdir(arguments.path)
+    if arguments.verify:
+        if not is_store:
+            raise UsageError(f"--verify checks a store, and {arguments.path} is no folder")
+        _verify(arguments.path)
+    elif arguments.path.suffix == ".npz":
         from ..cbt_terrain.archive import read_npz
 
         print_fields(read_npz(arguments.path)["info"])
         return
-    if os.path.isdir(arguments.path):
+    if is_store:
         from ..cbt_terrain.importing import describe
 
         print_fields(describe(arguments.path))
@@ -67,6 +72,13 @@ def run_info(arguments) -> None:
     print_fields(
         describe_source(ImportSettings(str(arguments.path), **_raw_settings(arguments), project=arguments.project))
     )
+
+
+def _verify(path) -> None:
+    from ..cbt_terrain.store import verify
+
+    blocks = verify(path)
+    print(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
 
 
 def _versions() -> dict:

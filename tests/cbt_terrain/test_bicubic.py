@@ -208,7 +208,7 @@ def test_what_lies_between_both_surfaces_is_bounded_and_exact_where_they_bend_on
     if kind == "rough":
         bilinear = from_array(np.tile(np.arange(9, dtype=np.float32) ** 2, (5, 1)))
         lattice = bilinear.lattice
-    off = bicubic._fill_errors(bilinear, np.zeros(bicubic.len_of_errors(lattice), np.float32), 1)
+    off = bicubic._fill_errors(bilinear, np.zeros(2 * lattice.node_count - lattice.range_count, np.float32), 1)
     points = dense(bilinear, 8)
     apart = np.abs(bezier(bilinear, points)[0] - reference_heights(bilinear, points))
     apart = apart.reshape((lattice.height - 1) * 8 + 1, -1)

@@ -32,15 +32,15 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             print(f"{PROGRAM}: stopped", file=sys.stderr)
             return 128 + (stopping.answer() or signal.SIGINT)
+        finally:
+            stopping.answer()  # one that comes when all is done comes too late
 
 
 def program() -> NoReturn:
-    """`main` for a process of its own: once the work is done, a signal just ends it, where Python would print a
-    traceback out of Blender's end."""
-    code = main()
-    for number in stopping.SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
-    sys.exit(code)
+    """`main` for a process of its own: before and after the work Ctrl-C just ends it, without Python's traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(main())
 
 
 def _run(argv: list[str] | None) -> int:

@@ -262,7 +262,7 @@ def test_an_interruption_leaves_the_last_report_as_it_was(measured, accuracy, mo
     monkeypatch.setattr(accuracy_command, "sweep", interrupted)
     code, said, folder = accuracy("--progress")
     before = {path.name for path in folder.iterdir()}
-    assert code == 1 and said.err.endswith("adaptive-terrain: stopped\n") and " 30%" in said.err
+    assert code == 130 and said.err.endswith("adaptive-terrain: stopped\n") and " 30%" in said.err
     assert len(rows_of(folder)) == len(known_rows())
     assert {"index.html", "accuracy.md", "accuracy.json"} <= before and not any(n.startswith(".") for n in before)
 

@@ -137,3 +137,22 @@ def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, ca
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "frame 1: 0 triangles" in said.out and "leaves nothing of Hills" in said.out
+
+
+LATE = """
+import os, signal, sys, time
+from adaptive_terrain.operators import command_line, verbs
+def late(*_):
+    signal.raise_signal(number)
+    time.sleep(0.1)
+verbs.run_info = late
+number, sys.argv[1:] = int(sys.argv[1]), ["info", "x"]
+command_line.program()
+"""
+
+
+@pytest.mark.parametrize("number", [2, 15])
+def test_a_signal_after_the_last_step_changes_nothing(number):
+    command = [sys.executable, "-c", LATE, str(number)]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")

@@ -27,7 +27,7 @@ test: $(READY)
 	$(PY) -m pytest $(TESTS)
 
 fuzz: $(READY)
-	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views_keep
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "random_views_keep or every_format_in_every_order"
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/properties
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_interrupted_work.py
 

@@ -135,7 +135,9 @@ def flight_scene(resolution: tuple[int, int] = RESOLUTION):
     import bpy
     from mathutils import Vector
 
-    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # the preferences stay, with their extensions
+    from ..operators.frame_sources import open_empty_file
+
+    open_empty_file()
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = resolution
     scene.frame_start, scene.frame_end = 0, FRAMES

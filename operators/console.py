@@ -82,22 +82,27 @@ def duration(seconds: float) -> str:
 
 
 @contextmanager
-def quiet():
-    """Send what native code prints to stdout nowhere: Blender reports every file that it reads and writes."""
+def quiet(*streams: int):
+    """Send what native code prints nowhere: Blender reports every file that it reads and writes. `streams`: file
+    descriptors, stdout by default."""
+    streams = streams or (1,)
     _flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    kept, nowhere = [os.dup(stream) for stream in streams], os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 1)
+        for stream in streams:
+            os.dup2(nowhere, stream)
         yield
     finally:
         _flush()
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, copy in zip(streams, kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
         os.close(nowhere)
 
 
 def _flush() -> None:
     """Write out what Python and the C library still hold back."""
     sys.stdout.flush()
+    sys.stderr.flush()
     library = ctypes.cdll.ucrtbase if sys.platform == "win32" else ctypes.CDLL(None)
     library.fflush(None)

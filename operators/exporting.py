@@ -229,9 +229,9 @@ def _written_by_blender(path: Path):
         yield partial
 
 
-def _need_whole(path: Path) -> None:
-    """Raise RuntimeError where Blender wrote nothing, and OSError where the file cannot grow: its PLY, OBJ and STL
-    writers do not say that a full disk, a quota or a limit has cut theirs short."""
+def _need_all_written(path: Path) -> None:
+    """Raise OSError where a file cannot grow, RuntimeError where there is none: Blender's PLY, OBJ and STL writers do
+    not say that a full disk, a quota or a limit has cut theirs short."""
     if not path.exists():
         raise RuntimeError("Blender wrote nothing")
     with path.open("r+b") as file:
@@ -252,10 +252,9 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     path = path.resolve()
     for piece in pieces:
         _need_count(piece, path, len(piece.obj.data.polygons))
-    with _written(path), _written_by_blender(path) as partial:
-        with quiet():
-            bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
-        _need_whole(partial)
+    with _written(path), _written_by_blender(path) as partial, quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+        _need_all_written(partial)
 
 
 def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
@@ -265,9 +264,9 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
     its name.
     """
     with _written(path), _written_by_blender(path) as partial:
-        with _only_selected(piece.obj), quiet():
+        with _only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
             _export_selected(str(partial.resolve()), form)
-        _need_whole(partial)
+        _need_all_written(partial)
         try:
             found = count_triangles(partial)
         except ValueError as reason:
@@ -320,6 +319,10 @@ def _only_selected(obj):
     try:
         for other in objects:
             other.select_set(other == obj)
+        if not obj.select_get():
+            raise TerrainError(
+                f"The terrain {obj.name!r} is barred from selection, so Blender cannot export it; free it."
+            )
         yield
     finally:
         for other, was in zip(objects, selected, strict=True):

@@ -75,6 +75,8 @@ CASES = {
     47: "Undo, redo, save, reload, duplicate, delete, link",
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
+    61: "Viewport and render detail differ, frames other than 0, every format in every order",
+    68: "A background render whose mesh is stale",
     65: "Interrupts at random times",
 }
 

@@ -47,8 +47,10 @@ def blend(flight, add_terrain, tmp_path):
     ],
 )
 def test_case_68_a_render_that_would_be_stale_ends(blend, change, frames, why):
-    """Frames before the stale one are whole, it is not written, one line says why, the exit code is 1; unless it is
-    allowed, or no render shows the terrain that is broken."""
+    """Frames before the stale one are whole, it is not written, one line says why, the exit code is 1.
+
+    Unless the scene allows it. A broken terrain that no render shows ends none.
+    """
     command = [sys.executable, "-c", RENDER, blend, change]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert sorted(int(path.stem[-4:]) for path in blend.parent.glob("frame_*.png")) == frames, done.stderr

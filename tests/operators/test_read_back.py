@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What Blender's exporters wrote is counted again, and a file that differs from its summary never gets its name."""
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators import exporting, handlers
+from adaptive_terrain.operators.read_back import BLOCK, count_triangles
+from blender_meshes import digest_alone
+from mesh_files import read_mesh
+
+FORMATS = ("ply", "obj", "stl", "glb")
+
+
+@pytest.fixture
+def terrain(scene, add_terrain):
+    obj = add_terrain("Hills")
+    obj.adaptive_terrain.viewport.error_px, obj.adaptive_terrain.render.error_px = 24.0, 8.0
+    scene.frame_set(7)
+    return obj
+
+
+def export(path):
+    return bpy.ops.adaptive_terrain.export(filepath=str(path))
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_file_is_counted_as_another_reader_counts_it(terrain, tmp_path, form):
+    path = tmp_path / f"hills.{form}"
+    assert export(path) == {"FINISHED"}
+    assert count_triangles(path) == len(read_mesh(path)[1]) > len(terrain.data.polygons)
+    if form != "obj":  # whose head counts nothing
+        data = path.read_bytes()
+        for damaged in (data[:-1], data[: len(data) // 2], data[:30], b"", data + b"more"):
+            path.write_bytes(damaged)
+            with pytest.raises(ValueError):
+                count_triangles(path)
+
+
+def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):
+    path = tmp_path / "long.obj"
+    for first in range(BLOCK - 5, BLOCK + 1):
+        path.write_bytes(b"#" * first + b"\nf 1 2 3\nf 2 3 4\nvf \n")
+        assert count_triangles(path) == 2
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_another_mesh_than_the_summary_says_is_an_error(terrain, tmp_path, form, monkeypatch):
+    """A handler of another extension rewrites the mesh while Blender exports it."""
+    path, write = tmp_path / f"hills.{form}", exporting._export_selected
+
+    def disturbed(name, kind):
+        terrain.data.clear_geometry()
+        terrain.data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+        write(name, kind)
+
+    monkeypatch.setattr(exporting, "_export_selected", disturbed)
+    with pytest.raises(RuntimeError, match=f"hills.{form} would hold 1 triangles where the terrain 'Hills' has"):
+        export(path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):
+    ran, write = [], exporting._export_selected
+
+    def to_another_frame(name, kind):
+        bpy.context.scene.frame_set(3)
+        write(name, kind)
+        bpy.context.scene.frame_set(7)
+
+    monkeypatch.setattr(handlers, "update_all", lambda *_: ran.append(1) or [])
+    monkeypatch.setattr(exporting, "_export_selected", to_another_frame)
+    for form in FORMATS:
+        assert export(tmp_path / f"hills.{form}") == {"FINISHED"}
+    assert not ran
+    bpy.context.scene.frame_set(4)
+    assert ran, "afterwards they run again"
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_modifiers_are_left_out_of_every_format(terrain, tmp_path, form):
+    """The bound is that of the terrain's own mesh."""
+    export(tmp_path / f"plain.{form}")
+    terrain.modifiers.new("Finer", "SUBSURF").levels = 1
+    assert export(tmp_path / f"modified.{form}") == {"FINISHED"}
+    plain, modified = (read_mesh(tmp_path / f"{name}.{form}") for name in ("plain", "modified"))
+    assert np.array_equal(plain[0], modified[0]) and np.array_equal(plain[1], modified[1])
+
+
+def test_a_terrain_that_cannot_be_selected_is_refused(terrain, tmp_path):
+    terrain.hide_select, shown = True, digest_alone(terrain)
+    with pytest.raises(RuntimeError, match="'Hills' is barred from selection"):
+        export(tmp_path / "hills.stl")
+    assert list(tmp_path.iterdir()) == [] and digest_alone(terrain) == shown, "the viewport gets its mesh back"

@@ -81,6 +81,7 @@ def _mesh_is_needed_now() -> bool:
     return any(running.bl_idname == VIEWPORT_RENDER for window in windows for running in window.modal_operators)
 
 
+@_unless_paused
 def on_frame_change(scene, depsgraph) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
@@ -92,16 +93,19 @@ def on_frame_change(scene, depsgraph) -> None:
         live.mark_dirty()
 
 
+@_unless_paused
 def on_render_pre(scene, _unused=None) -> None:
     freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
 
 
+@_unless_paused
 def on_render_post(scene, _unused=None) -> None:
     stale_renders.leave()
     _rendered_frames.pop(scene.session_uid, None)
 
 
+@_unless_paused
 def on_render_end(scene, _unused=None) -> None:
     """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
     stale_renders.leave()
@@ -113,19 +117,23 @@ def on_render_end(scene, _unused=None) -> None:
         live.mark_dirty()
 
 
+@_unless_paused
 def on_depsgraph_update(scene, depsgraph) -> None:
     if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
 
+@_unless_paused
 def on_load_pre(_path, _unused=None) -> None:
     session.clear()
 
 
+@_unless_paused
 def on_load_post(_path, _unused=None) -> None:
     live.mark_dirty()
 
 
+@_unless_paused
 def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
     measuring.stop()
@@ -133,7 +141,7 @@ def on_undo(_scene, _unused=None) -> None:
     live.mark_dirty()
 
 
-CALLED = {
+HANDLERS = {
     "frame_change_post": on_frame_change,
     "render_pre": on_render_pre,
     "render_post": on_render_post,
@@ -145,7 +153,6 @@ CALLED = {
     "undo_post": on_undo,
     "redo_post": on_undo,
 }
-HANDLERS = {event: _unless_paused(handler) for event, handler in CALLED.items()}
 
 
 def register() -> None:

@@ -13,6 +13,7 @@ from contextlib import suppress
 import bpy
 
 EXIT_CODE = 1
+FRAMES_NAMED = 10
 _ending = False
 _shown_stale: dict[int, str] = {}  # frame -> why
 
@@ -20,6 +21,8 @@ _shown_stale: dict[int, str] = {}  # frame -> why
 def meet(scene, reasons: list[str]) -> None:
     """The terrains of the frame that is about to be rendered cannot be refined, for these `reasons`."""
     global _ending
+    if _ending:  # each view layer asks, and a second interruption would kill Blender
+        return
     why = " ".join(reasons)
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
         print(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
@@ -57,9 +60,15 @@ def report() -> None:
         _shown_stale.clear()
 
 
+def lines_of(stale: dict[int, str]) -> list[str]:
+    """What is said of stale frames and why they are: the first few frames by number, each reason once."""
+    frames = ", ".join(map(str, sorted(stale)[:FRAMES_NAMED]))
+    more = f" and {len(stale) - FRAMES_NAMED:,} more" if len(stale) > FRAMES_NAMED else ""
+    return [f"Rendered with the mesh of another frame: {frames}{more}", *dict.fromkeys(stale.values())]
+
+
 def _pop_up() -> None:
-    frames = ", ".join(map(str, sorted(_shown_stale)))
-    lines = [f"Rendered with the mesh of another frame: {frames}", *dict.fromkeys(_shown_stale.values())]
+    lines = lines_of(_shown_stale)
     _shown_stale.clear()
     manager = bpy.context.window_manager
     if not manager.windows:

@@ -86,12 +86,17 @@ def test_an_export_of_a_store_leaves_the_extension_whole(program, scene, tmp_pat
     assert len(counts) == 1 and counts.pop() > 100
 
 
+def test_the_extension_offers_no_benchmarks(program):
+    said = program.run("--command", "adaptive_terrain", "--help")
+    assert "accuracy" in said and "bench" not in said
+
+
 @pytest.mark.parametrize(
     ("change", "how", "frames", "why"),
     [
         ("terrain.adaptive_terrain.store = '/gone'", ["-a"], [], "There is no terrain store at '/gone'"),
         ("terrain.adaptive_terrain.camera_source = 'CHOSEN'", ["-f", "2"], [], "No camera is chosen"),
-        ("flatten()", ["-f", "1,2,3,4"], [1, 2], "frame 3 is not rendered"),
+        ("flatten(); scene.view_layers.new('More')", ["-f", "1,2,3,4"], [1, 2], "frame 3 is not rendered"),
         ("flatten(); movie()", ["-a"], "1-4", "frame 3 is not rendered"),
         ("flatten(); scene.adaptive_terrain.stop_stale_renders = False", ["-f", "2,3"], [2, 3], ""),
     ],

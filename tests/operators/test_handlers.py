@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import handlers, live, session
+from adaptive_terrain.operators import handlers, live, session, stale_renders
 
 
 def positions(obj):
@@ -111,6 +111,12 @@ def test_one_terrain_that_fails_does_not_stop_the_other(flight, add_terrain):
     flight.frame_set(4)
     assert len(good.data.polygons) > 100
     assert "/nowhere" in session.record_of(broken).status.error
+
+
+def test_stale_frames_are_told_of_in_few_words():
+    why = "There is no terrain store."
+    assert stale_renders.lines_of({3: why, 2: why}) == ["Rendered with the mesh of another frame: 2, 3", why]
+    assert stale_renders.lines_of(dict.fromkeys(range(1, 241), why))[0].endswith(" 8, 9, 10 and 230 more")
 
 
 def turns(limit=500):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Blender's exporters wrote is counted again, and a file that differs from its summary never gets its name."""
+"""What is exported is the piece's own, undisturbed, and counted again before the file gets its name."""
 
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import exporting, handlers
+from adaptive_terrain.operators import exporting, handlers, session
+from adaptive_terrain.operators.frame_sources import scene_piece
 from adaptive_terrain.operators.read_back import BLOCK, count_triangles
 from blender_meshes import digest_alone
 from mesh_files import read_mesh
@@ -58,6 +59,16 @@ def test_another_mesh_than_the_summary_says_is_an_error(terrain, tmp_path, form,
     with pytest.raises(RuntimeError, match=f"hills.{form} would hold 1 triangles where the terrain 'Hills' has"):
         export(path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_an_update_leaves_the_surface_of_a_piece_alone(terrain, cut):
+    terrain.adaptive_terrain.cleanup.use_below = cut
+    piece = scene_piece(terrain, bpy.context.evaluated_depsgraph_get(), 7)
+    before = {name: array.tobytes() for name, array in vars(piece.surface).items()}
+    session.update_object(terrain)
+    assert len(terrain.data.polygons) < len(piece.surface.level), "the viewport's, by the same engine"
+    assert {name: array.tobytes() for name, array in vars(piece.surface).items()} == before
 
 
 def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):

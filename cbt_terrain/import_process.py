@@ -200,7 +200,7 @@ def child_main() -> None:
     os.dup2(2, 1)  # what libraries print goes to stderr
     request = json.loads(sys.stdin.readline())
     path, folder = Path(request["store"]), request["folder"]
-    child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]), stopping.GRACE_SECONDS)
+    child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]))
     said = 0.0
 
     def say(content: dict) -> None:

@@ -56,7 +56,8 @@ MEANING = {
     "cycles_edge": "A whole Cycles render, 960 x 540, 1 sample: our edges at 1 px beside Cycles' dicing at 1 px; "
     "size counts our triangles. Ours bounds the longest edge of each triangle, so it has several times as many.",
     "cycles_edge_memory": "Peak memory of the two processes.",
-    "cycles_error": "The same with our error at 1 px.",
+    "cycles_error": "The same with our error at 1 px. ssim: how like the picture is to that of the whole grid; "
+    "cpu_s: processor seconds a frame.",
     "cycles_error_memory": "Peak memory of the two processes.",
 }
 

@@ -48,15 +48,15 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
     )
 
 
-def end_with_parent(clean_up: Callable[[], None] = lambda: None, grace_s: float = 0.0) -> None:
+def end_with_parent(clean_up: Callable[[], None] = lambda: None) -> None:
     """In the child: from now on, when the parent ends, however it does, `Stopped` is raised where `stopping.check` is
-    called; if that has not ended this process after `grace_s` seconds, it cleans up and ends."""
+    called; if that has not ended this process after a while, it cleans up and ends."""
 
     def wait() -> None:
         while os.read(0, 1024):
             pass
         stopping.ask(signal.SIGTERM)
-        time.sleep(grace_s)
+        time.sleep(stopping.GRACE_SECONDS)
         clean_up()
         os._exit(1)
 

@@ -219,7 +219,7 @@ def child_main() -> None:
     try:
         guard_import(ImportSettings(**settings), path)
         # After the guard: a thread that was there before it would still be able to write elsewhere.
-        child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]), stopping.GRACE_SECONDS)
+        child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]))
         say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
     except TerrainError as error:
         say({"error": str(error)})

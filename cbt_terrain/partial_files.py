@@ -8,6 +8,7 @@ that is free is trusted on that machine only; of others a folder goes when it is
 
     .partial-MARK.../lock    held by the writer
     .partial-MARK.../NAME    what will be renamed to ../NAME
+    .partial-MARK...-NAME    the same of a file that names others as seen from its own folder
 """
 
 import functools
@@ -52,6 +53,19 @@ def written_beside(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def written_among(path: Path) -> Iterator[Path]:
+    """As `written_beside`, but in the folder of `path` itself, since the file will name others relative to it. Nobody
+    can foresee the name, so there is no link in its place."""
+    with private_folder(path.parent) as folder:
+        partial = folder.with_name(f"{folder.name}-{path.name}")
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
 def private_folder(parent: Path) -> Iterator[Path]:
     """A new folder in `parent` for the time of the block."""
     folder = parent / f"{PREFIX}{new_token()}"
@@ -69,7 +83,7 @@ def is_partial_name(name: str) -> bool:
 
 def final_names(text: str) -> str:
     """A message without the private folders in its paths: users know a file by its final name."""
-    return re.sub(_NAME.pattern + r"[/\\]+", "", text)
+    return re.sub(_NAME.pattern + r"(-|[/\\]+)", "", text)
 
 
 def new_token() -> str:
@@ -144,6 +158,8 @@ def remove_if_abandoned(folder: Path, token: str, is_needed: Callable[[], bool] 
                 if fcntl is None and lock is not None:  # Windows removes no open file
                     os.close(lock)
                     lock = None
+                for file in folder.parent.glob(f"{folder.name}-*"):
+                    file.unlink()
                 shutil.rmtree(folder, ignore_errors=True)
         finally:
             if lock is not None:

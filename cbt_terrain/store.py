@@ -20,6 +20,7 @@ import math
 import os
 import re
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -286,8 +287,9 @@ class Draft:
         os.replace(part, self.path / JSON_NAME)
         self.published = True
         partial_files.end_work(self.folder, self._lock)
-        if previous is not None and _is_own(previous):
-            shutil.rmtree(previous, ignore_errors=True)
+        with suppress(OSError):
+            if previous is not None and _is_own(previous):
+                shutil.rmtree(previous, ignore_errors=True)
         remove_abandoned(self.path)
 
     def discard_unless_published(self) -> None:
@@ -326,6 +328,7 @@ def remove_abandoned(path: Path) -> None:
     if (path / JSON_NAME).exists() and _named_folder(path) is None:
         return  # of a damaged store nobody knows what it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
-        if is_data_name(folder.name) and _is_own(folder):
-            token = folder.name.removeprefix(DATA_PREFIX)
-            partial_files.remove_if_abandoned(folder, token, lambda folder=folder: _named_folder(path) == folder)
+        with suppress(OSError):
+            if _is_own(folder):
+                token = folder.name.removeprefix(DATA_PREFIX)
+                partial_files.remove_if_abandoned(folder, token, lambda folder=folder: _named_folder(path) == folder)

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..cbt_terrain import stopping
 from ..cbt_terrain.archive import write_npz
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.partial_files import final_names, private_folder, remove_abandoned, written_beside
+from ..cbt_terrain.partial_files import final_names, private_folder, remove_abandoned, written_among, written_beside
 from .console import quiet
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
@@ -216,14 +216,14 @@ def write_piece(piece: Piece, path: Path) -> None:
 
 
 @contextmanager
-def _written_by_blender(path: Path):
-    """As `written_beside`; what Blender could not even begin is found out first, as its exporters print tracebacks.
+def _written_by_blender(path: Path, written=written_beside):
+    """As `written`; what Blender could not even begin is found out first, as its exporters print tracebacks.
 
     No handler of ours runs meanwhile: an exporter may change the frame while it reads the mesh.
     """
     from . import handlers
 
-    with written_beside(path) as partial, handlers.paused():
+    with written(path) as partial, handlers.paused():
         partial.touch()
         partial.unlink()
         yield partial
@@ -252,7 +252,7 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     path = path.resolve()
     for piece in pieces:
         _need_count(piece, path, len(piece.obj.data.polygons))
-    with _written(path), _written_by_blender(path) as partial, quiet():
+    with _written(path), _written_by_blender(path, written_among) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
         _need_all_written(partial)
 

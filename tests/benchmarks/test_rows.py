@@ -336,7 +336,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(one_row, tmp_path, monkeypa
     monkeypatch.setattr(suite.tempfile, "tempdir", None)
     monkeypatch.setattr(suite, "everything", lambda *_: [stop])
     (tmp_path / "rows.json").write_text("[]")
-    assert command_line.main(["bench", "--json", str(tmp_path / "rows.json")]) == 1
+    assert command_line.main(["bench", "--json", str(tmp_path / "rows.json")]) == 130
     assert capsys.readouterr().err == "adaptive-terrain: stopped\n"
     assert [path.name for path in tmp_path.iterdir()] == ["rows.json"]
     assert (tmp_path / "rows.json").read_text() == "[]"

@@ -73,3 +73,5 @@ def test_a_command_is_stopped(program, store, tmp_path, verb, number):
     else:
         frames = {path.stem for path in out.glob("frame_*.json")}
         assert 2 <= len(frames) < 900 and not list(out.glob(".partial-*"))
+        wheels = program.user.glob("extensions/.local/lib/*/site-packages/warp/native/builtin.h")
+        assert list(wheels), "a new file leaves the user's extensions as they are"

@@ -112,6 +112,21 @@ def test_users_read_final_names(tmp_path):
         partial.touch()
 
 
+@posix
+def test_what_a_killed_writer_has_left_in_the_folder_itself_goes_too(tmp_path):
+    token = partial_files.new_token()
+    for name in (f".partial-{token}-a.blend", f".partial-{token}-a.blend@", f".partial-{'0' * 32}-b.blend", "a.blend"):
+        (tmp_path / name).write_text("half")
+    (tmp_path / f".partial-{token}").mkdir()
+    (tmp_path / f".partial-{token}" / "lock").touch()
+    with partial_files.written_among(tmp_path / "c.blend") as alive:
+        assert alive.parent == tmp_path
+        alive.touch()
+        remove_abandoned(tmp_path)
+        assert alive.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".partial-{'0' * 32}-b.blend", "a.blend", "c.blend"]
+
+
 def test_writers_and_removers_side_by_side(tmp_path):
     """Each write ends well however often others look for what is abandoned."""
     done = threading.Event()

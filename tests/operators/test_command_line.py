@@ -229,6 +229,27 @@ def test_what_a_command_asks_replaces_animated_settings(scene, add_terrain, tmp_
         assert [info["interpolation"] for info in infos] == interpolations
 
 
+def test_an_exported_scene_finds_its_pictures(scene, add_terrain, tmp_path, capsys):
+    """Relative to the folder in which it ends up, whatever the one in which it is written."""
+    import bpy
+
+    add_terrain("Hills")
+    (tmp_path / "textures").mkdir()
+    image = bpy.data.images.new("Rock", 4, 4)
+    image.filepath_raw, image.file_format = str(tmp_path / "textures" / "rock.png"), "PNG"
+    image.save()
+    image.use_fake_user = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.file.make_paths_relative()
+    bpy.ops.wm.save_mainfile()
+    out = tmp_path / "far" / "out"
+    argv = ["export", "--scene", str(tmp_path / "scene.blend"), "--frames", "1", "--format", "blend", "--out", str(out)]
+    assert command_line.main(argv) == 0, capsys.readouterr().err
+    assert sorted(path.name for path in out.iterdir()) == ["frame_0001.json", "scene_0001.blend"]
+    bpy.ops.wm.open_mainfile(filepath=str(out / "scene_0001.blend"))
+    assert bpy.data.images["Rock"].filepath == "//../../textures/rock.png"
+
+
 def test_a_scene_is_exported_as_its_camera_sees_it(scene, add_terrain, tmp_path, capsys):
     import bpy
 

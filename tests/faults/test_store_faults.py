@@ -107,8 +107,9 @@ def test_heights_that_are_not_finite_do_not_reach_a_mesh(store, value):
     terrain = Terrain(open_store(store), 1)
     with pytest.raises(TerrainError, match="heights that are not finite.*import it again"):
         terrain.update(Criterion(error_px=0.0, error_m=1.0, max_depth=12), vertical_scale=1.5)
-    with pytest.raises(TerrainError, match="not finite"):
-        terrain.field.interpolated("bicubic")
+    if not np.isfinite(value):
+        with pytest.raises(TerrainError, match="heights that are not finite"):
+            terrain.field.interpolated("bicubic")
 
 
 def test_info_verify_names_the_block(store, run_command):

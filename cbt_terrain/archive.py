@@ -13,6 +13,7 @@ from .partial_files import written_beside
 
 # The earliest date that a zip can hold: the file says nothing of when it was written.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
+MOST_ENTRIES = 32
 
 
 def write_npz(path: Path, surface, origin, info: dict) -> None:
@@ -44,6 +45,9 @@ def read_npz(path: Path) -> dict:
         if path.exists() and not path.is_file():  # to read a pipe would wait for ever
             raise ValueError("it is not a regular file")
         with zipfile.ZipFile(path) as archive:
+            # As `write_npz` writes them: then what they unpack to is bounded by the file's own size.
+            if len(archive.infolist()) > MOST_ENTRIES or any(e.compress_type for e in archive.infolist()):
+                raise ValueError("its entries are compressed or too many")
             entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
         if "info" not in entries:
             raise ValueError("it has no entry 'info'")

@@ -21,7 +21,7 @@ from .meshlet_template import template
 from .refinement import Leaves
 from .tree import no_runs
 
-NOT_NESTED = "its errors are not nested, so triangles would not meet"
+NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
 

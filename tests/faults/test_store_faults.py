@@ -7,14 +7,18 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import store as store_module
+from adaptive_terrain.cbt_terrain import store_arrays
 from adaptive_terrain.cbt_terrain.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
 from adaptive_terrain.cbt_terrain.store import open_store
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view import View
 from invariants import arrays, assert_invariants
+from mutants import put_checksums
 
 ASKED = Criterion(error_px=0, error_m=20.0, meshlet=1)
 
@@ -54,6 +58,148 @@ def test_an_array_is_cut_short(store, name, left):
     assert "\n" not in str(caught.value)
     run_import(ImportSettings(source="island", size=129), store)  # mends it
     assert mesh(open_store(store)) == before
+
+
+def overwrite(file, value, where=slice(None), dtype=np.float32, fits=True):
+    """Change values of an array; `fits`: with checksums that fit, so that only what they do is noticed."""
+    raw = bytearray(file.read_bytes())
+    nbytes = len(np.load(file).reshape(-1)) * np.dtype(dtype).itemsize
+    np.frombuffer(raw, np.uint8, nbytes, 4096).view(dtype)[where] = value
+    if fits:
+        put_checksums(raw)
+    file.write_bytes(raw)
+
+
+VIEWS = [[View.look((60.0 * k, -900.0, 500.0), (0, 0, 0))] for k in range(3)]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("meshlet", [0, 2])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -1e9, "random"])
+def test_errors_that_are_anything_give_a_mesh_or_one_sentence(store, monkeypatch, value, meshlet, threads):
+    """In every second entry, so that nothing is nested; and the terrain goes on with what still can be had. What is not
+    a number or negative counts as none, which may be a coarser mesh without a fault."""
+    from adaptive_terrain.cbt_terrain import launch
+
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 50)
+    file = next(store.glob("data-*/error.npy"))
+    if value == "random":
+        value = np.random.default_rng(0).lognormal(0, 9, (len(np.load(file)) + 1) // 2)
+    overwrite(file, value, slice(None, None, 2))
+    terrain, refused = Terrain(open_store(store), threads), 0
+    for view in VIEWS:
+        try:
+            update = terrain.update(Criterion(error_px=1.0, max_depth=16, meshlet=meshlet), view)
+        except TerrainError as error:
+            assert str(error).startswith(f"The store {store} is damaged: it") and "import" in str(error)
+            refused += 1
+            continue
+        assert_invariants(update.surface, terrain.field.lattice, meshlet)
+    assert refused == 3 or value not in (np.inf, 3e38, "random") or meshlet
+    assert refused == 3 or not meshlet or value == 3e38, "errors for meshlets are made of all errors"
+    whole = terrain.update(Criterion(error_px=0, error_m=1e9), VIEWS[0])  # needs no error below the roots
+    assert_invariants(whole.surface, terrain.field.lattice)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.4e38])
+def test_heights_that_are_not_finite_do_not_reach_a_mesh(store, value):
+    overwrite(next(store.glob("data-*/samples.npy")), value, slice(0, None, 7))
+    terrain = Terrain(open_store(store), 1)
+    with pytest.raises(TerrainError, match="heights that are not finite.*import it again"):
+        terrain.update(Criterion(error_px=0.0, error_m=1.0, max_depth=12), vertical_scale=1.5)
+    if not np.isfinite(value):
+        with pytest.raises(TerrainError, match="heights that are not finite"):
+            terrain.field.interpolated("bicubic")
+
+
+def test_info_verify_names_the_block(store, run_command):
+    file = next(store.glob("data-*/error_m1.npy"))
+    overwrite(file, 7.0, 5, fits=False)
+    done = run_command("info", "--verify", store)
+    assert done.returncode == 1 and "error_m1.npy is damaged (block 1 of 1, bytes 4096 to" in done.stderr
+    assert "delete the file" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    before = mesh(open_store(store))  # it is made anew
+    assert store_module.verify(store) == dict.fromkeys(["samples.npy", "error.npy", "ranges.npy", "error_m1.npy"], 1)
+    assert mesh(open_store(store)) == before
+
+
+def test_what_a_sample_of_blocks_does_not_find_verify_does(tmp_path):
+    """Of 65 blocks the first, the last and two between are checked when a store is opened."""
+    path = tmp_path / "store"
+    run_import(ImportSettings(source="island", size=2049), path)
+    file = next(path.glob("data-*/samples.npy"))
+    blocks = -(-4 * 2049 * 2049 // store_arrays.BLOCK_BYTES)
+    assert blocks == 65
+    sums = np.frombuffer(file.read_bytes()[-4 * blocks :], "<u4")
+    assert len(np.unique(sums)) > 50, "each has its own"
+    entry = store_arrays.BLOCK_BYTES // 4
+    overwrite(file, 12.0, 10 * entry + 3, fits=False)
+    assert open_store(path).samples.shape == (2049, 2049)
+    with pytest.raises(TerrainError, match=r"samples.npy is damaged \(block 11 of 65, bytes 2625536 to 2887679"):
+        store_module.verify(path)
+    for block in (0, 64):
+        overwrite(file, 13.0, block * entry + 3, fits=False)
+        with pytest.raises(TerrainError, match=rf"samples.npy is damaged \(block {block + 1} of 65"):
+            open_store(path)
+        overwrite(file, 13.0, block * entry + 3)
+
+
+def in_place_of(file, how):
+    raw = file.read_bytes()
+    file.unlink()
+    if how == "pipe":
+        os.mkfifo(file)
+    elif how == "link":
+        file.symlink_to("/dev/zero")
+    elif how == "folder":
+        file.mkdir()
+    elif how == "zip":
+        with file.open("wb") as out:
+            np.savez(out, np.zeros(9))
+    elif how == "objects":
+        np.save(file, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    elif how == "columns first":
+        file.write_bytes(raw.replace(b"False", b"True ", 1))
+    elif how == "long header":
+        head = b"\x93NUMPY\x03\x00" + (2**31).to_bytes(4, "little")
+        file.write_bytes(head + b"[" * 10**6)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and links")
+@pytest.mark.parametrize(("name", "how"), [
+    *((name, how) for how in ("pipe", "link", "folder", "zip", "long header") for name in ("error.npy", "store.json")),
+    ("samples.npy", "objects"), ("samples.npy", "columns first"),
+])  # fmt: skip
+def test_something_else_in_place_of_a_file(store, name, how):
+    in_place_of(next(store.rglob(name)), how)
+    with pytest.raises(TerrainError, match=f"{name}.*import") as caught:
+        open_store(store)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[" * 10**6, '{"a": ' * 10**5, '{"version": 5, "report": "' + "x" * 10**7 + '"}'])
+def test_a_json_that_is_deep_or_huge(store, text):
+    (store / "store.json").write_text(text)
+    with pytest.raises(TerrainError, match="store.json cannot be read.*import it again") as caught:
+        open_store(store)
+    assert len(str(caught.value)) < 1000
+
+
+def test_an_entry_that_was_changed_is_noticed(store):
+    content = json.loads((store / "store.json").read_text())
+    content["range_step"] *= 2
+    (store / "store.json").write_text(json.dumps(content))
+    with pytest.raises(TerrainError, match="its entries differ from their checksum; import it again"):
+        open_store(store)
+
+
+@pytest.mark.parametrize("lattice", [{"columns": 2**25}, {"columns": 2**20, "rows": 2**10}, {"levels": 26}])
+def test_a_lattice_that_indices_cannot_number(store, lattice):
+    content = json.loads((store / "store.json").read_text())
+    content["lattice"] |= lattice
+    (store / "store.json").write_text(json.dumps(content))
+    with pytest.raises(TerrainError, match="its 'lattice' is"):
+        open_store(store)
 
 
 def test_a_cut_store_is_one_line_of_the_command_line(store, run_command):

@@ -12,7 +12,7 @@ READY := $(VENV)/.ready
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
-	@echo "make fuzz       10,000 random views, and twenty times the usual examples of the property tests"
+	@echo "make fuzz       10,000 random views, thousands of damaged files, twenty times the usual property tests"
 	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
@@ -29,6 +29,7 @@ test: $(READY)
 fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k random_views_keep
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/properties
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k damaged_files_are
 
 hard-cases: $(READY)
 	$(PY) tools/hard_cases_page.py

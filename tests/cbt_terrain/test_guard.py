@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
 from adaptive_terrain.cbt_terrain.importing import import_source, source_digest
 from adaptive_terrain.cbt_terrain.source_info import describe_source, versions
 from adaptive_terrain.cbt_terrain.sources import ImportSettings, open_source
-from rasters import hills, write_exr
+from rasters import hills, write_exr, write_raster
 
 # What an import launches must be loaded before: later it could not be compiled.
 LOADED = """
@@ -91,6 +91,29 @@ def test_odd_files_and_names_are_one_error(tmp_path):
         assert len(str(caught.value)) < 900 and "\n" not in str(caught.value)
     with pytest.raises(TerrainError):
         source_digest(ImportSettings("z" * 5000 + ".vrt"))
+
+
+def test_gdal_keeps_what_it_has_unpacked(tmp_path):
+    """The cache holds megabytes: as bytes it once held nothing, and pieces were unpacked again for every read."""
+    from rasterio.env import getenv
+
+    for size, cache in ((64, 256 << 20), (6000, 512 << 20)):
+        options = {"compress": "zstd", "blockysize": size, "SPARSE_OK": True}
+        heights = np.zeros((size, size), np.float32)
+        raster = open_source(ImportSettings(str(write_raster(tmp_path / f"{size}.tif", heights, **options))))
+        assert getenv()["GDAL_CACHEMAX"] == cache == gdal_cache()
+        raster.close()
+
+
+def gdal_cache():
+    """Bytes that GDAL's cache may hold, asked of GDAL itself."""
+    import ctypes
+
+    from rasterio import _env
+
+    ask = ctypes.CDLL(_env.__file__).GDALGetCacheMax64
+    ask.restype = ctypes.c_int64
+    return ask()
 
 
 def test_an_exr_cannot_claim_more_than_it_can_hold(tmp_path):

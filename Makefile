@@ -12,7 +12,7 @@ READY := $(VENV)/.ready
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
-	@echo "make fuzz       10,000 random views, 2,000 damaged stores, 300 interrupts, twenty times the other random examples"
+	@echo "make fuzz       10,000 random views, thousands of damaged files and stores, 300 interrupts, more of the random tests"
 	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
@@ -30,6 +30,7 @@ fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "random_views_keep or every_format_in_every_order"
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/properties
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_interrupted_work.py
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k damaged_files_are
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_damaged_stores.py tests/blender/test_damaged_stores.py
 
 hard-cases: $(READY)

@@ -23,10 +23,10 @@ DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", 
 MAX_BANDS = 1024
 # Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
 LARGEST_BLOCK = 256 << 20
-CACHE_MB = 256
+CACHE_BYTES = 256 << 20  # rasterio takes bytes, where GDAL's own variable takes megabytes
 # No network, no code out of a file, no sidecar files written, a bounded cache.
 OPTIONS = {
-    "GDAL_CACHEMAX": CACHE_MB,
+    "GDAL_CACHEMAX": CACHE_BYTES,
     "GDAL_PAM_ENABLED": "NO",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
@@ -213,8 +213,8 @@ def _check_blocks(path: Path, dataset) -> None:
             f"{shown(path)} is stored in pieces of {size / 1e9:.1f} GB, expected {LARGEST_BLOCK / 1e9:.1f} GB at most: "
             "write it again with smaller tiles or strips."
         )
-    if 2 * size > CACHE_MB << 20:  # else one that is read in parts is unpacked for each of them
-        setenv(GDAL_CACHEMAX=2 * LARGEST_BLOCK >> 20)
+    if 2 * size > CACHE_BYTES:  # else one that is read in parts is unpacked for each of them
+        setenv(GDAL_CACHEMAX=2 * LARGEST_BLOCK)
 
 
 def _short(reason: BaseException) -> str:

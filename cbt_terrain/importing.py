@@ -62,8 +62,9 @@ def run_import(
     draft = None
     try:
         digest = source_digest(settings, raster.sources)
-        report = finished_before(path, digest)
-        if report is not None:  # only who has opened a file of files knows all that it is made of
+        # What a file of files is made of is known only now; of others, the caller has already asked this.
+        report = finished_before(path, digest) if raster.sources else None
+        if report is not None:
             return report
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)

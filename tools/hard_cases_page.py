@@ -76,6 +76,7 @@ CASES = {
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",
+    63: "Height maps that are attacks",
     64: "A store with anything in it",
     65: "Interrupts at random times",
     68: "A background render whose mesh is stale",

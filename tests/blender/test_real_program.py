@@ -5,6 +5,7 @@ import json
 import os
 import struct
 import subprocess
+import sys
 import time
 import zipfile
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.benchmarks import in_program
+from hostile_files import source, vrt
 from PIL import Image
 
 SCRIPTS = Path(__file__).parent / "scripts"
@@ -51,6 +53,28 @@ def test_an_exr_becomes_a_terrain(program, dem, tmp_path):
     assert terrain["triangles"] > 1000
     low, high = dem["heights"].min(), dem["heights"].max()
     assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
+
+
+def test_height_maps_are_read_by_a_process_that_has_given_up_the_rest(program, dem, tmp_path):
+    """Also in the program's own Python: an EXR's header, PROJ's database, five drivers, and an attack is one line."""
+    attack = tmp_path / "attack.vrt"
+    attack.write_text(vrt(source("/vsicurl/http://127.0.0.1:9/a.tif", 0)))
+    commands = [
+        ["info", "--versions"],
+        ["info", dem["exr"]],
+        ["import", dem["tif"], "--project", "utm", "--store", tmp_path / "utm.store"],
+        ["import", attack, "--store", tmp_path / "bad.store"],
+    ]
+    main = "from bl_ext.user_default.adaptive_terrain.operators.command_line import main"
+    listed = [[str(word) for word in command] for command in commands]
+    said = program.run("-b", "--python-expr", f"{main}; print('CODES', [main(c) for c in {listed}])")
+    assert "CODES [0, 0, 0, 1]" in said and "Traceback" not in said
+    assert "GDAL drivers: AAIGrid, GTiff, PNG, SRTMHGT, VRT" in said and "Blender: " in said
+    assert sys.platform != "linux" or "writes: dropped" in said or "kept: this kernel" in said
+    assert "format: OpenEXR channel Y" in said
+    assert "crs: EPSG:32616" in said and "bounds_against: the raster as reprojected from EPSG:4326" in said
+    [line] = [line for line in said.splitlines() if "error: " in line]
+    assert "is no regular file here" in line and not (tmp_path / "bad.store").exists()
 
 
 def test_freed_pages_are_held_and_given_back(program):

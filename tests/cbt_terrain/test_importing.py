@@ -62,18 +62,20 @@ def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path):
 
 def test_a_digest_follows_the_settings_the_file_and_what_belongs_to_it(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills())
-    vrt = tmp_path / "a.vrt"
-    vrt.write_text('<VRTDataset><SourceFilename relativeToVRT="1">a.tif</SourceFilename></VRTDataset>')
+    named = write_raster(tmp_path / "b.tif", hills())
     settings = ImportSettings(source=str(source))
     digests = [source_digest(settings), source_digest(ImportSettings(source=str(source), height_scale=2.0))]
-    digests.append(source_digest(ImportSettings(source=str(vrt))))
+    digests.append(source_digest(settings, (named,)))
     (tmp_path / "a.prj").write_text("LOCAL_CS")
     digests.append(source_digest(settings))
     os.utime(source, (0, 0))
-    digests += [source_digest(settings), source_digest(ImportSettings(source=str(vrt)))]
+    digests.append(source_digest(settings))
+    digests.append(source_digest(settings, (named,)))
+    os.utime(named, (0, 0))
+    digests.append(source_digest(settings, (named,)))
     assert len(set(digests)) == len(digests) and source_digest(settings) in digests
     with pytest.raises(TerrainError, match="does not exist"):
-        source_digest(ImportSettings(source=str(tmp_path / "b.tif")))
+        source_digest(ImportSettings(source=str(tmp_path / "c.tif")))
 
 
 def test_what_may_be_undeclared_no_data_is_said(tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.georeference import rim_error
-from adaptive_terrain.cbt_terrain.importing import import_source
 from adaptive_terrain.cbt_terrain.sources import ImportSettings, open_source
 from adaptive_terrain.operators import command_line
 from rasterio.transform import from_origin
@@ -173,7 +172,3 @@ def test_project_on_the_command_line(tmp_path, capsys):
     assert "crs: EPSG:32632" in said and "warning" not in said
     assert command_line.main(["import", str(source), "--project", "EPSG:25832", "--store", str(tmp_path / "s")]) == 0
     assert "bounds_against: the raster as reprojected from EPSG:4326 to EPSG:25832, bilinear" in capsys.readouterr().out
-    assert command_line.main(["import", str(source), "--project", "EPSG:4326", "--store", str(tmp_path / "t")]) == 1
-    assert "EPSG:4326 does not measure in metres or feet" in capsys.readouterr().err
-    report = import_source(ImportSettings(source=str(source), project="utm"), tmp_path / "s")
-    assert "unchanged" not in report and report["crs"] == "EPSG:32632"

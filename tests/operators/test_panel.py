@@ -92,6 +92,17 @@ def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, 
         bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "terrain.doc"))
 
 
+def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrain):
+    from adaptive_terrain.operators.import_terrain import settings_of
+
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    settings.source, settings.project = "FILE", " utm"
+    for path, project in (("/dem.TIF", "utm"), ("/dem.exr", ""), ("/dem.r16", "")):
+        settings.source_path = path
+        assert settings_of(terrain).project == project
+
+
 def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
     from adaptive_terrain.operators.import_terrain import settings_of, store_folder
 

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The process that reads height maps: what it loads before it gives things up, and what `info` asks of it."""
+
+import os
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from adaptive_terrain import __version__
+from adaptive_terrain.cbt_terrain import sandbox, stall
+from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
+from adaptive_terrain.cbt_terrain.importing import import_source, source_digest
+from adaptive_terrain.cbt_terrain.source_info import describe_source, versions
+from adaptive_terrain.cbt_terrain.sources import ImportSettings, open_source
+from rasters import hills, write_exr, write_raster
+
+# What an import launches must be loaded before: later it could not be compiled.
+LOADED = """
+import sys
+from pathlib import Path
+from adaptive_terrain.cbt_terrain import guard, launch
+from adaptive_terrain.cbt_terrain.importing import run_import
+from adaptive_terrain.cbt_terrain.sources import ImportSettings
+guard.guard_import(ImportSettings(source=sys.argv[1]), Path(sys.argv[2]))
+before = {kernel.module.name for kernel in launch._loaded}
+run_import(ImportSettings(source=sys.argv[1]), sys.argv[2])
+run_import(ImportSettings(source="island", size=33), sys.argv[2])
+print(sorted({kernel.module.name for kernel in launch._loaded} - before))
+"""
+
+
+def test_every_kernel_of_an_import_is_loaded_before(tmp_path):
+    heights = hills(70, 50)
+    heights[3:5, 7] = np.nan  # to be filled; and it fits no lattice
+    np.save(tmp_path / "a.npy", heights)
+    command = [sys.executable, "-c", LOADED, str(tmp_path / "a.npy"), str(tmp_path / "store")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
+
+
+def test_versions_name_everything_and_what_is_given_up():
+    said = versions()
+    assert said["adaptive-terrain"] == __version__ and said["Python"] == sys.version.split()[0]
+    assert said["GDAL"].startswith("3.") and said["warp-lang"] and said["numpy"] == np.__version__
+    assert said["GDAL drivers"] == ["AAIGrid", "GTiff", "PNG", "SRTMHGT", "VRT"]
+    outcomes = said["reading height maps"]
+    assert set(outcomes) == {"network", "programs", "writes", "memory"}
+    assert all(outcomes[name].startswith(("dropped", "kept: ")) for name in ("network", "programs", "writes"))
+
+
+def test_elsewhere_than_on_linux_nothing_is_given_up_and_that_is_said(monkeypatch):
+    monkeypatch.setattr(sandbox.sys, "platform", "darwin")
+    assert set(sandbox.enter(None).values()) == {"kept: only 64-bit Linux can drop it"}
+    assert sandbox.limit_memory(1) == "kept: only Linux can limit it"
+
+
+def test_an_old_kernel_keeps_and_says_so(monkeypatch):
+    def refuse(*_):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(sandbox.ctypes, "CDLL", lambda *_, **__: type("Libc", (), {"prctl": lambda *_: 0}))
+    monkeypatch.setattr(sandbox, "_call", refuse)
+    if sys.platform == "linux":
+        assert set(sandbox.enter(None).values()) == {"kept: this kernel refuses (Function not implemented)"}
+
+
+def test_info_of_an_exr(tmp_path):
+    source = write_exr(tmp_path / "a.exr", Y=hills(9, 7))
+    assert describe_source(ImportSettings(str(source)))["raster"] == [9, 7]
+
+
+def bad_names(tmp_path):
+    """Files that were tracebacks once, with what is said of them now."""
+    np.savez(tmp_path / "zip.npz", a=np.zeros((3, 3)))
+    (tmp_path / "zip.npz").rename(tmp_path / "zip.npy")
+    yield str(tmp_path / "zip.npy"), "not a whole .npy file"
+    yield str(tmp_path / ("x" * 5000 + ".tif")), "x[.][.][.] (cannot be read|does not exist)"
+    yield "a\0b.tif", "cannot be read|does not exist"
+    longest = tmp_path / ("y" * 251 + ".tif")  # with the suffix of a sidecar it is too long
+    longest.write_bytes(b"II*\0" + bytes(40))
+    yield str(longest), "cannot be read as GTiff"
+
+
+def test_odd_files_and_names_are_one_error(tmp_path):
+    reads = [describe_source, lambda settings: import_source(settings, tmp_path / "store")]
+    for number, (source, said) in enumerate(bad_names(tmp_path)):
+        with pytest.raises(TerrainError, match=said) as caught:
+            reads[number % 2](ImportSettings(source))
+        assert len(str(caught.value)) < 900 and "\n" not in str(caught.value)
+    with pytest.raises(TerrainError):
+        source_digest(ImportSettings("z" * 5000 + ".vrt"))
+
+
+def test_gdal_keeps_what_it_has_unpacked(tmp_path):
+    """The cache holds megabytes: as bytes it once held nothing, and pieces were unpacked again for every read."""
+    from rasterio.env import getenv
+
+    for size, cache in ((64, 256 << 20), (6000, 512 << 20)):
+        options = {"compress": "zstd", "blockysize": size, "SPARSE_OK": True}
+        heights = np.zeros((size, size), np.float32)
+        raster = open_source(ImportSettings(str(write_raster(tmp_path / f"{size}.tif", heights, **options))))
+        assert getenv()["GDAL_CACHEMAX"] == cache == gdal_cache()
+        raster.close()
+
+
+def gdal_cache():
+    """Bytes that GDAL's cache may hold, asked of GDAL itself."""
+    import ctypes
+
+    from rasterio import _env
+
+    ask = ctypes.CDLL(_env.__file__).GDALGetCacheMax64
+    ask.restype = ctypes.c_int64
+    return ask()
+
+
+def test_an_exr_cannot_claim_more_than_it_can_hold(tmp_path):
+    content = bytearray(write_exr(tmp_path / "a.exr", Y=hills(33, 33)).read_bytes())
+    at = content.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    content[at : at + 16] = struct.pack("<4i", 0, 0, 9_999, 9_999)
+    (tmp_path / "a.exr").write_bytes(content)
+    with pytest.raises(TerrainError, match="0.4 GB: more than .* such a file can hold"):
+        open_source(ImportSettings(str(tmp_path / "a.exr")))
+
+
+def test_only_time_in_which_someone_asks_counts_as_a_stall(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(stall.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(stall, "STALL_SECONDS", 5.0)
+    watched, over = stall.Stall(), []
+    for second in (0.5, 1.0, 500.0, 500.5, 501.0, 502.0, 503.0, 504.0):
+        now[0] = second
+        over.append(watched.is_over(7))
+    assert over == [False] * 7 + [True]
+    assert not watched.is_over(8)
+
+
+def test_names_are_shown_short_and_on_one_line():
+    assert shown("a\nb  c") == "a b c" and shown("x" * 300) == "x" * 200 + "..." and os.linesep not in shown("\r\n")

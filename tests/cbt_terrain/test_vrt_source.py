@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Our own reader of VRTs, where the hard cases do not reach: other computers, long numbers, what GDAL is given."""
+
+from pathlib import PureWindowsPath
+from xml.etree import ElementTree
+
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.gdal_source import DRIVERS
+from adaptive_terrain.cbt_terrain.vrt_source import _is_local, read_mosaic
+from hostile_files import PART, source, vrt
+from rasters import hills, write_raster
+
+
+@pytest.mark.parametrize(
+    "named, vrt_at, local",
+    [
+        (r"\\other\share\a.tif", r"C:\maps\a.vrt", False),
+        ("//other/share/a.tif", r"C:\maps\a.vrt", False),
+        (r"\\other\share\a.tif", r"\\mine\share\a.vrt", False),
+        (r"\\mine\share\b.tif", r"\\mine\share\a.vrt", True),
+        (r"D:\maps\b.tif", r"C:\maps\a.vrt", True),
+    ],
+)
+def test_sources_on_other_computers_are_not_asked_for(named, vrt_at, local):
+    assert _is_local(PureWindowsPath(named), PureWindowsPath(vrt_at)) is local
+
+
+def test_gdal_is_given_whole_paths_and_nothing_else(tmp_path):
+    write_raster(tmp_path / PART, hills(65, 33))
+    (tmp_path / "in.vrt").write_text(vrt(source(PART)))
+    (tmp_path / "a.vrt").write_text("<!-- <x> --><?pi?>" + vrt(source("in.vrt", more="<![CDATA[ ]]>") + source(PART)))
+    mosaic = read_mosaic(tmp_path / "a.vrt", set(DRIVERS))
+    assert list(mosaic.sources) == [tmp_path / "in.vrt", tmp_path / PART] and len(mosaic.texts) == 2
+    inner, outer = ([n.text for n in ElementTree.fromstring(t).iter("SourceFilename")] for t in mosaic.texts)
+    assert inner == [str(tmp_path / PART)]
+    assert outer == [f"/vsimem/{mosaic.folder}/0.vrt", str(tmp_path / PART)]
+    assert not any('relativeToVRT="1"' in t or "<!" in t or "<?" in t for t in mosaic.texts)
+
+
+def test_long_numbers_are_refused_at_once(tmp_path):
+    for text in ("1" * 60_000 + "x", "1," * 30_000, "(" * 60_000):
+        (tmp_path / "a.vrt").write_text(vrt("").replace("<VRTR", f"<GeoTransform>{text}</GeoTransform><VRTR"))
+        with pytest.raises(TerrainError, match="for GeoTransform in <GeoTransform>"):
+            read_mosaic(tmp_path / "a.vrt", set(DRIVERS))

@@ -58,7 +58,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(surface, tmp_path, 
 
 def test_the_temporary_name_keeps_the_suffix(tmp_path):
     with written_beside(tmp_path / "mesh.ply") as partial:
-        assert partial.suffix == ".ply" and partial.parent == tmp_path
+        assert partial.name == "mesh.ply" and partial.parent.parent == tmp_path
         partial.write_text("x")
         assert not (tmp_path / "mesh.ply").exists()
     assert (tmp_path / "mesh.ply").read_text() == "x"

@@ -14,6 +14,7 @@ from ..cbt_terrain import stopping
 from ..cbt_terrain.archive import write_npz
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.partial_files import final_names, private_folder, remove_abandoned, written_among, written_beside
+from .blender_exporters import export_selected, only_selected
 from .console import quiet
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
@@ -264,37 +265,14 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
     its name.
     """
     with _written(path), _written_by_blender(path) as partial:
-        with _only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
-            _export_selected(str(partial.resolve()), form)
+        with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
+            export_selected(str(partial.resolve()), form)
         _need_all_written(partial)
         try:
             found = count_triangles(partial)
         except ValueError as reason:
             raise RuntimeError(str(reason)) from None
         _need_count(piece, path, found)
-
-
-def _export_selected(name: str, form: str) -> None:
-    """Have Blender's exporter of this format write what is selected to the file `name`."""
-    import bpy
-
-    only = {"filepath": name, "export_selected_objects": True, "apply_modifiers": False}
-    if form == "ply":
-        bpy.ops.wm.ply_export(**only, export_normals=True, export_uv=True)
-    elif form == "obj":
-        bpy.ops.wm.obj_export(**only, export_materials=False)
-    elif form == "stl":
-        bpy.ops.wm.stl_export(**only)
-    else:
-        _enable_gltf()
-        bpy.ops.export_scene.gltf(
-            filepath=name,
-            export_format="GLB",
-            use_selection=True,
-            export_current_frame=True,  # else it goes to frame 0
-            export_animations=False,
-            export_materials="NONE",
-        )
 
 
 def _need_count(piece: Piece, path: Path, found: int) -> None:
@@ -305,33 +283,3 @@ def _need_count(piece: Piece, path: Path, found: int) -> None:
             f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "
             "written: remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)."
         )
-
-
-@contextmanager
-def _only_selected(obj):
-    """Blender's exporters write what is selected; the user's selection comes back afterwards."""
-    import bpy
-
-    if not obj.visible_get():
-        raise TerrainError(f"The terrain {obj.name!r} is hidden, so Blender cannot export it; show it.")
-    objects = list(bpy.context.view_layer.objects)
-    selected = [other.select_get() for other in objects]
-    try:
-        for other in objects:
-            other.select_set(other == obj)
-        if not obj.select_get():
-            raise TerrainError(
-                f"The terrain {obj.name!r} is barred from selection, so Blender cannot export it; free it."
-            )
-        yield
-    finally:
-        for other, was in zip(objects, selected, strict=True):
-            other.select_set(was)
-
-
-def _enable_gltf() -> None:
-    """The glTF exporter is an add-on of Blender's own; it may be off."""
-    import addon_utils
-
-    if not addon_utils.check("io_scene_gltf2")[1]:
-        addon_utils.enable("io_scene_gltf2")

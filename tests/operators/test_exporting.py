@@ -48,14 +48,14 @@ def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):
 @pytest.mark.parametrize("form", FORMATS)
 def test_another_mesh_than_the_summary_says_is_an_error(terrain, tmp_path, form, monkeypatch):
     """A handler of another extension rewrites the mesh while Blender exports it."""
-    path, write = tmp_path / f"hills.{form}", exporting._export_selected
+    path, write = tmp_path / f"hills.{form}", exporting.export_selected
 
     def disturbed(name, kind):
         terrain.data.clear_geometry()
         terrain.data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
         write(name, kind)
 
-    monkeypatch.setattr(exporting, "_export_selected", disturbed)
+    monkeypatch.setattr(exporting, "export_selected", disturbed)
     with pytest.raises(RuntimeError, match=f"hills.{form} would hold 1 triangles where the terrain 'Hills' has"):
         export(path)
     assert list(tmp_path.iterdir()) == []
@@ -72,7 +72,7 @@ def test_an_update_leaves_the_surface_of_a_piece_alone(terrain, cut):
 
 
 def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):
-    ran, write = [], exporting._export_selected
+    ran, write = [], exporting.export_selected
 
     def to_another_frame(name, kind):
         bpy.context.scene.frame_set(3)
@@ -80,7 +80,7 @@ def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):
         bpy.context.scene.frame_set(7)
 
     monkeypatch.setattr(handlers, "update_all", lambda *_: ran.append(1) or [])
-    monkeypatch.setattr(exporting, "_export_selected", to_another_frame)
+    monkeypatch.setattr(exporting, "export_selected", to_another_frame)
     for form in FORMATS:
         assert export(tmp_path / f"hills.{form}") == {"FINISHED"}
     assert not ran

@@ -76,7 +76,8 @@ def listening():
     # What is ignored (nohup, a job in the background) stays ignored.
     numbers = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
     reader, writer = os.pipe()
-    os.set_blocking(writer, False)
+    if hasattr(os, "set_blocking"):  # Windows, which does not ask for it, has it from Python 3.12
+        os.set_blocking(writer, False)
     thread = threading.Thread(target=_listen, args=(reader,), name="adaptive_terrain_signals", daemon=True)
     thread.start()
     fd = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

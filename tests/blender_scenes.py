@@ -96,6 +96,8 @@ def preparing(monkeypatch):
     """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
     from adaptive_terrain.cbt_terrain import warmup
 
-    current = SimpleNamespace(fraction=0.25, done=threading.Event(), stopping=threading.Event())
+    current = SimpleNamespace(
+        fraction=0.25, done=threading.Event(), overlay_done=threading.Event(), stopping=threading.Event()
+    )
     monkeypatch.setattr(warmup, "_current", current)
     return current

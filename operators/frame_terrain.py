@@ -32,7 +32,8 @@ def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
             done.append("a viewport that shows the camera's view is left there")
         elif always or not sight.shows_all(box, cameras.view_from_region(space, region, region_3d)):
             _move_view(space, region, region_3d, box, _visible_part(area, region, space))
-        eye = np.array(region_3d.view_matrix.inverted().translation)
+        towards = region_3d.view_rotation.to_matrix().col[2]
+        eye = np.array(region_3d.view_location + towards * region_3d.view_distance)
         furthest = float(np.linalg.norm(box - eye, axis=1).max())
         space.clip_start, space.clip_end = sight.clip_that_shows(box, furthest, (space.clip_start, space.clip_end))
         area.tag_redraw()
@@ -40,7 +41,9 @@ def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
 
 
 def shown_viewports(window_manager, scene) -> list[tuple]:
-    """Those of every window that shows the scene."""
+    """Those of every window that shows the scene; none in the background, where windows are never drawn."""
+    if bpy.app.background:
+        return []
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
 
 
@@ -106,7 +109,6 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
     beside = tangents * ((left + right) / 2, (bottom + top) / 2) * distance
     region_3d.view_location = middle - axes[:, 0] * beside[0] - axes[:, 1] * beside[1]
     region_3d.view_distance = distance
-    region_3d.update()
 
 
 class FrameTerrain(bpy.types.Operator):

@@ -13,6 +13,7 @@ from ..cbt_terrain.importing import source_digest
 from ..cbt_terrain.sources import ISLAND as ISLAND_SOURCE
 from ..cbt_terrain.sources import RAW_SUFFIXES, ImportSettings
 from . import frame_terrain, imported, live, session
+from .numbers import SMALLEST, plain
 from .properties import ISLAND
 
 POLL_S = 0.1
@@ -97,13 +98,13 @@ def import_now(obj) -> tuple[dict, str]:
 def summary(report: dict) -> str:
     """One line about an import."""
     width, height = report["raster"]
-    line = f"{width} x {height} samples, {report['lowest_m']:.6g} to {report['highest_m']:.6g} m"
+    line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
         line += f", {report['filled']:,} without data filled"
     if report["moved_max_m"]:
-        line += f", resampled: moved by {report['moved_max_m']:.3g} m at most, {report['moved_rms_m']:.3g} m rms"
-    if report["source_step_m"]:
-        line += f", rounded by the source itself to ±{report['source_step_m']:.2g} m"
+        line += f", resampled: moved by {plain(report['moved_max_m'])} m at most, {plain(report['moved_rms_m'])} m rms"
+    if report["source_step_m"] >= SMALLEST:
+        line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
     return line
 
 

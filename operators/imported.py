@@ -12,7 +12,7 @@ import bpy
 from ..cbt_terrain import store as stores
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.sources import ISLAND, ImportSettings
-from .numbers import length_text, plain
+from .numbers import length_text
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
@@ -71,16 +71,14 @@ def _pair(report: dict, name: str) -> tuple | None:
 
 def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
     """Name and figure of each line, as many as ever: nothing below them moves when a store is written."""
-    names = ("From", "CRS", "Origin", "", "Raster", "Extent", "Spacing")
+    names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing")
     if imported is None:
-        return [(name, "-" if name else "") for name in names]
+        return [(name, "-") for name in names]
     source = imported.settings.get("source", "")
-    known = bool(imported.crs)
     figures = (
         "Built-in Island" if source == ISLAND else Path(source).name or "unknown",
         _crs_name(imported.crs),
-        coordinate_text(imported.origin[0]) if known else "none",
-        coordinate_text(imported.origin[1]) if known else "",
+        ", ".join(map(_coordinate, imported.origin)) if imported.crs else "none",
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
         _both([length_text(length) for length in imported.extent_m]),
         _both([length_text(length) for length in imported.step_m]),
@@ -95,9 +93,9 @@ def _crs_name(crs: str) -> str:
     return crs.split('"')[1] if '["' in crs else crs
 
 
-def coordinate_text(value: float) -> str:
+def _coordinate(value: float) -> str:
     """Digits down to about a metre, of degrees too."""
-    return plain(value, 9) if abs(value) > 360.0 else f"{value:.5f}"
+    return f"{value:.0f}" if abs(value) > 360.0 else f"{value:.5f}"
 
 
 def _both(texts: list[str]) -> str:

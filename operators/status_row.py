@@ -14,6 +14,7 @@ from . import import_terrain, pack_store, session, sight
 from .panel_parts import wrapped
 
 POPUP_LINE = 80
+NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
 FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
 
 
@@ -32,6 +33,7 @@ def draw_status(layout, context, obj) -> None:
         row.label(text="No height map yet: import one", icon="INFO")
     else:
         text, operator, button = sight_notice(context, obj)
+        row = row.split(factor=NOTICE_WIDTH) if text else row
         row.label(text=text or "In sight", icon="ERROR" if text else "CHECKMARK")
         if operator:
             row.operator(operator, text=button)
@@ -65,15 +67,15 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
     try:
         box = sight.box_of(obj)
         if _viewport_cuts(context, box):
-            return "This view cuts it off", FRAME, "Frame"
+            return "View cuts it off", FRAME, "Frame"
         camera = sight.camera_of(obj, context.scene)
         if camera is None:
             return "", "", ""
         view = sight.view_of_camera(context.scene, camera)
         if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
-            return "Camera is underground", CAMERA_TO_VIEW, "To View"
+            return "Camera underground", CAMERA_TO_VIEW, "To View"
         if not sight.is_in_sight(box, view):
-            return "Camera sees none of it", CAMERA_TO_VIEW, "To View"
+            return "Camera sees nothing", CAMERA_TO_VIEW, "To View"
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
     except TerrainError:
@@ -84,11 +86,11 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
 def _viewport_cuts(context, box: np.ndarray) -> bool:
     """Whether the viewport that the panel is beside ends before the terrain; of one in camera view, the camera's end
     counts, which has a notice of its own."""
-    space, region_3d = context.space_data, context.region_data
-    if space is None or space.type != "VIEW_3D" or region_3d is None or region_3d.view_perspective == "CAMERA":
+    space = context.space_data
+    if space is None or space.type != "VIEW_3D" or space.region_3d.view_perspective == "CAMERA":
         return False
     region = next(region for region in context.area.regions if region.type == "WINDOW")
-    return sight.is_cut_off(box, cameras.view_from_region(space, region, region_3d))
+    return sight.is_cut_off(box, cameras.view_from_region(space, region, space.region_3d))
 
 
 class ShowMessage(bpy.types.Operator):

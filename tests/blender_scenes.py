@@ -85,6 +85,7 @@ def add_terrain(store):
         obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         bpy.context.scene.collection.objects.link(obj)
         obj.adaptive_terrain.enabled, obj.adaptive_terrain.store = True, store
+        obj.adaptive_terrain.viewport.error_px = 1.0  # the viewport's own default is coarser
         bpy.context.view_layer.objects.active = obj
         return obj
 

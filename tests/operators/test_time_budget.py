@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.operators import live, session
-from adaptive_terrain.operators.panels import ViewportPanel
+from adaptive_terrain.operators.detail_panel import ViewportPanel
 from adaptive_terrain.operators.request import RENDER, VIEWPORT, Overrides, gather
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))

@@ -14,7 +14,7 @@ def plain(value: float, digits: int = 3) -> str:
         return f"< {SMALLEST:g}"
     if abs(value) >= 10.0**digits:
         return f"{value:,.0f}"
-    return f"{Decimal(f'{value:.{digits}g}').normalize():f}"
+    return f"{Decimal(f'{value:.{digits}g}').normalize():,f}"
 
 
 def length_text(metres: float) -> str:

@@ -22,10 +22,13 @@ def test_every_figure_has_its_unit(scene, add_terrain):
     terrain.adaptive_terrain.viewport.edge_px = 40.0
     session.update_object(terrain)
     lines = dict(statistics_lines(session.record_of(terrain).status))
-    assert lines["Screen error"].endswith(" px") and lines["Vertical error"].endswith(" m")
+    assert lines["Screen error"].endswith(" px") and "Vertical error" not in lines, "nobody has asked for metres"
     assert lines["Longest edge"].endswith(" px") and lines["Engine in all"].endswith(" ms")
     assert lines["Into Blender"].endswith(" ms")
     assert lines["Triangles"] == f"{len(terrain.data.polygons):,}"
+    terrain.adaptive_terrain.viewport.error_m = 2.0
+    session.update_object(terrain)
+    assert dict(statistics_lines(session.record_of(terrain).status))["Vertical error"].endswith(" m")
 
 
 def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
@@ -45,11 +48,11 @@ def test_the_bound_has_its_parts(scene, add_terrain):
     at = lines.index(("Screen error", "≤ 2 px"))
     parts = [("by triangles", "1.5 px"), ("by resampling", "0.25 px"), ("by the source's rounding", "0.25 px")]
     assert lines[at + 1 : at + 4] == [(f"    {name}", part) for name, part in parts]
-    assert lines[at + 4][0] == "Vertical error", "what is 0 is left out"
+    assert lines[at + 4][0] == "Leaves", "what is 0 is left out"
     status.bound_px, status.limited = LARGEST, "precision"
     lines = statistics_lines(status)
     at = lines.index(("Screen error", NO_BOUND))
-    assert lines[at + 1][0] == "Vertical error", "what says nothing has no parts"
+    assert lines[at + 1][0] == "Held back by", "what says nothing has no parts"
     assert ("Held back by", "float32 precision") in lines
 
 
@@ -174,12 +177,12 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
     for add in (lambda: None, add_terrain):
         add()
         layout = draw(TerrainPanel)
-        layout.progress.assert_called_once_with(factor=0.25, text="Preparing kernels (first start only)")
-        assert layout.operator.call_count == 1, "add a terrain, or update it"
+        bars = [call.kwargs for call in layout.mock_calls if call[0].endswith("progress")]
+        assert bars == [{"factor": 0.25, "text": "Preparing kernels (first start)"}]
     assert draw(OutputPanel).row().enabled is False, "a bake or an export would hold up the window"
     preparing.fraction = None
     preparing.done.set()
-    draw(TerrainPanel).progress.assert_not_called()
+    assert not [call for call in draw(TerrainPanel).mock_calls if call[0].endswith("progress")]
     assert draw(OutputPanel).row().enabled is True
 
 
@@ -212,7 +215,8 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     running = SimpleNamespace(
         uid=terrain.session_uid, folder=terrain.adaptive_terrain.store, report=Mock(), _end=Mock()
     )
-    running._update = lambda obj, report: import_terrain.ImportTerrain._update(running, obj, report)
+    running._take = lambda context, obj, report, folder: import_terrain.ImportTerrain._update(running, obj, report)
+    running._bring_into_view = Mock()
     timer = SimpleNamespace(type="TIMER")
     assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"PASS_THROUGH"}
     assert len(terrain.data.polygons) == 0

@@ -105,16 +105,17 @@ def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
 def draw(terrain):
     layout = Mock()
     ViewportPanel.draw(SimpleNamespace(_columns=lambda: layout), SimpleNamespace(object=terrain))
-    return [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    texts = [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    return [text for text in texts if text != "off"]
 
 
 def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
-    assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px"]
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px", ""], "always two lines"
     detail, beyond = terrain.adaptive_terrain.viewport, "Beyond what was measured"
     detail.max_ms = 1e5
-    assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px", beyond]
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px.", beyond]
     detail.max_ms = 1e-3
-    assert draw(terrain) == [f"None fits; coarsest error: {CURVE.error[0] * 16:.4g} px", beyond]
+    assert draw(terrain) == [f"None fits; coarsest error: {CURVE.error[0] * 16:.4g} px.", beyond]
     terrain.adaptive_terrain.viewport.curve = ""
     assert " ".join(draw(terrain)) == "Time budget needs a measured curve: press Measure Accuracy"
     terrain.adaptive_terrain.viewport.limit_time = False

@@ -50,15 +50,16 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
     except TerrainError:
         return None
     lattice, report = stores.Lattice(**content["lattice"]), content["report"]
-    step = lattice.step_x, lattice.step_y
-    cells = lattice.width - 1, lattice.height - 1
+    raster = _pair(report, "raster") or (lattice.width, lattice.height)
+    size = lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)
+    extent = _pair(report, "extent_m") or size
     return Imported(
         settings=content["provenance"].get("settings", {}),
         crs=content["crs"],
         origin=(content["origin"][0], content["origin"][1]),
-        raster=_pair(report, "raster") or (lattice.width, lattice.height),
-        extent_m=_pair(report, "extent_m") or (step[0] * cells[0], step[1] * cells[1]),
-        step_m=_pair(report, "step_m") or step,
+        raster=raster,
+        extent_m=extent,
+        step_m=tuple(length / max(count - 1, 1) for length, count in zip(extent, raster, strict=True)),
     )
 
 

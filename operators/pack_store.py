@@ -55,7 +55,8 @@ def lies_beside(settings) -> bool:
     """Whether a terrain's store has a path relative to the .blend file and is in its folder."""
     if not bpy.data.filepath or not settings.store.startswith(RELATIVE):
         return False
-    return Path(bpy.path.abspath(settings.store)).resolve().is_relative_to(Path(bpy.data.filepath).resolve().parent)
+    folder = Path(bpy.path.abspath(settings.store)).resolve()
+    return folder.is_relative_to(Path(bpy.data.filepath).resolve().parent)
 
 
 def _strays() -> list:

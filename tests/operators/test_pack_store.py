@@ -27,8 +27,9 @@ def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terra
 
 def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, tmp_path):
     """A terrain that is called like one before it packs into a folder with a number."""
+    (tmp_path / "here").mkdir()
     add_terrain()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
     bpy.ops.adaptive_terrain.pack_store()
     terrain = bpy.data.objects["Terrain"]
     first, key = absolute(terrain), open_store(absolute(terrain)).key
@@ -40,7 +41,7 @@ def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, 
 
     import_source(settings_of(other), tmp_path / "elsewhere")
     other.adaptive_terrain.store = str(tmp_path / "elsewhere")
-    wanted = tmp_path / "terrain" / "valley_Terrain_island"
+    wanted = tmp_path / "here" / "terrain" / "valley_Terrain_island"
     first.rename(wanted)
     terrain.adaptive_terrain.store = "//terrain/valley_Terrain_island"
     bpy.ops.adaptive_terrain.pack_store()
@@ -103,9 +104,11 @@ def _with_a_window(offered: list):
 
     class App:
         background = False
-        timers = type(
-            "Timers", (), {"register": staticmethod(lambda function, first_interval: offered.append(function))}
-        )
+
+        class timers:
+            @staticmethod
+            def register(function, first_interval):
+                offered.append(function)
 
     class Bpy:
         app = App

@@ -75,6 +75,7 @@ CASES = {
     47: "Undo, redo, save, reload, duplicate, delete, link",
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
+    67: "A terrain 32 km wide in a fresh scene",
 }
 
 HEAD = """\

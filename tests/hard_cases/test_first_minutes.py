@@ -35,7 +35,7 @@ def pictures(program, dem, tmp_path_factory):  # noqa: F811
 
 
 def test_case_67_an_imported_dem_is_on_the_screen(pictures):
-    """A DEM 30 km wide covers a tenth of the viewport's pixels at least; with the view before, they are an empty grid."""
+    """A DEM 30 km wide covers a tenth of the viewport at least; with the view before, there is an empty grid."""
     after, factory, said = pictures
     assert said["width_m"] > 29_000
     assert lit_part(after, said["viewport"]) > 0.1

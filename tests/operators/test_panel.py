@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.island import SIDE
-from adaptive_terrain.operators import session
+from adaptive_terrain.operators import session, status_bar
 from adaptive_terrain.operators.panel_parts import wrapped
 from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
 from adaptive_terrain.operators.shown_bounds import NO_BOUND
-from adaptive_terrain.operators.statistics_panel import statistics_lines
+from adaptive_terrain.operators.statistics_panel import statistics_lines, summary_lines
 from adaptive_terrain.operators.update_terrain import UpdateTerrain
 
 
@@ -234,3 +234,52 @@ def test_the_size_of_the_added_island_is_not_that_of_a_file(scene, add_terrain):
     settings.use_extent, settings.height_scale = True, 3.0
     settings.source = "FILE"
     assert (settings.use_extent, settings.height_scale) == (True, 3.0), "what the user has set stays"
+
+
+def test_the_first_terrain_locks_the_interface_and_the_second_does_not_insist(scene):
+    scene.render.use_lock_interface = False
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    assert scene.render.use_lock_interface is True
+    scene.render.use_lock_interface = False
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    assert scene.render.use_lock_interface is False
+
+
+def test_the_top_has_three_lines_whatever_there_is_to_say(scene, add_terrain):
+    terrain = add_terrain()
+    status = session.record_of(terrain).status
+    assert [figure for _, figure in summary_lines(status)] == ["-", "-", "-"]
+    detail = terrain.adaptive_terrain.viewport
+    for name, error_px, error_m in (("Screen error", 4.0, 2.0), ("Vertical error", 0.0, 2.0)):
+        detail.error_px, detail.error_m = error_px, error_m
+        session.update_object(terrain)
+        lines = summary_lines(session.record_of(terrain).status)
+        assert [line for line, _ in lines] == ["Triangles", name, "Update"]
+        assert lines[0][1] == f"{len(terrain.data.polygons):,}" and lines[1][1].startswith("≤ ")
+
+
+def test_viewport_and_render_have_defaults_of_their_own(scene):
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    settings = bpy.context.object.adaptive_terrain
+    assert (settings.viewport.error_px, settings.render.error_px) == (2.0, 1.0)
+
+
+def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):
+    detail = add_terrain().adaptive_terrain.viewport
+    assert detail.ask_error_px and not detail.ask_edge_px
+    detail.ask_edge_px = True
+    assert detail.edge_px > 0.0
+    detail.edge_px = 7.0
+    detail.ask_edge_px = True
+    assert detail.edge_px == 7.0, "what is on stays as it is"
+    detail.ask_edge_px = False
+    assert detail.edge_px == 0.0
+
+
+def test_the_status_bar_says_what_takes_long(scene, preparing, monkeypatch):
+    assert status_bar.work() == (0.25, "Preparing kernels (first start)")
+    preparing.fraction = None
+    assert status_bar.work() is None
+    monkeypatch.setattr(status_bar.live, "seconds_under_way", lambda: 12.4)
+    monkeypatch.setattr(status_bar.live, "stage", lambda: "Making the overlay")
+    assert status_bar.work() == (None, "Making the overlay, 12 s")

@@ -4,7 +4,7 @@
 Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 s each, about 10 s in all, and where
 that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
 of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
-child.
+child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already.
 """
 
 import importlib
@@ -19,6 +19,7 @@ from types import ModuleType
 import warp as wp
 
 from .. import kernels
+from ..kernels import accuracy
 from . import child, launch, stopping
 from .errors import TerrainError
 
@@ -28,33 +29,51 @@ CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
 
 
 class _Preparation:
-    """One run; its thread alone touches the child processes. `fraction`: 0 .. 1 while modules are compiled."""
+    """One run; its thread alone touches the child processes. `fraction`: 0 .. 1 while modules are compiled. `done`: the
+    kernels of a frame are ready; `overlay_done`: those of the overlay too."""
 
     def __init__(self):
         self.fraction: float | None = None
-        self.done = threading.Event()
+        self.done, self.overlay_done = threading.Event(), threading.Event()
         self.stopping = threading.Event()
         self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
         self.thread.start()
 
     def _run(self) -> None:
+        processes = []
         try:
             modules = kernel_modules()
-            compiled = [compiled_file(module) for module in modules]
-            if not all(file.exists() for file in compiled):
-                self._compile(compiled)
-            for module in modules:
-                if self.stopping.is_set():
-                    return
-                load(module)
+            compiled = {module: compiled_file(module) for module in modules + overlay_modules()}
+            if not all(file.exists() for file in compiled.values()):
+                self.fraction = 0.0
+                processes = self._start_children()
+            self._finish(modules, compiled, processes)
+            self.done.set()
+            self._finish(overlay_modules(), compiled, processes)
         except Exception:  # whoever launches a kernel is told the reason again
             traceback.print_exc()
         finally:
+            for process in processes:
+                if self.stopping.is_set():
+                    process.kill()
+                process.wait()
             self.fraction = None
             self.done.set()
+            self.overlay_done.set()
 
-    def _compile(self, compiled: list[Path]) -> None:
-        self.fraction = 0.0
+    def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
+        """Wait until the children have compiled `modules`, or have ended; then load them."""
+        files = list(compiled.values())
+        while any(process.poll() is None for process in processes):
+            self.fraction = sum(file.exists() for file in files) / len(files)
+            if all(compiled[module].exists() for module in modules) or self.stopping.wait(POLL_SECONDS):
+                break
+        for module in modules:
+            if self.stopping.is_set():
+                return
+            load(module)
+
+    def _start_children(self) -> list[subprocess.Popen]:
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
@@ -64,12 +83,7 @@ class _Preparation:
                 processes.append(child.start("cbt_terrain.warmup", str(i), str(count), variables=cache, **streams))
         except OSError:
             pass  # loading compiles what is left
-        while any(process.poll() is None for process in processes):
-            if self.stopping.wait(POLL_SECONDS):
-                for process in processes:
-                    process.kill()
-                    process.wait()
-            self.fraction = sum(file.exists() for file in compiled) / len(compiled)
+        return processes
 
 
 _current: _Preparation | None = None
@@ -97,15 +111,16 @@ def preparing() -> bool:
 
 
 def progress() -> float | None:
-    """0 .. 1 while kernels are compiled, else None."""
+    """0 .. 1 while kernels are compiled, those of the overlay too; else None."""
     return _current.fraction if _current is not None else None
 
 
-def wait() -> None:
-    """Return when no kernels are being made ready. Raises TerrainError if that was stopped."""
+def wait(overlay: bool = False) -> None:
+    """Return when the kernels of a frame, or of the overlay, are ready. Raises TerrainError if that was stopped."""
     preparation = _current
     if preparation is not None:
-        while not preparation.done.wait(POLL_SECONDS):
+        ready = preparation.overlay_done if overlay else preparation.done
+        while not ready.wait(POLL_SECONDS):
             stopping.check()
         if preparation.stopping.is_set():
             raise TerrainError("The extension was switched off while its kernels were being prepared; switch it on.")
@@ -113,8 +128,17 @@ def wait() -> None:
 
 def kernel_modules() -> list[ModuleType]:
     """Every module that has kernels for a frame; folders beside them hold kernels for what is asked now and then."""
-    names = [module.name for module in pkgutil.iter_modules(kernels.__path__)]
-    modules = [importlib.import_module(f"{kernels.__name__}.{name}") for name in names]
+    return _modules_of(kernels)
+
+
+def overlay_modules() -> list[ModuleType]:
+    """Those that measure errors, which the overlay shows."""
+    return _modules_of(accuracy)
+
+
+def _modules_of(package: ModuleType) -> list[ModuleType]:
+    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
+    modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
     return [module for module in modules if _kernels_of(module)]
 
 
@@ -144,5 +168,6 @@ def child_main(first: str, step: str) -> None:
     child.end_with_parent()
     if hasattr(os, "nice"):
         os.nice(5)  # the window and an import come first
-    for module in kernel_modules()[int(first) :: int(step)]:
-        load(module)
+    for modules in (kernel_modules(), overlay_modules()):
+        for module in modules[int(first) :: int(step)]:
+            load(module)

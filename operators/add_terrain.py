@@ -5,6 +5,7 @@ import bpy
 from bpy_extras.object_utils import AddObjectHelper, object_data_add
 
 from ..cbt_terrain.island import DEFAULT_SEED, SIDE
+from . import session
 from .properties import ISLAND
 
 
@@ -38,7 +39,17 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
             bpy.data.meshes.remove(mesh)
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
             return {"CANCELLED"}
+        if session.terrains_of(context.scene) == [obj]:
+            self._lock_interface(context.scene)
         return {"FINISHED"}
+
+    def _lock_interface(self, scene):
+        """A viewport that draws a mesh that a render rewrites meanwhile would crash Blender."""
+        if not scene.render.use_lock_interface:
+            scene.render.use_lock_interface = True
+            self.report(
+                {"INFO"}, "Switched on Render > Lock Interface: the viewport must not draw while a render updates"
+            )
 
 
 def _menu_entry(self, context):

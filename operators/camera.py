@@ -109,9 +109,10 @@ def view_from_region(space, region, region_3d) -> View:
     return View(np.array(region_3d.view_matrix, np.float64), projection, (region.width, region.height), kind, clip)
 
 
-def views_from_windows(window_manager) -> list[View]:
-    """What every 3D viewport of every window shows now; viewports too small to show anything are left out."""
-    views = []
+def viewports(window_manager) -> list[tuple]:
+    """Window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown; viewports too
+    small to show anything are left out."""
+    found = []
     for window in window_manager.windows:
         for area in window.screen.areas:
             if area.type != "VIEW_3D":
@@ -121,9 +122,13 @@ def views_from_windows(window_manager) -> list[View]:
             # A viewport split in four has four window regions and keeps their views in a list of its own.
             parts = list(space.region_quadviews) or [space.region_3d]
             pairs = zip(regions[-len(parts) :], parts, strict=False)
-            shown = [pair for pair in pairs if min(pair[0].width, pair[0].height) > 1]
-            views += [view_from_region(space, region, part) for region, part in shown]
-    return views
+            found += [(window, area, region, part) for region, part in pairs if min(region.width, region.height) > 1]
+    return found
+
+
+def views_from_windows(window_manager) -> list[View]:
+    """What every 3D viewport of every window shows now."""
+    return [view_from_region(area.spaces.active, region, part) for _, area, region, part in viewports(window_manager)]
 
 
 def _clip(data) -> tuple[float, float]:

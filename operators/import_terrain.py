@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Import a height map into a store, in a child process that can neither block nor hurt Blender."""
 
+import math
 from pathlib import Path
 
 import bpy
@@ -11,10 +12,12 @@ from ..cbt_terrain.import_process import ImportJob, import_source
 from ..cbt_terrain.importing import source_digest
 from ..cbt_terrain.sources import ISLAND as ISLAND_SOURCE
 from ..cbt_terrain.sources import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
-from . import live, session
+from . import frame_terrain, imported, live, session
+from .numbers import SMALLEST, plain
 from .properties import ISLAND
 
 POLL_S = 0.1
+RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
 _jobs: dict[int, ImportJob] = {}  # by the object's session_uid
 _progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
 
@@ -22,6 +25,11 @@ _progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the pa
 def progress_of(obj) -> tuple[float, str] | None:
     """Fraction done (0 .. 1) and what is being done, or None when nothing is being imported for the object."""
     return _progress.get(obj.session_uid)
+
+
+def all_progress() -> list[tuple[float, str]]:
+    """The same of every import that runs."""
+    return list(_progress.values())
 
 
 def settings_of(obj) -> ImportSettings:
@@ -69,8 +77,13 @@ def store_folder(obj, settings: ImportSettings) -> str:
     folder for each source and settings, because unsaved files share it. Raises TerrainError for a missing source."""
     source = Path(settings.source).stem
     if bpy.data.filepath:
-        return "//terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
+        return folder_beside(obj, source)
     return str(Path(user_folder()) / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
+
+
+def folder_beside(obj, source: str) -> str:
+    """The name of a store of `source` beside the saved file."""
+    return "//terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
 
 
 def user_folder() -> str:
@@ -81,26 +94,30 @@ def user_folder() -> str:
     return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)
 
 
-def import_now(obj) -> dict:
-    """Import and wait for the end; returns the report."""
+def import_now(obj) -> tuple[dict, str]:
+    """Import and wait for the end; returns the report and the store, which is not the terrain's yet."""
     settings = settings_of(obj)
     folder = store_folder(obj, settings)
-    report = import_source(settings, bpy.path.abspath(folder))
-    obj.adaptive_terrain.store = folder
-    return report
+    return import_source(settings, bpy.path.abspath(folder)), folder
 
 
 def summary(report: dict) -> str:
     """One line about an import."""
     width, height = report["raster"]
-    line = f"{width} x {height} samples, {report['lowest_m']:.6g} to {report['highest_m']:.6g} m"
+    line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
         line += f", {report['filled']:,} without data filled"
     if report["moved_max_m"]:
-        line += f", resampled: moved by {report['moved_max_m']:.3g} m at most, {report['moved_rms_m']:.3g} m rms"
-    if report["source_step_m"]:
-        line += f", rounded by the source itself to ±{report['source_step_m']:.2g} m"
+        line += f", resampled: moved by {plain(report['moved_max_m'])} m at most, {plain(report['moved_rms_m'])} m rms"
+    if report["source_step_m"] >= SMALLEST:
+        line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
     return line
+
+
+def _size_of(obj) -> float:
+    """Metres from one end of the terrain's height map to the other; 0 without one."""
+    found = imported.imported_of(obj.adaptive_terrain)
+    return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
 class ImportTerrain(bpy.types.Operator):
@@ -148,16 +165,15 @@ class ImportTerrain(bpy.types.Operator):
             return {"CANCELLED"}
         if progress.error:
             return self._failed(obj, progress.error)
-        obj.adaptive_terrain.store = self.folder
-        return self._update(obj, progress.report)
+        return self._take(context, obj, progress.report, self.folder)
 
     def execute(self, context):
         obj = context.object
         try:
-            report = import_now(obj)
+            report, folder = import_now(obj)
         except TerrainError as error:
             return self._failed(obj, str(error))
-        return self._update(obj, report)
+        return self._take(context, obj, report, folder)
 
     def cancel(self, context):
         """Another file is loaded, or Blender quits."""
@@ -173,6 +189,26 @@ class ImportTerrain(bpy.types.Operator):
         session.record_of(obj).status.error = message
         self.report({"ERROR"}, message)
         return {"CANCELLED"}
+
+    def _take(self, context, obj, report: dict, folder: str):
+        """The store is the terrain's from now on. One that is the first, or of another size, is brought into view."""
+        before = _size_of(obj)
+        obj.adaptive_terrain.store = folder
+        imported.tag_object(obj)
+        after = _size_of(obj)
+        if after and not (before and 1 / RESIZED < after / before < RESIZED):
+            self._bring_into_view(context, obj)
+        return self._update(obj, report)
+
+    def _bring_into_view(self, context, obj):
+        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
+        try:
+            done = frame_terrain.frame(obj, context.evaluated_depsgraph_get(), viewports, always=False)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
+            return
+        if done:
+            self.report({"INFO"}, frame_terrain.said(done))
 
     def _update(self, obj, report: dict):
         for warning in report["warnings"]:

@@ -6,6 +6,7 @@ writes the mesh when the worker is done. A result is stale, and is dropped, when
 undone, deleted or replaced in the meantime; a camera that moved on in the meantime gets the next turn.
 """
 
+import time
 import traceback
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -36,7 +37,8 @@ _job: Job | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
 _follows_viewport = False
-_shown_preparation: tuple[bool, float | None] = False, None
+_started = 0.0  # when the job under way was handed over
+_stage = ""  # what the worker does
 
 
 def mark_dirty() -> None:
@@ -56,7 +58,6 @@ def tick() -> float:
 
 def _turn() -> float:
     global _dirty, _job
-    _show_preparation()
     if warmup.preparing():
         return IDLE_S
     if bpy.app.is_job_running("RENDER"):
@@ -76,18 +77,19 @@ def _turn() -> float:
     return BUSY_S
 
 
-def _show_preparation() -> None:
-    """The panel follows the preparation of the kernels."""
-    global _shown_preparation
-    preparation = warmup.preparing(), warmup.progress()
-    if preparation != _shown_preparation:
-        _shown_preparation = preparation
-        redraw_panels()
+def seconds_under_way() -> float:
+    """For how long the worker has been busy with an update; 0 when it is idle."""
+    return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
+
+
+def stage() -> str:
+    """What the worker does, for the status bar."""
+    return _stage
 
 
 def _next_job() -> Job | None:
     """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
-    global _follows_viewport
+    global _follows_viewport, _started
     shown = [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
     _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
     for depsgraph, obj in shown:
@@ -103,7 +105,7 @@ def _next_job() -> Job | None:
                 traceback.print_exc()
             continue
         if request.key() != record.live_key:
-            record.live_key = request.key()
+            record.live_key, _started = request.key(), time.monotonic()
             return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
 
@@ -113,8 +115,11 @@ def _windows():
 
 
 def _solve(record: session.Record, request: Request):
+    global _stage
+    _stage = "Refining"
     with session.engine_lock:
         update = session.solve(record, request)
+        _stage = "Making the overlay"
         session.paint(record, request, update)
         return update, record.serial
 

@@ -5,6 +5,7 @@ import bpy
 import bpy.utils.previews
 
 from . import session
+from .overlay import LEGEND_LINES
 from .panel_parts import TerrainSubpanel
 from .properties import NO_OVERLAY
 
@@ -26,8 +27,11 @@ class OverlayPanel(TerrainSubpanel, bpy.types.Panel):
             return
         column.operator("adaptive_terrain.show_overlay", icon="SHADING_SOLID")
         overlay = session.record_of(obj).overlay
-        for text, colour in overlay.legend if overlay else []:
+        legend = overlay.legend if overlay else []
+        for text, colour in legend:
             column.label(text=text, icon_value=swatch(colour))
+        for _ in range(LEGEND_LINES + 1 - len(legend)):  # what is below stays where it is
+            column.label(text="")
 
 
 def swatch(colour: tuple[float, float, float]) -> int:

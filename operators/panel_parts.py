@@ -30,10 +30,10 @@ def switched(column, settings, switch: str, name: str) -> None:
         column.prop(settings, name)
 
 
-def figures(column, lines: list[tuple[str, ...]]) -> None:
-    """Names in the left half, one or more figures in the right."""
+def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
+    """Names in the left part, of `factor` of the width, one or more figures in the right."""
     for name, *values in lines:
-        row = column.split(factor=0.5)
+        row = column.split(factor=factor)
         row.label(text=name)
         right = row.row()
         for value in values:
@@ -46,6 +46,15 @@ def message(layout, text: str, icon: str) -> None:
     box.alert = icon == "ERROR"
     for number, line in enumerate(wrapped(text, LINE_LENGTH)):
         box.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def fixed_lines(column, text: str, count: int) -> None:
+    """A sentence in `count` lines, however short it is; one that is longer is cut."""
+    lines = wrapped(text, LINE_LENGTH)
+    if len(lines) > count:
+        lines[count - 1] += " ..."
+    for line in (lines + [""] * count)[:count]:
+        column.label(text=line)
 
 
 def wrapped(text: str, width: int) -> list[str]:

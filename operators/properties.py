@@ -18,6 +18,7 @@ from bpy.props import (
 from ..cbt_terrain.heightfield import INTERPOLATIONS
 from ..cbt_terrain.island import DEFAULT_SEED, SIDE
 from ..cbt_terrain.sources import RAW_TYPES
+from .detail_properties import RenderDetail, ViewportDetail, changed
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -26,100 +27,28 @@ NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
 
-def _changed(self, _context) -> None:
-    """A script that sets a property tags nothing: without this its object's evaluated copy keeps the old value."""
-    self.id_data.update_tag()
-
-
 def _source_chosen(self, _context) -> None:
     """The size that the Add menu gives the island is not that of a file."""
     if self.source == FILE and self.use_extent and math.isclose(self.height_scale, self.extent[0] / SIDE, rel_tol=1e-5):
         self.use_extent, self.height_scale = False, 1.0
 
 
-class DetailSettings(bpy.types.PropertyGroup):
-    """How much detail, for the viewport or for the render."""
-
-    error_px: FloatProperty(
-        name="Screen Error",
-        description="Largest geometric error as seen by the camera, in pixels; 0 switches this criterion off",
-        default=1.0, min=0.0, soft_max=20.0, precision=2, subtype="PIXEL", update=_changed,
-    )  # fmt: skip
-    edge_px: FloatProperty(
-        name="Edge Length",
-        description="Longest edge as seen by the camera, in pixels; 0 switches this criterion off",
-        default=0.0, min=0.0, soft_max=200.0, precision=1, subtype="PIXEL", update=_changed,
-    )  # fmt: skip
-    area_px: FloatProperty(
-        name="Triangle Area",
-        description="Largest triangle as seen by the camera, in square pixels; 0 switches this criterion off",
-        default=0.0, min=0.0, soft_max=10000.0, precision=1, update=_changed,
-    )  # fmt: skip
-    error_m: FloatProperty(
-        name="Vertical Error",
-        description="Largest vertical error in metres, whatever the camera sees; 0 switches this criterion off",
-        default=0.0, min=0.0, soft_max=100.0, precision=3, unit="LENGTH", update=_changed,
-    )  # fmt: skip
-    guard_deg: FloatProperty(
-        name="Guard Band",
-        description="How far outside the frame full detail is kept, in degrees",
-        default=5.0, min=0.0, max=89.0, precision=1, update=_changed,
-    )  # fmt: skip
-    off_screen_factor: FloatProperty(
-        name="Off-Screen Factor",
-        description="How many times coarser the terrain may be outside the frame; 1 keeps full detail everywhere",
-        default=16.0, min=1.0, soft_max=1000.0, precision=1, update=_changed,
-    )  # fmt: skip
-    meshlet: IntProperty(
-        name="Meshlet Level",
-        description="Every leaf of the tree becomes 4 to this power triangles",
-        default=0, min=0, max=4, update=_changed,
-    )  # fmt: skip
-    limit_depth: BoolProperty(name="Limit Depth", description="Stop refining at a depth", update=_changed)
-    max_depth: IntProperty(
-        name="Max Depth", description="Bisections of a root square", default=20, min=1, soft_max=40, update=_changed
-    )
-    limit_triangles: BoolProperty(
-        name="Limit Triangles", description="Coarsen the error asked for until the mesh fits a budget", update=_changed
-    )
-    max_triangles: IntProperty(
-        name="Max Triangles", description="Triangles at most", default=1_000_000, min=0, update=_changed
-    )
-    limit_time: BoolProperty(
-        name="Time Budget",
-        description="Instead of the error above ask for the finest error that fits a time, from the curve that "
-        "Measure Accuracy has measured; the same curve and the same time give the same mesh on every machine",
-        update=_changed,
-    )  # fmt: skip
-    max_ms: FloatProperty(
-        name="Max Time (ms)",
-        description="Milliseconds of the engine for a new view; handing the mesh to Blender comes on top",
-        default=50.0, min=0.01, soft_max=1000.0, precision=1, update=_changed,
-    )  # fmt: skip
-    curve: StringProperty(
-        name="Cost Curve", description="What errors cost, as Measure Accuracy has measured it; JSON", update=_changed
-    )
-    measured: StringProperty(
-        name="Measured Accuracy", description="Errors of one mesh, as Measure Accuracy has measured them; JSON"
-    )
-
-
 class CleanupSettings(bpy.types.PropertyGroup):
     """What is cut away from the finished mesh; the mesh then takes the slower way through bmesh."""
 
     use_below: BoolProperty(
-        name="Delete Below", description="Delete faces that lie wholly below a height", update=_changed
+        name="Delete Below", description="Delete faces that lie wholly below a height", update=changed
     )
     below: FloatProperty(
-        name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=_changed
+        name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
     )
     boundary: PointerProperty(
         name="Boundary",
         description="Delete faces whose middle is not above or below a face of this object",
-        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=_changed,
+        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=changed,
     )  # fmt: skip
     remove_loose: BoolProperty(
-        name="Remove Loose", description="Remove vertices and edges without a face", default=True, update=_changed
+        name="Remove Loose", description="Remove vertices and edges without a face", default=True, update=changed
     )
 
     @property
@@ -134,7 +63,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     store: StringProperty(
         name="Store",
         description="Folder with the imported height field; import writes it",
-        subtype="DIR_PATH", options=PATH_OPTIONS, update=_changed,
+        subtype="DIR_PATH", options=PATH_OPTIONS, update=changed,
     )  # fmt: skip
 
     source: EnumProperty(
@@ -172,10 +101,16 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Metres from west to east and from south to north",
         size=2, default=(1000.0, 1000.0), min=0.001, unit="LENGTH",
     )  # fmt: skip
-    height_scale: FloatProperty(name="Height Scale", description="Metres per unit of the file", default=1.0)
+    height_scale: FloatProperty(
+        name="Metres per Unit",
+        description="Metres in one unit of the file's values, applied by Import; what acts at once is Vertical Scale",
+        default=1.0, precision=4,
+    )  # fmt: skip
     height_offset: FloatProperty(
-        name="Height Offset", description="Added to every height, in metres", unit="LENGTH", default=0.0
-    )
+        name="Metres at Zero",
+        description="Height of the file's value 0, applied by Import; what acts at once is Vertical Offset",
+        unit="LENGTH", default=0.0,
+    )  # fmt: skip
     use_no_data: BoolProperty(
         name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
     )
@@ -190,10 +125,10 @@ class TerrainSettings(bpy.types.PropertyGroup):
         items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera"),
                (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
                (VIEWPORT_VIEW, "Viewport", "Refine for what the 3D viewports show; a render uses the scene camera")],
-        update=_changed,
+        update=changed,
     )  # fmt: skip
     camera: PointerProperty(
-        name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=_changed
+        name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=changed
     )
     interpolation: EnumProperty(
         name="Interpolation",
@@ -201,32 +136,34 @@ class TerrainSettings(bpy.types.PropertyGroup):
         items=[(INTERPOLATIONS[0], "Bilinear", "Flat from sample to sample: never above or below them"),
                (INTERPOLATIONS[1], "Bicubic", "Smooth: closer than a sample it shows no facets, but takes more "
                 "triangles; beside cliffs it may overshoot")],
-        update=_changed,
+        update=changed,
     )  # fmt: skip
     vertical_scale: FloatProperty(
-        name="Vertical Scale", description="Factor on every height", default=1.0, update=_changed
+        name="Vertical Scale", description="Factor on every imported height; acts at once", default=1.0, update=changed
     )
     vertical_offset: FloatProperty(
-        name="Vertical Offset", description="Added to every height, in metres", unit="LENGTH", update=_changed
-    )
-    viewport: PointerProperty(type=DetailSettings)
-    render: PointerProperty(type=DetailSettings)
+        name="Vertical Offset",
+        description="Added to every imported height, in metres; acts at once",
+        unit="LENGTH", update=changed,
+    )  # fmt: skip
+    viewport: PointerProperty(type=ViewportDetail)
+    render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
         name="Live Update",
-        description="Follow the camera in the viewport, without ever blocking it",
-        default=True, update=_changed,
+        description="Follow the camera in the viewport, without ever blocking it; it stands still in Edit Mode",
+        default=True, update=changed,
     )  # fmt: skip
     smooth: BoolProperty(
         name="Smooth Shading",
         description="Shade with the height field's own normals at full resolution; otherwise each face is flat",
-        default=True, update=_changed,
+        default=True, update=changed,
     )  # fmt: skip
     overlay: EnumProperty(
         name="Overlay",
         items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
                (ERROR_OVERLAY, "Screen Error", "Each triangle's largest error, as the camera sees it; takes longer"),
                (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
-        update=_changed,
+        update=changed,
     )  # fmt: skip
     cleanup: PointerProperty(type=CleanupSettings)
     bake_error_m: FloatProperty(
@@ -257,7 +194,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (DetailSettings, CleanupSettings, TerrainSettings, SceneSettings)
+CLASSES = (ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings)
 
 
 def register() -> None:

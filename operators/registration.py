@@ -10,6 +10,7 @@ from . import (
     bake_terrain,
     command_line,
     export_terrain,
+    frame_terrain,
     freed_memory,
     handlers,
     import_terrain,
@@ -17,9 +18,12 @@ from . import (
     measure_accuracy,
     measuring,
     overlay_panel,
+    pack_store,
     panels,
     properties,
     session,
+    status_bar,
+    status_row,
     sweep_accuracy,
     update_terrain,
 )
@@ -29,6 +33,8 @@ MODULES = (
     properties,
     import_terrain,
     add_terrain,
+    frame_terrain,
+    pack_store,
     update_terrain,
     bake_terrain,
     export_terrain,
@@ -36,9 +42,11 @@ MODULES = (
     measure_accuracy,
     sweep_accuracy,
     overlay_panel,
+    status_row,
     panels,
     handlers,
     live,
+    status_bar,
 )
 _commands = []
 

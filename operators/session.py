@@ -160,6 +160,8 @@ def paint(record: Record, request: Request, update) -> None:
         # The error is another one in each view, also on the same mesh.
         key = (record.serial, request.overlay, request.key() if request.overlay == ERROR_OVERLAY else None)
     if key != record.overlay_key:
+        if key is not None:
+            warmup.wait(overlay=True)
         start = time.perf_counter()
         record.overlay = None if key is None else make_overlay(record.field, request, update.surface)
         record.overlay_key, record.overlay_ms = key, (time.perf_counter() - start) * 1e3

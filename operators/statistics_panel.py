@@ -10,6 +10,7 @@ from ..cbt_terrain.criterion import LARGEST, unit_asked
 from ..cbt_terrain.errors import TerrainError
 from . import measure_accuracy, measuring, session, sweep_accuracy
 from .accuracy_report import PAGE
+from .numbers import SMALLEST, plain
 from .panel_parts import TerrainSubpanel, figures, message
 from .shown_bounds import NO_BOUND, bound_text, limit_text
 
@@ -23,14 +24,19 @@ STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 
 
 class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
+    """Grows and shrinks with what there is to tell, so it is the last panel, and closed until someone asks."""
+
     bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
-    bl_label = "Last Update"
+    bl_label = "Accuracy of Last Update"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
         obj = context.object
         status = session.record_of(obj).status
+        if status.error:
+            message(column, status.error, "ERROR")
         if status.mode and status.request.note:
             message(column, status.request.note, "INFO")
         figures(column, statistics_lines(status))
@@ -88,26 +94,46 @@ def _draw_measuring(column, obj, operator: str, icon: str) -> None:
     row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
 
 
+def _bounds(status) -> list[tuple[str, float, str, object]]:
+    """Name, value, unit and parts of every bound that was asked for, the one that counts most first. A vertical error
+    is large where nobody looks; it is told to those who have asked for metres."""
+    asked = status.request.criterion
+    bounds = [("Screen error", status.bound_px, "px", status.terms_px, asked.error_px)]
+    bounds += [("Vertical error", status.bound_m, "m", status.terms_m, asked.error_m or not asked.needs_view)]
+    bounds += [("Longest edge", status.bound_edge_px, "px", None, asked.edge_px)]
+    bounds += [("Largest triangle", status.bound_area_px, "px²", None, asked.area_px)]
+    return [bound for *bound, wanted in bounds if bound[1] is not None and wanted]
+
+
+def _bound(value: float, unit: str, digits: int) -> str:
+    """A bound that holds as it is shown."""
+    return f"≤ {bound_text(max(value, SMALLEST), unit, digits)}" if value < LARGEST else NO_BOUND
+
+
+def summary_lines(status) -> list[tuple[str, str]]:
+    """The three lines at the panel's top: as many before the first update."""
+    if not status.mode:
+        return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
+    name, value, unit, _ = (_bounds(status) or [("Error bound", None, "", None)])[0]
+    bound = "-" if value is None else _bound(value, unit, 3)
+    ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
+    return [("Triangles", f"{status.left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
+
+
 def statistics_lines(status) -> list[tuple[str, str]]:
     """What the panel says of an update: pairs of a name and a figure with its unit."""
     if not status.mode:
         return [("No update yet", "")]
     unit = unit_asked(status.request.criterion)
-    lines = [("Asked", f"{getattr(status.request.criterion, f'error_{unit}'):.4g} {unit}")] if unit else []
-    bounds = [("Screen error", status.bound_px, "px", status.terms_px)]
-    bounds += [("Vertical error", status.bound_m, "m", status.terms_m)]
-    bounds += [("Longest edge", status.bound_edge_px, "px", None)]
-    bounds += [("Largest triangle", status.bound_area_px, "px²", None)]
-    for name, value, unit, terms in bounds:
-        if value is not None:
-            bounded = value < LARGEST
-            lines.append((name, f"≤ {bound_text(value, unit, 4)}" if bounded else NO_BOUND))
-            parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and bounded else {}
-            lines += [(f"    {label}", f"{part:.2g} {unit}") for label, part in parts.items() if part]
+    lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
+    for name, value, unit, terms in _bounds(status):
+        lines.append((name, _bound(value, unit, 4)))
+        parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
+        lines += [(f"    {label}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
     if status.limited:
         lines.append(("Held back by", limit_text(status.limited)))
     if status.relaxed != 1.0:
-        lines.append(("Coarser than asked", f"{status.relaxed:.3g} times"))
+        lines.append(("Coarser than asked", f"{plain(status.relaxed)} times"))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
     if status.left != status.triangles:
         lines.append(("Left by clean-up", f"{status.left:,}"))
@@ -129,8 +155,8 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
         errors = measured[key]
         if errors and errors["count"]:
             largest = measured["vertical_max_m"] if key == "vertical_m" else errors["max"]
-            lines.append((name, f"{largest:.3g}", f"{errors['p95']:.3g}"))
-    return [*lines, ("Rounding (m)", f"{measured['rounding_m']:.2g}", "")]
+            lines.append((name, plain(largest), plain(errors["p95"])))
+    return [*lines, ("Rounding (m)", plain(measured["rounding_m"]), "")]
 
 
 def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
@@ -151,10 +177,13 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     for other in (error / 2, error * 2):
         triangles, ms = curve.at(other)
         cost = f"~{_rounded(triangles * more)} triangles, ~{_rounded(ms * longer)} ms"
-        lines.append(f"{other:.3g} {curve.unit}: {cost}")
+        lines.append(f"{plain(other)} {curve.unit}: {cost}")
     return lines
 
 
 def _rounded(value: float) -> str:
     """Two digits: a prediction is no better."""
-    return f"{float(f'{value:.2g}'):,.6g}" if value < 1e5 else f"{float(f'{value:.2g}'):,.0f}"
+    return plain(float(f"{value:.2g}"))
+
+
+CLASSES = (StatisticsPanel, AccuracyReportPanel)

@@ -85,6 +85,7 @@ def add_terrain(store):
         obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         bpy.context.scene.collection.objects.link(obj)
         obj.adaptive_terrain.enabled, obj.adaptive_terrain.store = True, store
+        obj.adaptive_terrain.viewport.error_px = 1.0  # the viewport's own default is coarser
         bpy.context.view_layer.objects.active = obj
         return obj
 
@@ -96,6 +97,8 @@ def preparing(monkeypatch):
     """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
     from adaptive_terrain.cbt_terrain import warmup
 
-    current = SimpleNamespace(fraction=0.25, done=threading.Event(), stopping=threading.Event())
+    current = SimpleNamespace(
+        fraction=0.25, done=threading.Event(), overlay_done=threading.Event(), stopping=threading.Event()
+    )
     monkeypatch.setattr(warmup, "_current", current)
     return current

@@ -79,6 +79,7 @@ CASES = {
     63: "Height maps that are attacks",
     64: "A store with anything in it",
     65: "Interrupts at random times",
+    67: "A terrain 32 km wide in a fresh scene",
     68: "A background render whose mesh is stale",
 }
 

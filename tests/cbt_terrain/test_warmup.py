@@ -12,7 +12,13 @@ from adaptive_terrain.cbt_terrain import child, launch, warmup
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 
 ROOT = Path(__file__).resolve().parents[2]
-WITH_KERNELS = {path.stem for path in (ROOT / "kernels").glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
+
+
+def with_kernels(folder: Path) -> set[str]:
+    return {path.stem for path in folder.glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
+
+
+OF_A_FRAME, OF_THE_OVERLAY = with_kernels(ROOT / "kernels"), with_kernels(ROOT / "kernels" / "accuracy")
 # Prepares under the name that an extension has, and tells what it compiled itself.
 PREPARE = """
 import importlib.util, json, os, sys, time, types
@@ -39,8 +45,11 @@ while warmup.preparing():
     time.sleep(0.002)
     now = time.perf_counter()
     gap, last = max(gap, now - last), now
-warmup.wait()
-modules = warmup.kernel_modules()
+seen.append(warmup.progress())
+overlay_before = sum(bool(wp.get_module(m.__name__).execs) for m in warmup.overlay_modules())
+warmup.wait(overlay=True)
+seen.append(warmup.progress())
+modules = warmup.kernel_modules() + warmup.overlay_modules()
 print(json.dumps({
     "seconds": time.perf_counter() - start,
     "gap_ms": gap * 1e3,
@@ -49,6 +58,7 @@ print(json.dumps({
     "missing": [m.__name__ for m in modules if not warmup.compiled_file(m).exists()],
     "loaded": sum(bool(wp.get_module(m.__name__).execs) for m in modules),
     "modules": len(modules),
+    "overlay_before": overlay_before,
     "folders": sorted(os.listdir(wp.config.kernel_cache_dir)),
 }))
 """
@@ -75,7 +85,8 @@ def prepared(tmp_path_factory):
 def test_children_compile_everything_under_the_name_of_their_parent(prepared):
     first, _, _ = prepared
     assert first["compiled_here"] == [] and first["missing"] == []
-    assert first["loaded"] == first["modules"] == len(WITH_KERNELS)
+    assert first["loaded"] == first["modules"] == len(OF_A_FRAME) + len(OF_THE_OVERLAY)
+    assert first["overlay_before"] == 0, "a terrain is shown before the overlay's kernels are there"
     assert all(name.startswith("wp_bl_ext.user_default.terrain.kernels.") for name in first["folders"])
     assert len(first["folders"]) == first["modules"]
     assert first["fractions"][0] == 0.0 and len(first["fractions"]) > 3, "the panel shows how far it is"
@@ -145,6 +156,7 @@ def test_without_a_child_the_thread_compiles(monkeypatch):
     loaded = []
     monkeypatch.setattr(warmup, "load", lambda module: loaded.append(module.__name__.rpartition(".")[2]))
     warmup.start()
-    warmup.wait()
+    warmup.wait(overlay=True)
     warmup.stop()
-    assert set(loaded) == WITH_KERNELS
+    assert set(loaded) == OF_A_FRAME | OF_THE_OVERLAY
+    assert set(loaded[: len(OF_A_FRAME)]) == OF_A_FRAME, "those of a frame come first"

@@ -305,7 +305,9 @@ def test_every_measured_figure_has_its_unit():
 
     lines = {name: figures for name, *figures in measured_lines(json.loads(json.dumps(asdict(MEASURED))))}
     assert lines.pop("Measured") == ["largest", "95 %"]
-    assert lines["Screen (px)"] == lines["Facet normal (°)"] == ["0.5", "0.25"] and lines["Rounding (m)"][0] == "1e-05"
+    assert (
+        lines["Screen (px)"] == lines["Facet normal (°)"] == ["0.5", "0.25"] and lines["Rounding (m)"][0] == "< 0.001"
+    )
     assert lines["Vertical (m)"] == ["0.75", "0.25"], "the largest of the whole surface"
     assert all(name.endswith(("(px)", "(m)", "(°)")) for name in lines)
     assert not [name for name in lines if name.startswith(("Silhouette", "Hidden"))], "none was in the frame"

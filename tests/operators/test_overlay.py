@@ -185,7 +185,14 @@ def test_the_panel_has_the_button_and_the_legend_while_it_is_on(scene, add_terra
     turn_on(terrain, "ERROR")
     layout = draw()
     layout.operator.assert_called_once_with("adaptive_terrain.show_overlay", icon="SHADING_SOLID")
-    assert [call.kwargs["text"] for call in layout.label.mock_calls] == ["0 px", "0.25 px", "0.5 px", "0.75 px", "1 px"]
+    assert [call.kwargs["text"] for call in layout.label.mock_calls] == [
+        "0 px",
+        "0.25 px",
+        "0.5 px",
+        "0.75 px",
+        "1 px",
+        "",
+    ]
 
 
 def test_the_button_shows_the_colours_in_every_viewport(scene, add_terrain):

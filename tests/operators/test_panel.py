@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.island import SIDE
-from adaptive_terrain.operators import session
+from adaptive_terrain.operators import session, status_bar
 from adaptive_terrain.operators.panel_parts import wrapped
 from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
 from adaptive_terrain.operators.shown_bounds import NO_BOUND
-from adaptive_terrain.operators.statistics_panel import statistics_lines
+from adaptive_terrain.operators.statistics_panel import statistics_lines, summary_lines
 from adaptive_terrain.operators.update_terrain import UpdateTerrain
 
 
@@ -22,10 +22,13 @@ def test_every_figure_has_its_unit(scene, add_terrain):
     terrain.adaptive_terrain.viewport.edge_px = 40.0
     session.update_object(terrain)
     lines = dict(statistics_lines(session.record_of(terrain).status))
-    assert lines["Screen error"].endswith(" px") and lines["Vertical error"].endswith(" m")
+    assert lines["Screen error"].endswith(" px") and "Vertical error" not in lines, "nobody has asked for metres"
     assert lines["Longest edge"].endswith(" px") and lines["Engine in all"].endswith(" ms")
     assert lines["Into Blender"].endswith(" ms")
     assert lines["Triangles"] == f"{len(terrain.data.polygons):,}"
+    terrain.adaptive_terrain.viewport.error_m = 2.0
+    session.update_object(terrain)
+    assert dict(statistics_lines(session.record_of(terrain).status))["Vertical error"].endswith(" m")
 
 
 def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
@@ -45,11 +48,11 @@ def test_the_bound_has_its_parts(scene, add_terrain):
     at = lines.index(("Screen error", "≤ 2 px"))
     parts = [("by triangles", "1.5 px"), ("by resampling", "0.25 px"), ("by the source's rounding", "0.25 px")]
     assert lines[at + 1 : at + 4] == [(f"    {name}", part) for name, part in parts]
-    assert lines[at + 4][0] == "Vertical error", "what is 0 is left out"
+    assert lines[at + 4][0] == "Leaves", "what is 0 is left out"
     status.bound_px, status.limited = LARGEST, "precision"
     lines = statistics_lines(status)
     at = lines.index(("Screen error", NO_BOUND))
-    assert lines[at + 1][0] == "Vertical error", "what says nothing has no parts"
+    assert lines[at + 1][0] == "Held back by", "what says nothing has no parts"
     assert ("Held back by", "float32 precision") in lines
 
 
@@ -185,12 +188,12 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
     for add in (lambda: None, add_terrain):
         add()
         layout = draw(TerrainPanel)
-        layout.progress.assert_called_once_with(factor=0.25, text="Preparing kernels (first start only)")
-        assert layout.operator.call_count == 1, "add a terrain, or update it"
+        bars = [call.kwargs for call in layout.mock_calls if call[0].endswith("progress")]
+        assert bars == [{"factor": 0.25, "text": "Preparing kernels (first start)"}]
     assert draw(OutputPanel).row().enabled is False, "a bake or an export would hold up the window"
     preparing.fraction = None
     preparing.done.set()
-    draw(TerrainPanel).progress.assert_not_called()
+    assert not [call for call in draw(TerrainPanel).mock_calls if call[0].endswith("progress")]
     assert draw(OutputPanel).row().enabled is True
 
 
@@ -223,7 +226,8 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     running = SimpleNamespace(
         uid=terrain.session_uid, folder=terrain.adaptive_terrain.store, report=Mock(), _end=Mock()
     )
-    running._update = lambda obj, report: import_terrain.ImportTerrain._update(running, obj, report)
+    running._take = lambda context, obj, report, folder: import_terrain.ImportTerrain._update(running, obj, report)
+    running._bring_into_view = Mock()
     timer = SimpleNamespace(type="TIMER")
     assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"PASS_THROUGH"}
     assert len(terrain.data.polygons) == 0
@@ -241,3 +245,52 @@ def test_the_size_of_the_added_island_is_not_that_of_a_file(scene, add_terrain):
     settings.use_extent, settings.height_scale = True, 3.0
     settings.source = "FILE"
     assert (settings.use_extent, settings.height_scale) == (True, 3.0), "what the user has set stays"
+
+
+def test_the_first_terrain_locks_the_interface_and_the_second_does_not_insist(scene):
+    scene.render.use_lock_interface = False
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    assert scene.render.use_lock_interface is True
+    scene.render.use_lock_interface = False
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    assert scene.render.use_lock_interface is False
+
+
+def test_the_top_has_three_lines_whatever_there_is_to_say(scene, add_terrain):
+    terrain = add_terrain()
+    status = session.record_of(terrain).status
+    assert [figure for _, figure in summary_lines(status)] == ["-", "-", "-"]
+    detail = terrain.adaptive_terrain.viewport
+    for name, error_px, error_m in (("Screen error", 4.0, 2.0), ("Vertical error", 0.0, 2.0)):
+        detail.error_px, detail.error_m = error_px, error_m
+        session.update_object(terrain)
+        lines = summary_lines(session.record_of(terrain).status)
+        assert [line for line, _ in lines] == ["Triangles", name, "Update"]
+        assert lines[0][1] == f"{len(terrain.data.polygons):,}" and lines[1][1].startswith("≤ ")
+
+
+def test_viewport_and_render_have_defaults_of_their_own(scene):
+    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
+    settings = bpy.context.object.adaptive_terrain
+    assert (settings.viewport.error_px, settings.render.error_px) == (2.0, 1.0)
+
+
+def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):
+    detail = add_terrain().adaptive_terrain.viewport
+    assert detail.ask_error_px and not detail.ask_edge_px
+    detail.ask_edge_px = True
+    assert detail.edge_px > 0.0
+    detail.edge_px = 7.0
+    detail.ask_edge_px = True
+    assert detail.edge_px == 7.0, "what is on stays as it is"
+    detail.ask_edge_px = False
+    assert detail.edge_px == 0.0
+
+
+def test_the_status_bar_says_what_takes_long(scene, preparing, monkeypatch):
+    assert status_bar.work() == (0.25, "Preparing kernels (first start)")
+    preparing.fraction = None
+    assert status_bar.work() is None
+    monkeypatch.setattr(status_bar.live, "seconds_under_way", lambda: 12.4)
+    monkeypatch.setattr(status_bar.live, "stage", lambda: "Making the overlay")
+    assert status_bar.work() == (None, "Making the overlay, 12 s")

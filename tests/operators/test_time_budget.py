@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
 from adaptive_terrain.operators import live, session
-from adaptive_terrain.operators.panels import ViewportPanel
+from adaptive_terrain.operators.detail_panel import ViewportPanel
 from adaptive_terrain.operators.request import RENDER, VIEWPORT, Overrides, gather
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
@@ -105,16 +105,17 @@ def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
 def draw(terrain):
     layout = Mock()
     ViewportPanel.draw(SimpleNamespace(_columns=lambda: layout), SimpleNamespace(object=terrain))
-    return [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    texts = [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    return [text for text in texts if text != "off"]
 
 
 def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
-    assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px"]
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px", ""], "always two lines"
     detail, beyond = terrain.adaptive_terrain.viewport, "Beyond what was measured"
     detail.max_ms = 1e5
-    assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px", beyond]
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px.", beyond]
     detail.max_ms = 1e-3
-    assert draw(terrain) == [f"None fits; coarsest error: {CURVE.error[0] * 16:.4g} px", beyond]
+    assert draw(terrain) == [f"None fits; coarsest error: {CURVE.error[0] * 16:.4g} px.", beyond]
     terrain.adaptive_terrain.viewport.curve = ""
     assert " ".join(draw(terrain)) == "Time budget needs a measured curve: press Measure Accuracy"
     terrain.adaptive_terrain.viewport.limit_time = False

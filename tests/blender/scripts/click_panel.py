@@ -42,7 +42,7 @@ def click(x: int, y: int):
 def click_first_button():
     region = parts()[2]
     scale = bpy.context.preferences.system.ui_scale
-    yield from click(region.x + region.width // 2, int(region.y + region.height - FIRST_BUTTON_BELOW_TOP * scale))
+    yield from click(region.x + region.width // 4, int(region.y + region.height - FIRST_BUTTON_BELOW_TOP * scale))
 
 
 def until(condition):

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers as people read them: no powers of ten, no more digits than count."""
+
+from decimal import Decimal
+
+SMALLEST = 0.001  # what is less is said to be less
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """`12,300`, `0.25`, `< 0.001`: `digits` digits that count, and all that stand before the point."""
+    if value != value or abs(value) == float("inf"):
+        return str(value)
+    if 0 < abs(value) < SMALLEST:
+        return f"< {SMALLEST:g}"
+    if abs(value) >= 10.0**digits:
+        return f"{value:,.0f}"
+    return f"{Decimal(f'{value:.{digits}g}').normalize():,f}"
+
+
+def length_text(metres: float) -> str:
+    """A length with the unit that suits it: `31.9 km`, `20 m`, `2.5 mm`."""
+    for unit, size in (("km", 1000.0), ("m", 1.0)):
+        if abs(metres) >= size:
+            return f"{plain(metres / size)} {unit}"
+    return f"{plain(metres)} m" if abs(metres) >= 0.1 or metres == 0 else f"{plain(metres * 1000.0)} mm"

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A new user's first import in a factory scene, with a window: FOLDER FILE. Writes down where the viewport is and what
+it shows, once after the import and once with the clip range and the view of a factory scene."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+folder, file = sys.argv[sys.argv.index("--") + 1 :]
+folder = Path(folder)
+WAIT_S = 200.0
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.1
+
+
+def steps():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    space, view = area.spaces.active, area.spaces.active.region_3d
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    factory = space.clip_start, space.clip_end, view.view_distance, view.view_location.copy()
+    camera = bpy.context.scene.camera
+    place = [list(row) for row in camera.matrix_world]
+    terrain = bpy.data.objects.new("Terrain", bpy.data.meshes.new("Terrain"))
+    bpy.context.scene.collection.objects.link(terrain)
+    bpy.context.view_layer.objects.active = terrain
+    settings = terrain.adaptive_terrain
+    settings.enabled, settings.source, settings.source_path = True, "FILE", file
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
+    yield from until(lambda: len(terrain.data.polygons) > 0)
+    yield 2.0
+    result = {
+        "viewport": [region.x, region.y, region.width, region.height],
+        "clip": [space.clip_start, space.clip_end],
+        "camera_clip": [camera.data.clip_start, camera.data.clip_end],
+        "camera_moved": place != [list(row) for row in camera.matrix_world],
+        "width_m": terrain.dimensions.x,
+    }
+    (folder / "imported.json").write_text(json.dumps(result))
+    yield from until((folder / "imported_pictured").exists)
+    space.clip_start, space.clip_end, view.view_distance, view.view_location = factory
+    yield 1.0
+    (folder / "factory.json").touch()
+
+
+_steps = steps()
+bpy.app.timers.register(lambda: next(_steps, None), first_interval=2.0)

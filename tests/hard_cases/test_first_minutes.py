@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a new user sees, in the window of the real Blender program."""
+
+import json
+
+import numpy as np
+import pytest
+from blender.conftest import SCRIPTS, bare_program, dem, extension_zip, program  # noqa: F401
+from blender.test_real_program import SCREEN, read_screen, wait_for, window
+
+LIT = 100  # of 255: the grid and the background of a factory scene are darker, a terrain in solid shading is lighter
+
+
+def lit_part(picture, viewport: list[int]) -> float:
+    """The part of the viewport's pixels that is as light as ground; headers, tools and gizmos are left out."""
+    x, y, width, height = viewport
+    top = SCREEN[1] - y - height
+    pixels = np.asarray(picture.convert("L"))[top + height // 5 : top + height, x + width // 10 : x + width * 9 // 10]
+    return float((pixels > LIT).mean())
+
+
+@pytest.fixture(scope="module")
+def pictures(program, dem, tmp_path_factory):  # noqa: F811
+    """The screen after the import, the same with a factory scene's view, and what the script wrote down."""
+    folder = tmp_path_factory.mktemp("first_import")
+    arguments = ["--window-geometry", "0", "0", *map(str, SCREEN)]
+    arguments += ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
+    with window(program, arguments, folder) as blender:
+        wait_for(folder / "imported.json", blender, 240)
+        after = read_screen(folder)
+        (folder / "imported_pictured").touch()
+        wait_for(folder / "factory.json", blender, 60)
+        factory = read_screen(folder)
+    return after, factory, json.loads((folder / "imported.json").read_text())
+
+
+def test_case_67_an_imported_dem_is_on_the_screen(pictures):
+    """A DEM 30 km wide covers a tenth of the viewport at least; with the view before, there is an empty grid."""
+    after, factory, said = pictures
+    assert said["width_m"] > 29_000
+    assert lit_part(after, said["viewport"]) > 0.1
+    assert lit_part(factory, said["viewport"]) < 0.02, "the light pixels are the terrain"
+
+
+def test_case_67_clip_ranges_reach_it_and_keep_their_precision(pictures):
+    """Viewport and camera see as far as the terrain is long, from a 100,000th of that on; the camera stays in place."""
+    _, _, said = pictures
+    diagonal = said["width_m"] * 2**0.5
+    for start, end in (said["clip"], said["camera_clip"]):
+        assert end > diagonal and end / start <= 1.01e5
+    assert said["camera_moved"] is False

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers have no powers of ten, and lengths the unit that suits them."""
+
+import pytest
+from adaptive_terrain.operators.numbers import length_text, plain
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (100.0, 2, "100"),
+        (99.96, 3, "100"),
+        (1234567.0, 3, "1,234,567"),
+        (0.25, 2, "0.25"),
+        (0.0, 3, "0"),
+        (5.6e-6, 2, "< 0.001"),
+        (-0.404298, 4, "-0.4043"),
+        (float("inf"), 3, "inf"),
+    ],
+)
+def test_plain_numbers(value, digits, text):
+    assert plain(value, digits) == text
+
+
+def test_lengths():
+    lengths = (31_902.0, 20.0, 999.9, 0.25, 0.0195, 0.0)
+    assert [length_text(m) for m in lengths] == ["31.9 km", "20 m", "1,000 m", "0.25 m", "19.5 mm", "0 m"]

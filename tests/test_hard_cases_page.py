@@ -25,7 +25,7 @@ def text(tool):
 
 
 def test_every_case_has_a_test(tool):
-    assert {test.case for test in tool.find_tests()} == set(range(1, 50)) == set(tool.CASES)
+    assert {test.case for test in tool.find_tests()} == set(tool.CASES) >= set(range(1, 50))
 
 
 def test_the_page_lists_the_tests_and_what_they_assert(tool, text):

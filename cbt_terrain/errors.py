@@ -10,6 +10,6 @@ class TerrainError(Exception):
 
 
 def shown(text: object, most: int = 200) -> str:
-    """A name from outside as messages show it: one line, and not longer than `most` characters."""
-    line = " ".join(str(text).split())
+    """A text from outside as it is shown: one line of at most `most` characters, none of which a terminal obeys."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
     return line if len(line) <= most else f"{line[:most]}..."

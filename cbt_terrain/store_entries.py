@@ -54,6 +54,18 @@ def _is_text(value) -> bool:
     return isinstance(value, str)
 
 
+def _is_figure(value) -> bool:
+    """What a report may hold: a text, a finite number, true or false, or a list of them."""
+    return all(type(v) in (str, bool) or _is_number(v) for v in (value if isinstance(value, list) else [value]))
+
+
+def _is_report(value) -> bool:
+    if not isinstance(value, dict) or not all(map(_is_figure, value.values())):
+        return False
+    warnings = value.get("warnings", [])
+    return isinstance(warnings, list) and all(map(_is_text, warnings))
+
+
 LARGEST = 1e39  # metres: float32 has no more, and squares and sums of it are far from overflow
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
@@ -81,7 +93,7 @@ _ENTRIES = {
         "three finite numbers",
     ),
     "provenance": (_is_provenance, "an object with the settings of the import"),
-    "report": (lambda value: isinstance(value, dict), "an object with the report of the import"),
+    "report": (_is_report, "an object with the figures and warnings of the import"),
 }
 
 

@@ -3,19 +3,20 @@
 
 import dataclasses
 import functools
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from ..cbt_terrain import store as stores
-from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.errors import TerrainError, shown
+from ..cbt_terrain.georeference import LARGEST_EXTENT
 from ..cbt_terrain.sources import ISLAND, ImportSettings
 from .numbers import length_text
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
+LONGEST_CRS = 10_000
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,10 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
 
 
 def _pair(report: dict, name: str) -> tuple | None:
-    """Two finite numbers of a report, which nothing has checked."""
+    """Two counts or lengths of a report, which nothing has checked."""
     value = report.get(name)
     good = isinstance(value, list) and len(value) == 2
-    return tuple(value) if good and all(type(v) in (int, float) and math.isfinite(v) for v in value) else None
+    return tuple(value) if good and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
 
 
 def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
@@ -77,7 +78,7 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         return [(name, "-") for name in names]
     source = imported.settings.get("source", "")
     figures = (
-        "Built-in Island" if source == ISLAND else Path(source).name or "unknown",
+        "Built-in Island" if source == ISLAND else shown(Path(source).name) or "unknown",
         _crs_name(imported.crs),
         ", ".join(map(_coordinate, imported.origin)) if imported.crs else "none",
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
@@ -91,7 +92,7 @@ def _crs_name(crs: str) -> str:
     """`EPSG:4326`, or the name in a CRS's definition."""
     if not crs:
         return "none"
-    return crs.split('"')[1] if '["' in crs else crs
+    return shown(crs.split('"')[1] if '["' in crs else crs)
 
 
 def _coordinate(value: float) -> str:
@@ -138,4 +139,4 @@ def tag_object(obj) -> None:
         if name in obj:
             del obj[name]
     if imported is not None and imported.crs:
-        obj[SRID], (obj[CRS_X], obj[CRS_Y]) = imported.crs, imported.origin
+        obj[SRID], (obj[CRS_X], obj[CRS_Y]) = shown(imported.crs, LONGEST_CRS), imported.origin

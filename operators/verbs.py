@@ -5,9 +5,11 @@ import os
 import sys
 import time
 
+from ..cbt_terrain.errors import shown
 from .console import Progress, duration
 
 DEFAULT_RESOLUTION = (1920, 1080)
+LONGEST_LINE = 10_000  # a coordinate system may be long
 
 
 class UsageError(Exception):
@@ -235,15 +237,15 @@ def _largest_bound(terrains: list[dict]) -> str:
 
 
 def print_fields(fields: dict, indent: str = "") -> None:
-    """One line a field, a dict below its own name; what is empty is left out."""
+    """One line a field, a dict below its own name; what is empty is left out. The texts may come from outside."""
     for name, value in fields.items():
         if isinstance(value, dict):
             print(f"{indent}{name}:")
             print_fields(value, indent + "  ")
         elif name == "warnings":
             for warning in value:
-                print(f"{indent}warning: {warning}")
+                print(f"{indent}warning: {shown(warning, LONGEST_LINE)}")
         elif isinstance(value, list | tuple):
-            print(f"{indent}{name}: {', '.join(str(part) for part in value)}")
+            print(f"{indent}{shown(name)}: {shown(', '.join(map(str, value)), LONGEST_LINE)}")
         elif value != "" and value is not None:
-            print(f"{indent}{name}: {value}")
+            print(f"{indent}{shown(name)}: {shown(value, LONGEST_LINE)}")

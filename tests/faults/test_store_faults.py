@@ -193,6 +193,15 @@ def test_an_entry_that_was_changed_is_noticed(store):
         open_store(store)
 
 
+@pytest.mark.parametrize("report", [{"warnings": 5}, {"warnings": [5]}, {"raster": [10**400, 3]}, {"x": {"y": 1}}])
+def test_a_report_of_other_kinds(store, report):
+    content = json.loads((store / "store.json").read_text())
+    content["report"] = report
+    (store / "store.json").write_text(json.dumps(content))
+    with pytest.raises(TerrainError, match="its 'report' is .*, expected an object with the figures and warnings"):
+        open_store(store)
+
+
 @pytest.mark.parametrize("lattice", [{"columns": 2**25}, {"columns": 2**20, "rows": 2**10}, {"levels": 26}])
 def test_a_lattice_that_indices_cannot_number(store, lattice):
     content = json.loads((store / "store.json").read_text())

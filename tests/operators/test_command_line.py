@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.archive import read_npz
 from adaptive_terrain.operators import command_line
 from adaptive_terrain.operators.console import Progress, duration
 from adaptive_terrain.operators.exporting import parse_formats, parse_frames
+from adaptive_terrain.operators.verbs import print_fields
 
 FLIGHT = {
     "fov": 50,
@@ -44,6 +45,11 @@ def export(store, flight, tmp_path, capsys):
 
 def bytes_of(folder, pattern="*.npz"):
     return {path.name: path.read_bytes() for path in folder.glob(pattern)}
+
+
+def test_a_text_from_outside_cannot_command_the_terminal(capsys):
+    print_fields({"crs": "\x1b]0;name\x07EPSG:1\n\ud800", "warnings": ["\x9b2J"], "middle": ["\x1b", 2]})
+    assert capsys.readouterr().out == "crs: ?]0;name?EPSG:1 ?\nwarning: ?2J\nmiddle: ?, 2\n"
 
 
 def test_a_frame_is_arrays_with_what_they_mean(export):

@@ -2,13 +2,16 @@
 """What the panel says of a store, and which settings ask for another import."""
 
 import dataclasses
+import json
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain import store as stores
 from adaptive_terrain.cbt_terrain.sources import ImportSettings
 from adaptive_terrain.operators.height_map_panel import is_stale
-from adaptive_terrain.operators.imported import Imported, changed_settings, imported_of, lines_of
+from adaptive_terrain.operators.imported import Imported, changed_settings, imported_of, lines_of, tag_object
 
 
 @pytest.fixture
@@ -96,12 +99,14 @@ def test_a_file_that_moved_is_the_same_and_an_unknown_one_is_not_judged(tmp_path
     assert changed_settings(asked, dataclasses.replace(store, settings={})) == []
 
 
-def test_a_report_that_was_edited_is_no_error(terrain):
-    import json
-    from pathlib import Path
-
+@pytest.mark.parametrize("pair", [[10**400, 3], [-5, 3], [1, 1e300], "many"])
+def test_a_store_with_figures_that_cannot_be_is_no_error_of_the_panel(terrain, pair):
     file = Path(bpy.path.abspath(terrain.adaptive_terrain.store)) / "store.json"
     content = json.loads(file.read_text())
-    content["report"] = {"raster": "many", "extent_m": [1, None], "step_m": [[], {}]}
+    content["report"] = {"raster": pair, "extent_m": pair}
+    content["crs"] = "\ud800\x1b[2J"
+    content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))
-    assert dict(lines_of(imported_of(terrain.adaptive_terrain)))["CRS"] == "EPSG:32616"
+    lines = lines_of(imported_of(terrain.adaptive_terrain))
+    assert len(lines) == 6 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
+    tag_object(terrain)

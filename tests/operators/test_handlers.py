@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import handlers, live, session, stale_renders
+from adaptive_terrain.operators import handlers, live, session, stale_renders, status_bar
 
 
 def positions(obj):
@@ -185,9 +185,10 @@ def test_live_update_begins_when_the_kernels_are_ready(window, add_terrain, prep
     for fraction in (0.25, 0.5, 0.5):
         preparing.fraction = fraction
         assert live.tick() == live.IDLE_S
+        status_bar._turn()
     assert len(redrawn) == 2 and len(terrain.data.polygons) == 0
     preparing.fraction = None
-    live.tick()
+    status_bar._turn()
     preparing.done.set()
     turns()
     assert len(redrawn) >= 4, "the bar goes, then Update can be clicked"

@@ -57,7 +57,7 @@ class ImportJob:
             self._progress = Progress(1.0, "Done", True, None, report)
             return
         self._folder = stores.new_data_name()
-        self._new_store = not self._store.exists()
+        self._made = stores.missing_folders(self._store)
         self._start()
 
     def _start(self) -> None:
@@ -71,7 +71,7 @@ class ImportJob:
                 "settings": dataclasses.asdict(self._settings),
                 "store": str(self._store.absolute()),
                 "folder": self._folder,
-                "new_store": self._new_store,
+                "made": list(map(str, self._made)),
             }
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             self._process.stdin.flush()
@@ -155,7 +155,7 @@ class ImportJob:
             self._cancelled = False
         else:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)
-            stores.discard(self._store, self._folder, self._new_store)
+            stores.discard(self._store, self._folder, self._made)
         self._errors.close()
 
 
@@ -219,7 +219,7 @@ def child_main() -> None:
     try:
         guard_import(ImportSettings(**settings), path)
         # After the guard: a thread that was there before it would still be able to write elsewhere.
-        child.end_with_parent(lambda: stores.discard(path, folder, request["new_store"]))
+        child.end_with_parent(lambda: stores.discard(path, folder, list(map(Path, request["made"]))))
         say({"report": run_import(ImportSettings(**settings), path, on_progress, folder)})
     except TerrainError as error:
         say({"error": str(error)})

@@ -9,10 +9,10 @@ nothing ever writes into an array of a published store.
 import filecmp
 import os
 import shutil
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
+from . import partial_files
 from . import store as stores
 from .errors import TerrainError
 
@@ -42,10 +42,12 @@ def copy_store(
             stores.open_store(target)
             return
         raise TerrainError(f"The folder {target} holds the store of another terrain: choose another folder.")
-    made_parent = not target.exists()
-    part = target / f"{stores.DATA_PREFIX}{uuid.uuid4().hex}"
+    made = stores.missing_folders(target)
+    part = target / stores.new_data_name()
+    lock = None
     try:
-        part.mkdir(parents=True)
+        lock = partial_files.make_folder(part, parents=True)
+        stores.remove_abandoned(target)
         _copy_arrays(source / name, part, on_progress)
         shutil.rmtree(target / name, ignore_errors=True)  # what a copy that was killed has left
         os.rename(part, target / name)
@@ -53,15 +55,19 @@ def copy_store(
         draft = target / name / stores.JSON_NAME
         draft.write_bytes(text)
         os.replace(draft, target / stores.JSON_NAME)
+        partial_files.end_work(target / name, lock)
+        lock = None
     except OSError as reason:
         raise TerrainError(
             f"The store {source} cannot be copied to {target} ({reason.strerror or reason}): make room or save the "
             "file elsewhere. The store itself is as it was."
         ) from reason
     finally:
+        if lock is not None:
+            os.close(lock)
         if not (target / stores.JSON_NAME).exists():
             shutil.rmtree(target / name, ignore_errors=True)
-            stores.discard(target, part.name, made_parent)
+            stores.discard(target, part.name, made)
     stores.open_store(target)
 
 

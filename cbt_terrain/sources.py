@@ -205,9 +205,8 @@ def _open_npy(path: Path, settings: ImportSettings) -> Raster:
     try:
         values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
     except Exception as reason:  # whatever the parser of a damaged header raises
-        raise TerrainError(
-            f"{path} is not a whole .npy file of numbers ({shown(reason).rstrip('.')}): get the file again."
-        ) from reason
+        said = shown(reason).rstrip(".") or type(reason).__name__
+        raise TerrainError(f"{path} is not a whole .npy file of numbers ({said}): get the file again.") from reason
     if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
         raise TerrainError(f"{path} holds {values.dtype} {values.shape}: expected a 2-D array of real numbers.")
     return _from_array(values, settings, "NumPy")

@@ -234,7 +234,7 @@ class Draft:
 
     def __init__(self, path: Path, name: str | None = None):
         self.path = path
-        self.made_parent = not path.exists()
+        self._made = missing_folders(path)
         self.folder = path / (name or new_data_name())
         self._lock = partial_files.make_folder(self.folder, parents=True)
         self.published = False
@@ -297,17 +297,21 @@ class Draft:
         if self.published:
             return
         os.close(self._lock)
-        discard(self.path, self.folder.name, self.made_parent)
+        discard(self.path, self.folder.name, self._made)
 
 
-def discard(path: Path, folder: str, new_store: bool) -> None:
-    """Take away the folder of arrays of an unfinished version, and the store's own folder if it was made for it."""
+def missing_folders(path: Path) -> list[Path]:
+    """The folder of a store and those above it that are still to be made, the innermost first."""
+    path = path.absolute()
+    return [folder for folder in (path, *path.parents) if not folder.exists()]
+
+
+def discard(path: Path, folder: str, made: list[Path]) -> None:
+    """Take away the folder of arrays of an unfinished version, and the folders that were made for it."""
     shutil.rmtree(path / folder, ignore_errors=True)
-    if new_store:
-        try:
-            path.rmdir()
-        except OSError:
-            pass  # another import has put something there
+    with suppress(OSError):  # another import has put something there
+        for parent in made:
+            parent.rmdir()
 
 
 def _named_folder(path: Path) -> Path | None:

@@ -16,12 +16,16 @@ from ..kernels.smooth import displace as smooth_kernels
 from ..kernels.tree import Run, Runs
 from . import launch
 from .buffers import Buffers, bind
+from .errors import TerrainError
 from .heightfield import HeightField
 from .meshlet_template import template
 from .refinement import Leaves
+from .sources import physical_memory
 from .tree import no_runs
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
+# Of memory at most, until the mesh is written: measured in Blender 4.3, which encodes normals corner by corner.
+TRIANGLE_BYTES = 600
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
 
@@ -80,11 +84,12 @@ class SurfaceBuilder:
         """Weld the leaves, expand them to 4**meshlet triangles each, displace the points.
 
         Raises TerrainError where a damaged field gives leaves that do not fit together or positions that are not
-        finite; then nothing of a surface holds, the last one's neither.
+        finite, and for more triangles than memory holds; then nothing of a surface holds, the last one's neither.
         """
         slices = leaves.counts.tolist()
         triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
+        _check_memory(triangles * 4**meshlet)
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
         self._weld_slices(leaves, domain, triangles, vertices, edges)
@@ -281,3 +286,13 @@ class SurfaceBuilder:
 def _piece(count: int, k: int, pieces: int) -> tuple[int, int]:
     """The k-th of even pieces of a range: where it begins and ends."""
     return count * k // pieces, count * (k + 1) // pieces
+
+
+def _check_memory(triangles: int) -> None:
+    """Refuse what the system would kill the process for, which is Blender."""
+    most = physical_memory() * 3 // 4 // TRIANGLE_BYTES
+    if triangles > most:
+        raise TerrainError(
+            f"The mesh would have {triangles:,} triangles, expected {most:,} at most, which this machine's memory "
+            "holds: ask for a larger error, or limit its triangles."
+        )

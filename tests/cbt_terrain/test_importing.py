@@ -108,8 +108,15 @@ def test_cancelling_leaves_the_previous_store(previous):
 
 def test_cancelling_a_first_import_leaves_no_folder(tmp_path):
     with pytest.raises(ImportCancelled, match="cancelled"):
-        import_source(LONG, tmp_path / "store", cancelled=lambda: True)
-    assert not (tmp_path / "store").exists()
+        import_source(LONG, tmp_path / "new" / "store", cancelled=lambda: True)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path):
+    (tmp_path / "dem.npy").write_bytes(b"damaged")
+    with pytest.raises(TerrainError, match="not a whole .npy file"):
+        import_source(ImportSettings(source=str(tmp_path / "dem.npy")), tmp_path / "a" / "b" / "store")
+    assert not (tmp_path / "a").exists()
 
 
 def test_a_killed_import_is_an_error_that_names_the_signal(previous):

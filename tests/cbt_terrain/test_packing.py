@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import packing
+from adaptive_terrain.cbt_terrain import packing, partial_files
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.heightfield import build
 from adaptive_terrain.cbt_terrain.packing import copy_store
-from adaptive_terrain.cbt_terrain.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.store import Draft, new_data_name, open_store
 
 
 def make(path: Path, seed: int) -> Path:
@@ -95,6 +95,9 @@ def test_what_a_killed_copy_has_left_is_no_hindrance(tmp_path):
     [data] = [path.name for path in source.iterdir() if path.is_dir()]
     (tmp_path / "copy" / data).mkdir(parents=True)
     (tmp_path / "copy" / data / "samples.npy").write_bytes(b"half")
+    earlier = tmp_path / "copy" / new_data_name()
+    os.close(partial_files.make_folder(earlier))
+    (earlier / "samples.npy").write_bytes(b"half")
     copy_store(source, tmp_path / "copy")
     assert contents(tmp_path / "copy") == contents(source)
 

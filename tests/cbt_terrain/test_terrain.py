@@ -5,8 +5,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import launch
+from adaptive_terrain.cbt_terrain import launch, surface
 from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view import View
 from fields import rough
@@ -94,3 +95,18 @@ def test_an_edit_of_the_tree_does_not_outlive_an_update():
     terrain.tree.mark(other.tree.cells())
     update = terrain.update(criterion, [b])
     assert update.changed and arrays(update.surface) == arrays(fresh.update(criterion, [b]).surface)
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_a_mesh_that_memory_cannot_hold_is_refused_and_the_next_is_as_ever(monkeypatch, meshlet):
+    terrain = Terrain(rough(65, 65), 1)
+    view = View.look((0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
+    asked = Criterion(error_px=1.0, max_depth=12, meshlet=meshlet)
+    before = arrays(terrain.update(asked, [view]).surface)
+    finer = Criterion(error_px=1e-30, max_depth=14, meshlet=meshlet)
+    # Room for twice as many triangles; `level` has four bytes of each.
+    monkeypatch.setattr(surface, "physical_memory", lambda: 400 * len(before["level"]))
+    with pytest.raises(TerrainError, match="The mesh would have .* triangles, expected .* ask for a larger error"):
+        terrain.update(finer, [view])
+    monkeypatch.undo()
+    assert arrays(terrain.update(asked, [view]).surface) == before

@@ -208,9 +208,9 @@ class OfferPack(bpy.types.Operator):
         return context.window_manager.invoke_confirm(
             self,
             event,
-            title="Move the terrain beside the file?",
-            message="It lies in the user folder of the extension. Beside the .blend file, both can be moved together.",
-            confirm_text="Move",
+            title="Pack the terrain beside the file?",
+            message="It lies in the user folder of the extension. A copy beside the .blend file can be moved with it.",
+            confirm_text="Pack",
         )
 
     def execute(self, context):

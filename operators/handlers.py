@@ -21,6 +21,7 @@ from .request import RENDER, VIEWPORT
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
+_joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes that its compositor takes in
 _pauses = 0
 
 
@@ -81,10 +82,19 @@ def _mesh_is_needed_now() -> bool:
     return any(running.bl_idname == VIEWPORT_RENDER for window in windows for running in window.modal_operators)
 
 
+def _rendered_frame(scene) -> tuple[int, float] | None:
+    """Frame and subframe that a scene is rendered at. Blender calls `render_pre` for the scene that was asked for; of
+    others that its compositor takes in, theirs is the first that they are set to."""
+    if not _rendered_frames:
+        return None
+    now = scene.frame_current, scene.frame_subframe
+    return _rendered_frames.get(scene.session_uid) or _joined_frames.setdefault(scene.session_uid, now)
+
+
 @_unless_paused
 def on_frame_change(scene, depsgraph) -> None:
     if depsgraph.mode == RENDER:
-        if _rendered_frames.get(scene.session_uid) == (scene.frame_current, scene.frame_subframe):
+        if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
             if failed := update_all(scene, depsgraph, RENDER):
                 stale_renders.meet(scene, failed)
     elif _mesh_is_needed_now():
@@ -97,12 +107,14 @@ def on_frame_change(scene, depsgraph) -> None:
 def on_render_pre(scene, _unused=None) -> None:
     freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
+    _joined_frames.clear()
 
 
 @_unless_paused
 def on_render_post(scene, _unused=None) -> None:
     stale_renders.leave()
     _rendered_frames.pop(scene.session_uid, None)
+    _joined_frames.clear()
 
 
 @_unless_paused
@@ -111,6 +123,7 @@ def on_render_end(scene, _unused=None) -> None:
     stale_renders.leave()
     stale_renders.report()
     _rendered_frames.clear()
+    _joined_frames.clear()
     if bpy.app.background:
         _update_viewport(scene, bpy.context.evaluated_depsgraph_get())
     else:
@@ -166,3 +179,4 @@ def unregister() -> None:
         if handler in listed:
             listed.remove(handler)
     _rendered_frames.clear()
+    _joined_frames.clear()

@@ -8,7 +8,8 @@ its symbols bind to Blender's own library and reading crashes.
 from pathlib import Path
 
 from .errors import TerrainError, shown
-from .sources import ImportSettings, Raster, blank, physical_memory
+from .memory import physical_memory
+from .sources import ImportSettings, Raster, blank
 
 # Where a height is looked for, in this order, when no channel is named; then the first channel.
 CHANNELS = ("height", "Height", "Y", "Z", "V", "R")

@@ -9,7 +9,8 @@ from pathlib import Path
 from . import sandbox, store
 from .errors import TerrainError
 from .gdal_source import DRIVERS, keep_only_drivers
-from .sources import ImportSettings, physical_memory
+from .memory import physical_memory
+from .sources import ImportSettings
 
 # The child's environment: no network for PROJ, no other threads (they would keep what this one gives up).
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}

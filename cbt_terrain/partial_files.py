@@ -114,6 +114,9 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
         except FileNotFoundError:
             if attempt == ATTEMPTS - 1:
                 raise
+        except FileExistsError:  # later: pathlib found it, and then no folder, since it was taken away in between
+            if attempt in (0, ATTEMPTS - 1):
+                raise
         else:
             if _take(lock) is not False and _is_there(folder / LOCK, lock):
                 return lock

@@ -166,13 +166,6 @@ def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
     return rows
 
 
-def physical_memory() -> int:
-    """Bytes of memory in this machine; 8 GiB where that cannot be asked."""
-    if hasattr(os, "sysconf"):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return 8 << 30
-
-
 def _open_island(settings: ImportSettings) -> Raster:
     size = settings.size
 

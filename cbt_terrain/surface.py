@@ -18,9 +18,9 @@ from . import launch
 from .buffers import Buffers, bind
 from .errors import TerrainError
 from .heightfield import HeightField
+from .memory import physical_memory
 from .meshlet_template import template
 from .refinement import Leaves
-from .sources import physical_memory
 from .tree import no_runs
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"

@@ -8,13 +8,14 @@ import bpy
 import pytest
 
 RENDER = """
-import sys, adaptive_terrain, bpy
+import os, sys, adaptive_terrain, bpy
 adaptive_terrain.register()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 scene = bpy.context.scene
 exec(sys.argv[2])
-bpy.ops.render.render(animation=True)
-print("the script goes on")
+bpy.ops.render.render(animation=True, scene=scene.name)
+print("the script goes on", flush=True)
+os._exit(0)  # after a compositor Blender as a module waits at its end for a thread of its own, for ever
 """
 ON = "the script goes on"
 
@@ -63,3 +64,33 @@ def test_case_68_a_render_that_would_be_stale_ends(blend, change, frames, why):
     else:
         assert done.returncode == 0 and ON in done.stdout and not said
         assert ("frame 4 is rendered with a stale mesh" in done.stdout) == (4 in frames)
+
+
+COMPOSED = """
+composed = bpy.data.scenes.new("Composed")
+composed.render.engine, composed.cycles.samples, composed.render.filepath = "CYCLES", 1, scene.render.filepath
+composed.render.resolution_x = composed.render.resolution_y = 32
+composed.frame_start, composed.frame_end, composed.camera = 3, 3, scene.camera
+composed.use_nodes = True
+composed.node_tree.nodes["Render Layers"].scene = scene
+terrain, scene = bpy.data.objects["Hills"], composed
+terrain.adaptive_terrain.store = {store}
+bpy.app.handlers.render_post.append(lambda *_: print("triangles", len(terrain.data.polygons), flush=True))
+"""
+
+
+@pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="compositors are node groups there")
+@pytest.mark.parametrize("used", ["terrain.adaptive_terrain.store", "'/gone'"])
+def test_case_68_a_scene_that_a_compositor_takes_in(blend, used):
+    """Blender announces only the scene that was asked for; terrains of another in its compositor are refined, too."""
+    before = len(bpy.data.objects["Hills"].data.polygons)
+    done = subprocess.run(
+        [sys.executable, "-c", RENDER, blend, COMPOSED.format(store=used)], capture_output=True, text=True, timeout=120
+    )
+    pictures = list(blend.parent.glob("frame_*.png"))
+    if used == "'/gone'":
+        assert done.returncode == 1 and not pictures and "There is no terrain store at '/gone'" in done.stderr
+    else:
+        assert done.returncode == 0 and len(pictures) == 1, done.stderr
+        counts = {int(line.split()[1]) for line in done.stdout.splitlines() if line.startswith("triangles")}
+        assert counts and before not in counts

@@ -34,7 +34,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert uses.min() == 1 and uses.max() <= 2
     plane = positions[:, :2].astype(np.float64)
     low, high = plane.min(axis=0), plane.max(axis=0)
-    size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y])
+    size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y], np.float64)
     assert np.allclose(high - low, size, rtol=1e-6)
     border = plane[edges[uses == 1]]
     assert (((border == low) | (border == high)).all(axis=1)).any(axis=1).all()

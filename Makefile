@@ -21,7 +21,7 @@ help:
 	@echo "make extension  the extension's zip for this platform in dist/"
 
 demo: $(READY)
-	$(PY) -m adaptive_terrain.operators.command_line demo --out demo
+	$(PY) -m adaptive_terrain.operators.cli.command_line demo --out demo
 
 test: $(READY)
 	$(PY) -m pytest $(TESTS)
@@ -37,7 +37,7 @@ hard-cases: $(READY)
 	$(PY) tools/hard_cases_page.py
 
 bench: $(READY)
-	$(PY) -m adaptive_terrain.operators.command_line bench $(BENCH)
+	$(PY) -m adaptive_terrain.operators.cli.command_line bench $(BENCH)
 
 profile: $(READY)
 	$(PY) -m adaptive_terrain.benchmarks.profile

@@ -11,12 +11,16 @@ __version__ = "0.1.0"
 def register() -> None:
     """Add properties, panels, operators, handlers and the command to Blender."""
     from .operators import registration
+    from .operators.cli import blender_command
 
     registration.register()
+    blender_command.register()
 
 
 def unregister() -> None:
     """Take off everything that `register` added."""
     from .operators import registration
+    from .operators.cli import blender_command
 
+    blender_command.unregister()
     registration.unregister()

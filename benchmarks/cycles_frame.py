@@ -14,9 +14,9 @@ import time
 
 import numpy as np
 
-from ..cbt_terrain.store import open_store
-from ..operators.console import quiet
-from ..operators.frame_sources import need_bpy
+from ..cbt_terrain.field.store import open_store
+from ..operators.blender import need_bpy
+from ..operators.text.console import quiet
 from . import scenes
 from .child import peak_mb
 from .cycles import ADAPTIVE, EDGE, GRID

@@ -5,9 +5,9 @@ both cost: `python -m adaptive_terrain.benchmarks.cycles_likeness FOLDER`. The b
 import sys
 from pathlib import Path
 
-from ..cbt_terrain.importing import import_source
-from ..cbt_terrain.sources import ISLAND, ImportSettings
-from ..cbt_terrain.store import open_store
+from ..cbt_terrain.field.store import open_store
+from ..cbt_terrain.importing.import_process import import_source
+from ..cbt_terrain.importing.raster import ISLAND, ImportSettings
 from . import scenes
 from .child import run_child
 from .cycles import ADAPTIVE, ERROR, GRID, PIXEL, pixels, similarity

@@ -5,11 +5,11 @@ import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from ..cbt_terrain.criterion import Criterion
+from ..cbt_terrain.ask.criterion import Criterion
+from ..cbt_terrain.ask.view import View
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.heightfield import HeightField
+from ..cbt_terrain.field.heightfield import HeightField
 from ..cbt_terrain.terrain import Terrain
-from ..cbt_terrain.view import View
 from . import scenes
 from .baselines import ROAM, RoamRebuild
 from .measure import BLOCKS, RUNS, Row, alternate, stopwatch

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cbt_terrain import heightfield
-from ..cbt_terrain.importing import ImportSettings, import_source
-from ..cbt_terrain.store import Draft, open_store
+from ..cbt_terrain.field import heightfield
+from ..cbt_terrain.field.store import Draft, open_store
+from ..cbt_terrain.importing.import_process import import_source
+from ..cbt_terrain.importing.raster import ImportSettings
 from . import scenes
 from .child import run_child
 from .measure import BLOCKS, RUNS, Row, stopwatch

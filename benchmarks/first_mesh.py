@@ -8,7 +8,7 @@ import json
 import sys
 import time
 
-from ..cbt_terrain.store import open_store
+from ..cbt_terrain.field.store import open_store
 from ..cbt_terrain.terrain import Terrain
 from . import scenes
 

@@ -10,9 +10,10 @@ from importlib import import_module
 
 import numpy as np
 
-from ..cbt_terrain.criterion import Criterion
-from ..cbt_terrain.fit import fit
-from ..cbt_terrain.heightfield import HeightField, from_array
+from ..cbt_terrain.ask.criterion import Criterion
+from ..cbt_terrain.field.build import from_array
+from ..cbt_terrain.field.heightfield import HeightField
+from ..cbt_terrain.fit.fit import fit
 from ..cbt_terrain.terrain import Terrain
 from .measure import Row, alternate, stopwatch
 from .scenes import noise

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+from ..cbt_terrain.ask.view import View
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.heightfield import HeightField
-from ..cbt_terrain.store import Draft
+from ..cbt_terrain.field.heightfield import HeightField
+from ..cbt_terrain.field.store import Draft
 from ..cbt_terrain.terrain import Terrain
-from ..cbt_terrain.view import View
 from . import scenes
 from .baselines import PLAIN, evaluated_triangles, plain_ingest
 from .measure import RUNS, SHORT_BLOCKS, Row, alternate, stopwatch
@@ -50,8 +50,8 @@ def writers(rough: HeightField, size: int) -> tuple[Callable, Callable]:
     """A surface's arrays to a mesh that the dependency graph has evaluated: by our writer, and the plain way."""
     import bpy
 
-    from ..operators import freed_memory
-    from ..operators.mesh_writer import write_mesh
+    from ..operators.mesh import freed_memory
+    from ..operators.mesh.writer import write_mesh
 
     flight_scene()
     surface, _ = surface_of(rough, size)
@@ -73,7 +73,7 @@ def frames(rough: HeightField, store: Path, size: int, meshlet: int = 0) -> tupl
     ingest of a mesh of that size alone."""
     import bpy
 
-    from ..operators import session
+    from ..operators.scene import session
 
     surface, px = surface_of(rough, size, meshlet)
     terrain = _terrain_scene(store, px, meshlet)
@@ -97,7 +97,7 @@ def still_frame_row(rough: HeightField, store: Path) -> Row:
     """A frame change while the camera stands still: Blender keeps the mesh that it has."""
     import bpy
 
-    from ..operators import session
+    from ..operators.scene import session
 
     next_frame, _ = frames(rough, store, MILLION)
     next_frame()
@@ -135,7 +135,7 @@ def flight_scene(resolution: tuple[int, int] = RESOLUTION):
     import bpy
     from mathutils import Vector
 
-    from ..operators.frame_sources import open_empty_file
+    from ..operators.output.frame_sources import open_empty_file
 
     open_empty_file()
     scene = bpy.context.scene

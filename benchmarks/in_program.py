@@ -12,8 +12,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.store import open_store
-from ..operators.frame_sources import need_bpy
+from ..cbt_terrain.field.store import open_store
+from ..operators.blender import need_bpy
 from . import engine, in_blender
 from .child import PACKAGE
 from .measure import Row

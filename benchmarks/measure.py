@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from ..cbt_terrain.timed_runs import median_by_step
+from ..cbt_terrain.accuracy.timed_runs import median_by_step
 
 BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.

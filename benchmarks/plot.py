@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The plot of time against triangles, both logarithmic, as an SVG."""
 
-from ..operators.log_plot import Curve, draw
+from ..operators.text.log_plot import Curve, draw
 from .measure import Row
 
 COLOURS = {"refine": "#2f6f73", "surface": "#7a9a1f", "ingest": "#c08a1e", "frame": "#b4431e"}

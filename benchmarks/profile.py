@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from ..operators.machine import machine
+from ..operators.text.machine import machine
 from . import sampling
 from .profiles import (
     BAND,
@@ -118,19 +118,19 @@ def part_of(sample: Sample) -> str:
 
 
 def walk_part(line: int) -> str:
-    """The part of a line of kernels/refine.py inside the walk."""
+    """The part of a line of kernels/refine/walk.py inside the walk."""
     return next((part for first, part in reversed(walk_lines()) if line >= first), DESCENT)
 
 
 def walk_lines() -> list[tuple[int, str]]:
     """First line and part, ascending. Raises TerrainError where the walk has changed and LINES has not."""
-    from ..kernels import refine
+    from ..kernels.refine import walk as refine
 
     text = Path(refine.__file__).read_text(encoding="utf-8").splitlines()
     found = [([i for i, line in enumerate(text, 1) if mark in line], mark, part) for mark, part in LINES]
     for lines, mark, _ in found:
         if len(lines) != 1:
-            raise TerrainError(f"kernels/refine.py has {mark!r} on {len(lines)} lines; mend LINES in {__file__}.")
+            raise TerrainError(f"kernels/refine/walk.py has {mark!r} on {len(lines)} lines; mend LINES in {__file__}.")
     return [(lines[0], part) for lines, _, part in found]
 
 
@@ -150,7 +150,7 @@ def _outside(library: str, symbol: str) -> str:
 
 def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callable[[], object], tuple[str, ...]]]:
     """Row, size, which scene of it, seconds, the work, and the kernels that count (none named: everything counts)."""
-    from ..operators.frame_sources import need_bpy
+    from ..operators.blender import need_bpy
     from . import cycles, cycles_frame, engine, in_blender, scenes
 
     flat, rough = scenes.flat(), scenes.rough()
@@ -188,7 +188,7 @@ def _lap(flight) -> Callable[[], None]:
 def _renders(scene, obj) -> tuple[Callable[[], None], list[int]]:
     import bpy
 
-    from ..operators.console import quiet
+    from ..operators.text.console import quiet
 
     triangles: list[int] = []
     bpy.app.handlers.render_post.append(lambda *_: triangles.append(len(obj.data.polygons)))

@@ -66,7 +66,7 @@ def section(file: Path) -> list[str]:
         "## Profiles",
         f"Of the rows that miss their goals: shares of the samples that `make profile` took (Linux perf, {least:,} or "
         f"more a scene), on {content['date']}, {content['machine']['Processor']}, {content['machine']['Threads']} "
-        "threads. A sample inside the walk is followed to the line of kernels/refine.py that it was compiled from. Of "
+        "threads. A sample inside the walk is followed to the line of walk.py that it was compiled from. Of "
         "the rows `refine` and `depth` only the walk and the tree count, as in their times; of the others everything.",
         "\n".join(lines),
         "\n".join(f"* **{part}**: {MEANING[part]}." for part in met),

@@ -9,7 +9,7 @@ import json
 import statistics
 import sys
 
-from ..cbt_terrain.store import open_store
+from ..cbt_terrain.field.store import open_store
 from . import scenes
 from .child import resident_mb
 from .measure import BLOCKS, RUNS

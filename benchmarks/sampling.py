@@ -137,7 +137,7 @@ class _Kernel:
 
 
 def _loaded_kernels() -> list[_Kernel]:
-    from ..cbt_terrain import warmup
+    from ..cbt_terrain.run import warmup
 
     found = []
     for module in warmup.kernel_modules():

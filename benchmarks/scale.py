@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cbt_terrain.heightfield import HeightField
+from ..cbt_terrain.field.heightfield import HeightField
 from . import engine, in_blender
 from .measure import Row, alternate
 

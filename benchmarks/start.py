@@ -6,7 +6,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from ..cbt_terrain.heightfield import HeightField
+from ..cbt_terrain.field.heightfield import HeightField
 from . import scenes
 from .child import run_child
 from .measure import Row

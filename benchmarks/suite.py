@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from ..operators.frame_sources import need_bpy
-from ..operators.machine import machine
+from ..operators.blender import need_bpy
+from ..operators.text.machine import machine
 from . import cycles, engine, files, fit_row, goals, in_blender, in_program, report, scale, scenes, start
 from .baselines import RoamRebuild, build_roam_rebuild
 from .measure import Row

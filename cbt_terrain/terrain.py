@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
-from ..kernels.criterion import Asked, Domain, LocalView
-from . import launch
-from .buffers import Buffers
-from .criterion import (
+from ..kernels.refine.diamond import Asked, Domain, LocalView
+from .ask.criterion import (
     ROUNDING,
     Criterion,
     as_seen,
@@ -22,12 +20,14 @@ from .criterion import (
     unit_lengths,
     widening,
 )
+from .ask.view import View
 from .errors import TerrainError
-from .heightfield import HeightField
-from .refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
-from .surface import Surface, SurfaceBuilder
-from .terms import Terms, left_of, position_rounding, rounding
-from .view import View
+from .field.heightfield import HeightField
+from .mesh.surface import Surface, SurfaceBuilder
+from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from .refine.terms import Terms, left_of, position_rounding, rounding
+from .run import launch
+from .run.buffers import Buffers
 
 # Relative; above what rounding does to a sum of metres.
 MARGIN = 1e-12

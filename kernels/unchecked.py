@@ -131,7 +131,7 @@ def look_up_pairs(
 ): ...
 
 
-# Rows of an even block (kernels/block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for 500,000
+# Rows of an even block (block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for 500,000
 # in a tree of depth 32 1.3 and 4.2.
 
 
@@ -172,7 +172,7 @@ def place_legs(
 def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64): ...
 
 
-# A shape (kernels/shape.py): milliseconds for 500,000 leaves of one edge length 2.2, in Warp 2.8.
+# A shape (kernels/refine/shape.py): milliseconds for 500,000 leaves of one edge length 2.2, in Warp 2.8.
 
 
 @wp.func_native(
@@ -221,7 +221,7 @@ def place_starts(
 ): ...
 
 
-# What the last frame has written of a subtree (kernels/coherence.py): a tenth of a flight's walk for one error.
+# What the last frame has written of a subtree (kernels/refine/coherence.py): a tenth of a flight's walk for one error.
 
 
 @wp.func_native(
@@ -243,7 +243,7 @@ def copy_cells(
 ): ...
 
 
-# Two streams of cells (kernels/tree.py), eight at a time: milliseconds for 500,000 0.37, one by one in Warp 0.98.
+# Two streams of cells (sum_reduction.py), eight at a time: milliseconds for 500,000 0.37, one by one in Warp 0.98.
 
 
 @wp.func_native(

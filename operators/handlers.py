@@ -7,41 +7,29 @@ topology over the shutter, so it is rebuilt for the frame of `render_pre` only, 
 """
 
 import traceback
-from contextlib import contextmanager
 from functools import wraps
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ..cbt_terrain import stopping
 from ..cbt_terrain.errors import TerrainError
-from . import accuracy_report, freed_memory, live, measuring, session, stale_renders
-from .request import RENDER, VIEWPORT
+from ..cbt_terrain.run import stopping
+from .mesh import freed_memory
+from .report import accuracy_report, measuring
+from .scene import live, pauses, session, stale_renders
+from .scene.request import RENDER, VIEWPORT
 
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
 _joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes that its compositor takes in
-_pauses = 0
-
-
-@contextmanager
-def paused():
-    """No handler of ours runs inside: an exporter may change the frame while it reads meshes that a handler would
-    write, and what goes through frames for itself updates each terrain itself. May be nested."""
-    global _pauses
-    _pauses += 1
-    try:
-        yield
-    finally:
-        _pauses -= 1
 
 
 def _unless_paused(handler):
     @persistent
     @wraps(handler)
     def unless_paused(scene, depsgraph=None):
-        if not _pauses:
+        if not pauses.paused_now():
             with stopping.held():
                 handler(scene, depsgraph)
 

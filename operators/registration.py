@@ -5,30 +5,13 @@ import atexit
 
 import bpy
 
-from . import (
-    add_terrain,
-    bake_terrain,
-    command_line,
-    export_terrain,
-    frame_terrain,
-    freed_memory,
-    handlers,
-    import_terrain,
-    live,
-    measure_accuracy,
-    measuring,
-    overlay_panel,
-    pack_store,
-    panels,
-    properties,
-    session,
-    status_bar,
-    status_row,
-    sweep_accuracy,
-    update_terrain,
-)
+from . import handlers
+from .mesh import freed_memory
+from .output import bake_terrain, export_terrain
+from .report import measure_accuracy, measuring, sweep_accuracy
+from .scene import add_terrain, frame_terrain, import_terrain, live, pack_store, properties, session, update_terrain
+from .ui import overlay_panel, panels, status_bar, status_row
 
-COMMAND = "adaptive_terrain"
 MODULES = (
     properties,
     import_terrain,
@@ -48,22 +31,17 @@ MODULES = (
     live,
     status_bar,
 )
-_commands = []
 
 
 def register() -> None:
     for module in MODULES:
         module.register()
-    if hasattr(bpy.utils, "register_cli_command"):
-        _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
     if not bpy.app.binary_path:
         atexit.register(unregister)  # as a module Blender crashes at exit if it finds Python's classes registered
 
 
 def unregister() -> None:
     atexit.unregister(unregister)
-    while _commands:
-        bpy.utils.unregister_cli_command(_commands.pop())
     for module in reversed(MODULES):
         module.unregister()
     session.clear()

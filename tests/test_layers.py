@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`benchmarks -> operators -> cbt_terrain -> kernels`, never back, and the two lower houses live without Blender."""
+"""Houses and their rooms: who may import whom, no circle anywhere, and the two lower houses live without Blender."""
 
 import ast
 import subprocess
 import sys
 import tomllib
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -17,44 +18,77 @@ MAY_IMPORT = {
     "operators": {"operators", "cbt_terrain", "kernels"},
     "benchmarks": {"benchmarks", "operators", "cbt_terrain", "kernels"},
 }
-MAY_ASK_FOR_BENCHMARKS = "operators/verbs.py"
+# The rooms of each house, and modules that stand beside them: each may import from those before it.
+ROOMS = {
+    "kernels": ["unchecked", "field", "refine", "budget", "mesh", "bicubic", "fitting", "accuracy"],
+    "cbt_terrain": [
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain"),
+        *("importing", "fit", "accuracy"),
+    ],
+    "operators": [
+        *("text", "mesh", "scene", "output", "report", "ui", "handlers", "registration"),
+        *("blender", "demo", "cli"),
+    ],
+}
+MAY_ASK_FOR_BENCHMARKS = "operators/cli/verbs.py"
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bpy_extras", "addon_utils", "bl_ui", "idprop", "blf"}
 HOUSES = {house: sorted((ROOT / house).rglob("*.py")) for house in MAY_IMPORT}
 FILES = [path for paths in HOUSES.values() for path in paths]
 
 
-def imported(path: Path) -> tuple[set[str], set[str]]:
-    """Houses and outside packages that a file imports, anywhere in it; relative imports count from its folder."""
-    houses, outside = set(), set()
-    folder = path.relative_to(ROOT).parent.parts
+def modules_imported(path: Path) -> set[tuple[str, ...]]:
+    """Modules of ours that a file imports, anywhere in it, as the parts of their paths."""
+    folder, found = path.relative_to(ROOT).parent.parts, set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = (*folder[: len(folder) - (node.level - 1)], *(node.module.split(".") if node.module else ()))
+            for name in (alias.name for alias in node.names):
+                inside = ROOT.joinpath(*base, name)
+                found.add((*base, name) if inside.is_dir() or inside.with_suffix(".py").is_file() else base)
+    return found - {()}
+
+
+def packages_imported(path: Path) -> set[str]:
+    """Packages from outside that a file imports."""
+    found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            outside.update(alias.name.split(".")[0] for alias in node.names)
+            found.update(alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            outside.add(node.module.split(".")[0])
-        elif isinstance(node, ast.ImportFrom):
-            base = folder[: len(folder) - (node.level - 1)]
-            parts = (*base, *(node.module.split(".") if node.module else ()))
-            houses.update([parts[0]] if parts else [alias.name for alias in node.names])
-    return houses & set(MAY_IMPORT), outside
+            found.add(node.module.split(".")[0])
+    return found
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_imports_point_down(path):
-    house = path.relative_to(ROOT).parts[0]
-    houses, outside = imported(path)
-    if path.relative_to(ROOT).as_posix() == MAY_ASK_FOR_BENCHMARKS:
-        houses.discard("benchmarks")
-    assert houses <= MAY_IMPORT[house]
+    house, room = (*path.relative_to(ROOT).with_suffix("").parts, "")[:2]
+    outside = packages_imported(path)
+    for module in modules_imported(path):
+        if path.relative_to(ROOT).as_posix() == MAY_ASK_FOR_BENCHMARKS and module[0] == "benchmarks":
+            continue
+        assert module[0] in MAY_IMPORT[house]
+        rooms = ROOMS.get(house)
+        if rooms and module[0] == house and len(module) > 1 and room != "__init__":
+            assert rooms.index(module[1]) <= rooms.index(room), f"{room} may not import {'.'.join(module)}"
     assert "adaptive_terrain" not in outside, "an extension has another name: imports are relative"
     if house in ("kernels", "cbt_terrain"):
         assert not outside & BLENDER
 
 
+def test_no_module_imports_itself_in_a_circle():
+    graph = {}
+    for path in FILES:
+        name = path.relative_to(ROOT).with_suffix("").parts
+        graph[name[:-1] if name[-1] == "__init__" else name] = modules_imported(path)
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as circle:
+        raise AssertionError(" -> ".join(".".join(name) for name in circle.args[1])) from None
+
+
 @pytest.mark.parametrize("path", [p for p in HOUSES["kernels"] if p.stem != "__init__"], ids=lambda path: path.name)
 def test_kernels_open_no_file(path):
-    _, outside = imported(path)
-    assert outside <= {"warp", "numpy", "math"}
+    assert packages_imported(path) <= {"warp", "numpy", "math"}
 
 
 def test_the_engine_imports_without_bpy():
@@ -69,7 +103,7 @@ def test_the_engine_imports_without_bpy():
 import importlib, sys
 for name in {sorted(BLENDER)!r}:
     sys.modules[name] = None
-for name in {[*names, "adaptive_terrain.operators.command_line"]!r}:
+for name in {[*names, "adaptive_terrain.operators.cli.command_line"]!r}:
     importlib.import_module(name)
 """
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -12,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source
-from adaptive_terrain.cbt_terrain.sources import ISLAND
-from adaptive_terrain.operators import accuracy_command, accuracy_page, accuracy_report
-from adaptive_terrain.operators.accuracy_subject import Subject, store_subject
-from adaptive_terrain.operators.console import Progress
-from adaptive_terrain.operators.demo import FLIGHT
-from adaptive_terrain.operators.exporting import write_text
-from adaptive_terrain.operators.machine import machine
-from adaptive_terrain.operators.page_blocks import Plot, Text, as_markdown
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
+from adaptive_terrain.operators.cli import accuracy_command
+from adaptive_terrain.operators.demo.demo import FLIGHT
+from adaptive_terrain.operators.output.exporting import write_text
+from adaptive_terrain.operators.report import accuracy_page, accuracy_report
+from adaptive_terrain.operators.report.accuracy_subject import Subject, store_subject
+from adaptive_terrain.operators.text.console import Progress
+from adaptive_terrain.operators.text.machine import machine
+from adaptive_terrain.operators.text.page_blocks import Plot, Text, as_markdown
 from matplotlib.cbook import get_sample_data
 
 ISLAND_SIZE = 2049

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..heightfield import HeightField
+from ..field.heightfield import HeightField
 from .mesh import Errors, errors_of
 
 ROWS = 256

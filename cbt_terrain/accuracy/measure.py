@@ -15,12 +15,12 @@ import warp as wp
 
 from ...kernels.accuracy import normals as normal_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..buffers import shared
+from ..ask.view import View
 from ..errors import TerrainError
-from ..heightfield import HeightField
-from ..launch import default_threads
-from ..surface import Surface
-from ..view import View
+from ..field.heightfield import HeightField
+from ..mesh.surface import Surface
+from ..run.buffers import shared
+from ..run.launch import default_threads
 from .mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
 from .outline import silhouette
 from .screen import Sight

@@ -11,12 +11,12 @@ from ...kernels.accuracy import edges as edge_kernels
 from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
-from .. import launch
-from ..buffers import shared
 from ..errors import TerrainError
-from ..heightfield import HeightField
-from ..refinement import PLANE_BITS
-from ..surface import Surface
+from ..field.heightfield import HeightField
+from ..mesh.surface import Surface
+from ..refine.refinement import PLANE_BITS
+from ..run import launch
+from ..run.buffers import shared
 
 POINT_BITS = int(point_kernels.POINT_BITS)
 

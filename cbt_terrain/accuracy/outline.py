@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 
 from ...kernels.accuracy import outline as kernels
-from .. import launch
-from ..buffers import shared
+from ..run import launch
+from ..run.buffers import shared
 from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
 from .screen import BLOCK, Sight
 

@@ -21,10 +21,10 @@ import warp as wp
 
 from ...kernels.accuracy import rays as ray_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from .. import launch
-from ..buffers import shared
+from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View, inverse
 from ..errors import TerrainError
-from ..view import KINDS, ORTHOGRAPHIC, PANORAMIC, View, inverse
+from ..run import launch
+from ..run.buffers import shared
 from .mesh import Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.

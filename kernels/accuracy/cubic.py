@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The C1 bicubic reference surface as the measurement evaluates it: by cubic Hermite interpolation.
 
-Slopes at samples are central differences; beyond the border heights go on straight. kernels/smooth/surface.py
+Slopes at samples are central differences; beyond the border heights go on straight. kernels/bicubic/surface.py
 displaces by the same surface with other arithmetic, so that a fault in one of the two shows in the other.
 """
 

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..displace import on_sample
+from ..mesh.displace import on_sample
 from .facets import Facet, Ground, Mesh, facet_of, owns, sample_box
 
 wp.set_module_options({"enable_backward": False})

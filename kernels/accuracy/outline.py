@@ -6,7 +6,7 @@ Places are in pixels from the frame's middle; a flip is the pair of a pixel and 
 
 import warp as wp
 
-from ..criterion import PANORAMIC
+from ..refine.diamond import PANORAMIC
 from .facets import Ground, Mesh
 from .rays import NOWHERE, Blocks, Ray, first_crossing, within
 from .screen import Eye, ray_through

@@ -8,8 +8,8 @@ heights metres before scaling, in float64: planes through float32 heights at pow
 
 import warp as wp
 
-from ..criterion import Domain
-from ..hierarchy import diagonal_error, row_error
+from ..field.hierarchy import diagonal_error, row_error
+from ..refine.diamond import Domain
 from ..unchecked import height_at
 
 wp.set_module_options({"enable_backward": False})

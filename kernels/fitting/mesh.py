@@ -7,8 +7,8 @@ room for triangles and vertices to come.
 
 import warp as wp
 
-from ..criterion import Domain
-from ..layout import tile_index
+from ..field.layout import tile_index
+from ..refine.diamond import Domain
 from ..unchecked import height_at
 from .facet import Facet, row_of, rows_of, surface
 from .raising import climb

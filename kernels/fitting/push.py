@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..criterion import Domain
+from ..refine.diamond import Domain
 from .facet import Facet, above, bulge, twist_over
 
 wp.set_module_options({"enable_backward": False})

@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from ..criterion import Domain, place
-from ..layout import tile_index
+from ..field.layout import tile_index
+from ..refine.diamond import Domain, place
 
 wp.set_module_options({"enable_backward": False})
 

@@ -26,7 +26,7 @@ from adaptive_terrain.benchmarks.profiles import (
 )
 from adaptive_terrain.benchmarks.sampling import Sample
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.kernels import refine
+from adaptive_terrain.kernels.refine import walk as refine
 
 # Loads the small module of the tree's kernels with line tables and names what its first instructions come from.
 RESOLVE = """

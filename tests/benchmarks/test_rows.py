@@ -28,10 +28,10 @@ from adaptive_terrain.benchmarks import (
 from adaptive_terrain.benchmarks.measure import Row
 from adaptive_terrain.benchmarks.report import MEANING
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.operators.cli import command_line
 
 SAMPLES = 129
 
@@ -174,7 +174,7 @@ def test_a_larger_store_is_generated_measured_and_removed(rough, tmp_path, monke
 
 def test_a_frame_in_blender(rough, tmp_path):
     bpy = pytest.importorskip("bpy")
-    from adaptive_terrain.operators.frame_sources import need_bpy
+    from adaptive_terrain.operators.blender import need_bpy
 
     need_bpy("A test")
     write, plain = in_blender.writers(rough, 5_000)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[1] / "support"
 FULL = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000
 PARTS, ROUNDS = (10, 200) if FULL else (1, 30)
 

@@ -65,7 +65,7 @@ def test_height_maps_are_read_by_a_process_that_has_given_up_the_rest(program, d
         ["import", dem["tif"], "--project", "utm", "--store", tmp_path / "utm.store"],
         ["import", attack, "--store", tmp_path / "bad.store"],
     ]
-    main = "from bl_ext.user_default.adaptive_terrain.operators.command_line import main"
+    main = "from bl_ext.user_default.adaptive_terrain.operators.cli.command_line import main"
     listed = [[str(word) for word in command] for command in commands]
     said = program.run("-b", "--python-expr", f"{main}; print('CODES', [main(c) for c in {listed}])")
     assert "CODES [0, 0, 0, 1]" in said and "Traceback" not in said

@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import bicubic
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, measure, triangle_errors
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.fit import fit
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, HeightField, from_array
+from adaptive_terrain.cbt_terrain.field import bicubic
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, HeightField
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
+from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, View
 from fields import bezier, mesh_heights, reference_heights, rough
 from invariants import arrays, assert_invariants
 from rasters import jacksboro
@@ -23,7 +26,7 @@ KINDS = ("rough", "noise", "spike", "cliff", "checkerboard", "twist", "plane", "
 
 def field_of(kind, shape, relief=100.0, base=0.0, steps=(2.0, 3.0), seed=1) -> HeightField:
     asked = {"kind": kind, "shape": shape, "seed": seed, "relief": relief, "base": base, "steps": steps}
-    return make_field(asked).interpolated("bicubic")
+    return interpolated(make_field(asked), "bicubic")
 
 
 def dense(field, per_cell=16):
@@ -99,7 +102,7 @@ def test_errors_of_meshlets_are_those_of_what_is_drawn(kind):
     P = dense(field, 16)
     truth = bezier(field, P)[0]
     for meshlet in (1, 2, 3):
-        errors = field.error_for(meshlet)
+        errors = error_for(field, meshlet)
         assert errors.shape == field.error.shape and (errors <= field.error).all()
         drawn = replace(field, error=errors)
         for depth in (lattice.cell_depth - 1, lattice.cell_depth + 1):
@@ -117,7 +120,7 @@ def test_errors_of_meshlets_are_those_of_what_is_drawn(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_below_the_cells_errors_are_nested(kind, meshlet):
     field = field_of(kind, (9, 17))
-    lattice, errors = field.lattice, field.error_for(meshlet)
+    lattice, errors = field.lattice, error_for(field, meshlet)
     j, i = np.indices((lattice.height - 1, lattice.width - 1))
     own = lattice.index(lattice.cell_depth, i, j)
     error, bend = errors[own], errors[own + lattice.node_count - lattice.range_count]
@@ -162,10 +165,10 @@ def test_a_plane_takes_the_triangles_that_it_takes_as_bilinear():
     for steps in ((1.0, 1.0), (0.1, 7.3)):
         field = field_of("plane", (33, 65), steps=steps, seed=3)
         exact = from_array((np.arange(65.0) * 4 - np.arange(33.0)[:, None]).astype(np.float32), *steps)
-        for surface in (field, exact.interpolated("bicubic")):
+        for surface in (field, interpolated(exact, "bicubic")):
             for error_m in (1e-3, 1e-1):
                 both = [
-                    Terrain(surface.interpolated(name), 1).update(Criterion(error_px=0, error_m=error_m))
+                    Terrain(interpolated(surface, name), 1).update(Criterion(error_px=0, error_m=error_m))
                     for name in INTERPOLATIONS
                 ]
                 assert both[0].triangles == both[1].triangles
@@ -204,7 +207,7 @@ def test_edges_up_a_wall_are_within_their_bound(below):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_lies_between_both_surfaces_is_bounded_and_exact_where_they_bend_one_way(kind):
     field = field_of(kind, (5, 9))
-    bilinear, lattice = field.interpolated("bilinear"), field.lattice
+    bilinear, lattice = interpolated(field, "bilinear"), field.lattice
     if kind == "rough":
         bilinear = from_array(np.tile(np.arange(9, dtype=np.float32) ** 2, (5, 1)))
         lattice = bilinear.lattice
@@ -231,7 +234,7 @@ def test_the_same_bytes_for_any_number_of_threads():
         assert built[0] == built[1] == built[2]
         meshes = []
         for threads in (1, 2, 7):
-            terrain = Terrain(field.interpolated("bicubic"), threads)
+            terrain = Terrain(interpolated(field, "bicubic"), threads)
             terrain.update(Criterion(error_px=3.0), [view])  # so that there is something to cut
             update = terrain.update(Criterion(error_px=0.2), [view])
             meshes.append((arrays(update.surface), update.bound_px, update.bound_m))
@@ -240,31 +243,31 @@ def test_the_same_bytes_for_any_number_of_threads():
 
 def test_interpolations_are_made_once_and_know_each_other():
     field = rough(17, 17)
-    cubic = field.interpolated("bicubic")
-    assert field.interpolated("bilinear") is field and field.interpolated("bicubic") is cubic
-    assert cubic.interpolated("bicubic") is cubic and cubic.interpolated("bilinear") is field
+    cubic = interpolated(field, "bicubic")
+    assert interpolated(field, "bilinear") is field and interpolated(field, "bicubic") is cubic
+    assert interpolated(cubic, "bicubic") is cubic and interpolated(cubic, "bilinear") is field
     assert cubic.samples is field.samples and cubic.key != field.key
     assert (field.interpolation, cubic.interpolation) == ("bilinear", "bicubic")
     assert cubic.steepest_x >= field.steepest_x and cubic.max_height >= field.max_height
     for name in ("cubic", "", None):
         with pytest.raises(TerrainError, match="expected bilinear or bicubic"):
-            field.interpolated(name)
+            interpolated(field, name)
 
 
 def test_what_is_too_large_for_an_index_is_refused(monkeypatch):
     field = rough(17, 17)
     monkeypatch.setattr(bicubic, "MOST_ENTRIES", 2 * field.lattice.node_count - 1)
     with pytest.raises(TerrainError, match="17 x 17 samples, more than"):
-        field.interpolated("bicubic")
+        interpolated(field, "bicubic")
 
 
 def test_a_fit_is_of_the_bilinear_surface_alone():
     with pytest.raises(TerrainError, match="choose bilinear"):
-        fit(rough(17, 17).interpolated("bicubic"), 1.0)
+        fit(interpolated(rough(17, 17), "bicubic"), 1.0)
 
 
 def test_a_mesh_of_one_surface_is_off_the_other_by_what_the_interpolation_adds():
-    bilinear, cubic = (rough(33, 33).interpolated(name) for name in INTERPOLATIONS)
+    bilinear, cubic = (interpolated(rough(33, 33), name) for name in INTERPOLATIONS)
     update = Terrain(cubic, 1).update(Criterion(error_px=0, error_m=0.2))
     assert 0.1 < measure(cubic, update.surface, random_points=1000).vertical_max_m <= update.bound_m <= 0.2
     points = dense(cubic, 16)
@@ -279,16 +282,16 @@ def test_the_outline_of_a_wall_is_where_the_surface_overshoots():
     field = from_array(heights, 10.0)
     view = View.look((-200, 0, 40), (0, 0, 40), kind=ORTHOGRAPHIC, ortho_width=120.0, resolution=(160, 240))
     for own, other in (INTERPOLATIONS, INTERPOLATIONS[::-1]):
-        fine = Terrain(field.interpolated(own), 1).update(Criterion(error_px=0, error_m=0.02)).surface
-        assert measure(field.interpolated(own), fine, view, random_points=0).silhouette_px.p95 < 0.1
-        assert measure(field.interpolated(other), fine, view, random_points=0).silhouette_px.p95 == pytest.approx(
+        fine = Terrain(interpolated(field, own), 1).update(Criterion(error_px=0, error_m=0.02)).surface
+        assert measure(interpolated(field, own), fine, view, random_points=0).silhouette_px.p95 < 0.1
+        assert measure(interpolated(field, other), fine, view, random_points=0).silhouette_px.p95 == pytest.approx(
             20, abs=0.2
         )
 
 
 @pytest.mark.parametrize("asked", [40.0, 10.0, 4.0, 1.0, 0.25])
 def test_the_vertical_bound_is_not_wasteful(asked):
-    field = from_array(jacksboro()[:65, :97], 30.0).interpolated("bicubic")
+    field = interpolated(from_array(jacksboro()[:65, :97], 30.0), "bicubic")
     found = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
     off = measure(field, found.surface, random_points=0).vertical_max_m
     assert 0.6 * asked < off <= found.bound_m <= asked

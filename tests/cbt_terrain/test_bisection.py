@@ -5,10 +5,10 @@ import random
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import bisection
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.tree import bisection
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_bisection import ReferenceMesh, assert_conforming, corners_of, edges_of, forced_split_leaves

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.criterion import LARGEST, Criterion
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, HeightField, from_array
-from adaptive_terrain.cbt_terrain.surface import Surface
+from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST, Criterion
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, HeightField
+from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, reference_heights, rough, sample_position
 from matplotlib.tri import Triangulation
 from rasters import jacksboro
@@ -42,11 +44,11 @@ def ground(kind: str, interpolation: str, rng: np.random.Generator) -> Ground:
     noise = rng.standard_normal((n, m))
     if kind == "rough":
         field = rough(n, m, int(rng.integers(1000)), relief=10 ** rng.uniform(0, 3), step=step[0])
-        return on_lattice(field.interpolated(interpolation), rng)
+        return on_lattice(interpolated(field, interpolation), rng)
     if kind == "real":
         j, i = rng.integers(0, 344 - 65), rng.integers(0, 403 - 129)
         field = from_array(jacksboro()[j : j + 65, i : i + 129], *step)
-        return on_lattice(field.interpolated(interpolation), rng)
+        return on_lattice(interpolated(field, interpolation), rng)
     if kind.startswith("resampled"):
         n, m = rng.integers(33, 60, 2)
         raster = rng.standard_normal((n, m)) * 10 ** rng.uniform(-1, 2)
@@ -56,7 +58,7 @@ def ground(kind: str, interpolation: str, rng: np.random.Generator) -> Ground:
         raster = raster.astype(np.float32)
         j, i = np.indices(raster.shape).reshape(2, -1)
         plane = np.stack([(i - (m - 1) / 2) * step[0], (j - (n - 1) / 2) * step[1]], axis=1)
-        field = from_array(raster, *step).interpolated(interpolation)
+        field = interpolated(from_array(raster, *step), interpolation)
         return Ground(field, plane, raster.reshape(-1).astype(np.float64))
     z = {
         "noise": noise * 10 ** rng.uniform(-3, 3),
@@ -70,7 +72,7 @@ def ground(kind: str, interpolation: str, rng: np.random.Generator) -> Ground:
     }[kind]
     if kind == "vast":
         step = (500e3 / (m - 1) * rng.uniform(0.5, 1), 500e3 / (n - 1))
-    return on_lattice(from_array(z.astype(np.float32), *step).interpolated(interpolation), rng)
+    return on_lattice(interpolated(from_array(z.astype(np.float32), *step), interpolation), rng)
 
 
 def on_lattice(field: HeightField, rng: np.random.Generator) -> Ground:

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain import budget, launch
-from adaptive_terrain.cbt_terrain.budget import limit_of
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
-from adaptive_terrain.cbt_terrain.step_search import MAX_STEP, Found, lowest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.refine import budget
+from adaptive_terrain.cbt_terrain.refine.budget import limit_of
+from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, lowest
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
-from adaptive_terrain.kernels import refine
-from adaptive_terrain.kernels.count_state import MARKS, MOST_HALVES, STEPS_PER_OCTAVE
+from adaptive_terrain.kernels.budget.count_state import MARKS, MOST_HALVES, STEPS_PER_OCTAVE
+from adaptive_terrain.kernels.refine import walk as refine
 from fields import random_view, rough
 from invariants import arrays
 from level_ground import level_scenes
@@ -35,7 +38,7 @@ def scene(seed: int):
     else:
         flat = rng.random() < 0.5
         field = from_array((rng.random((height, width)) > 0.97).astype(np.float32) * (0.0 if flat else 20.0), 10.0)
-    field = field.interpolated(INTERPOLATIONS[rng.integers(2)])
+    field = interpolated(field, INTERPOLATIONS[rng.integers(2)])
     px = float(10 ** rng.uniform(-3, 0))
     asked = [
         {"error_px": px},

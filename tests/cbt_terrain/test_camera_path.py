@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.camera_path import hermite, read_camera_path
+from adaptive_terrain.cbt_terrain.ask.camera_path import hermite, read_camera_path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 
 KEYS = [

@@ -7,7 +7,7 @@ import json
 import math
 
 import pytest
-from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from hypothesis import given
 from hypothesis import strategies as some

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.accuracy import measure
-from adaptive_terrain.cbt_terrain.buffers import Buffers
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.fit import fit
-from adaptive_terrain.cbt_terrain.fitting import Fitter
-from adaptive_terrain.cbt_terrain.heightfield import HeightField, from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.fit.fit import fit
+from adaptive_terrain.cbt_terrain.fit.fitter import Fitter
+from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import mesh_heights, reference_heights, rough, scattered
 from invariants import arrays, assert_invariants

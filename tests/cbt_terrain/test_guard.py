@@ -9,11 +9,14 @@ import sys
 import numpy as np
 import pytest
 from adaptive_terrain import __version__
-from adaptive_terrain.cbt_terrain import sandbox, stall
 from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
-from adaptive_terrain.cbt_terrain.importing import import_source, source_digest
-from adaptive_terrain.cbt_terrain.source_info import describe_source, versions
-from adaptive_terrain.cbt_terrain.sources import ImportSettings, open_source
+from adaptive_terrain.cbt_terrain.importing import sandbox
+from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.source_info import describe_source, versions
+from adaptive_terrain.cbt_terrain.importing.sources import open_source
+from adaptive_terrain.cbt_terrain.run import stall
 from rasters import hills, write_exr, write_raster
 
 # What an import launches must be loaded before: later it could not be compiled.
@@ -21,8 +24,8 @@ LOADED = """
 import sys
 from pathlib import Path
 from adaptive_terrain.cbt_terrain import guard, launch
-from adaptive_terrain.cbt_terrain.importing import run_import
-from adaptive_terrain.cbt_terrain.sources import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 guard.guard_import(ImportSettings(source=sys.argv[1]), Path(sys.argv[2]))
 before = {kernel.module.name for kernel in launch._loaded}
 run_import(ImportSettings(source=sys.argv[1]), sys.argv[2])

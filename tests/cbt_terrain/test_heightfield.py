@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.lattice import fit
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.lattice import fit
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from rasters import hills, jacksboro
 
 
@@ -103,9 +104,9 @@ def test_keys_tell_terrains_apart():
 
 def test_meshlet_errors_are_made_once_and_are_not_larger():
     field = from_array(hills(33, 33))
-    assert field.error_for(0) is field.error
-    finer = field.error_for(2)
-    assert finer is field.error_for(2)
+    assert error_for(field, 0) is field.error
+    finer = error_for(field, 2)
+    assert finer is error_for(field, 2)
     assert (finer <= field.error).all() and finer.max() < field.error.max()
 
 

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import heightfield, hierarchy
-from adaptive_terrain.cbt_terrain.lattice import Lattice
+from adaptive_terrain.cbt_terrain.field import heightfield, hierarchy
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
 ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))

@@ -10,17 +10,11 @@ import time
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.importing import (
-    ImportCancelled,
-    ImportJob,
-    ImportSettings,
-    describe,
-    import_source,
-    run_import,
-    source_digest,
-)
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import, source_digest
+from adaptive_terrain.cbt_terrain.importing.import_process import ImportCancelled, ImportJob, import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from rasters import hills, write_exr, write_raster
 
 LONG = ImportSettings(source="island", size=4097)  # seconds of work
@@ -141,7 +135,9 @@ def test_a_child_killed_just_after_it_published_has_done_its_work(previous):
 
 def test_an_import_ends_with_its_parent(tmp_path):
     script = (
-        "import sys, time; from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings\n"
+        "import sys, time\n"
+        "from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob\n"
+        "from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings\n"
         f"job = ImportJob(ImportSettings(source='island', size=4097), {str(tmp_path / 'store')!r})\n"
         "while job.poll().fraction == 0.0: time.sleep(0.01)\n"
         "print(job._process.pid, flush=True); time.sleep(60)"
@@ -192,7 +188,9 @@ def test_errors_of_the_child_come_through_as_one_sentence(previous):
 def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills(33, 33))
     script = (
-        "import sys; from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source\n"
+        "import sys\n"
+        "from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings\n"
+        "from adaptive_terrain.cbt_terrain.importing.import_process import import_source\n"
         f"report = import_source(ImportSettings(source={str(source)!r}), {str(tmp_path / 'store')!r})\n"
         "assert report['raster'] == [33, 33]\n"
         "assert not {'rasterio', 'OpenEXR', 'bpy'} & set(sys.modules)"

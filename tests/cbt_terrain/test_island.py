@@ -4,7 +4,7 @@
 import hashlib
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.island import island, island_rows
+from adaptive_terrain.cbt_terrain.field.island import island, island_rows
 
 
 def test_resolutions_agree_where_their_samples_coincide():

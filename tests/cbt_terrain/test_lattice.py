@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.lattice import Lattice
-from adaptive_terrain.kernels.layout import tile_index
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.kernels.field.layout import tile_index
 
 LATTICES = [Lattice(1, 1, k) for k in range(8)]
 LATTICES += [

@@ -7,9 +7,9 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.buffers import bind, shared
-from adaptive_terrain.kernels.layout import Depth
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.run.buffers import bind, shared
+from adaptive_terrain.kernels.field.layout import Depth
 
 
 @wp.kernel

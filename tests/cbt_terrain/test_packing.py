@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import packing, partial_files
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import build
-from adaptive_terrain.cbt_terrain.packing import copy_store
-from adaptive_terrain.cbt_terrain.store import Draft, new_data_name, open_store
+from adaptive_terrain.cbt_terrain.field import packing
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.packing import copy_store
+from adaptive_terrain.cbt_terrain.field.store import Draft, new_data_name, open_store
+from adaptive_terrain.cbt_terrain.run import partial_files
 
 
 def make(path: Path, seed: int) -> Path:

@@ -8,13 +8,13 @@ import sys
 import threading
 
 import pytest
-from adaptive_terrain.cbt_terrain import partial_files
-from adaptive_terrain.cbt_terrain.partial_files import remove_abandoned, written_beside
+from adaptive_terrain.cbt_terrain.run import partial_files
+from adaptive_terrain.cbt_terrain.run.partial_files import remove_abandoned, written_beside
 
 WRITE = """
 import sys
 from pathlib import Path
-from adaptive_terrain.cbt_terrain.partial_files import written_beside
+from adaptive_terrain.cbt_terrain.run.partial_files import written_beside
 with written_beside(Path(sys.argv[1])) as partial:
     partial.write_text("half")
     print(partial, flush=True)

@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.bisection import from_tree_id
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.tree.bisection import from_tree_id
 from fields import extent, mesh_heights, random_view, rough
 from reference_bisection import forced_split_leaves
 

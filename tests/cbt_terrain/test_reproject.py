@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.georeference import rim_error
-from adaptive_terrain.cbt_terrain.sources import ImportSettings, open_source
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.cbt_terrain.field.georeference import rim_error
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.sources import open_source
+from adaptive_terrain.operators.cli import command_line
 from rasterio.transform import from_origin
 from rasters import hills, imported, write_exr, write_raster
 

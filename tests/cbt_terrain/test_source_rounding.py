@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.bicubic import LEVERAGE
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.fit import fit
-from adaptive_terrain.cbt_terrain.heightfield import from_array
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.bicubic import LEVERAGE, interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
+from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from fields import mesh_heights, reference_heights, rough, scattered, screen_error
 from rasters import imported, write_exr, write_raster
 
@@ -152,7 +153,7 @@ def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(moved, sourc
     asked = 0.1
     field = from_array(30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
     if moved:
-        field = replace(field, moved=np.full_like(field.error_for(0), moved), resample_max=moved)
+        field = replace(field, moved=np.full_like(error_for(field, 0), moved), resample_max=moved)
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked, max_depth=6))
     assert update.bound_m > asked and update.terms_m.geometric > asked
     assert update.limited == limited
@@ -163,7 +164,7 @@ def test_rounded_samples_move_a_bicubic_surface_by_more_than_themselves():
     for origin in (0, 3, 13):  # beside the border, and in the middle
         heights = np.zeros((17, 17))
         heights[origin : origin + 4, origin : origin + 4] = 0.5 * signs
-        field = from_array(np.zeros((17, 17), np.float32), STEP, source_max=0.5).interpolated("bicubic")
+        field = interpolated(from_array(np.zeros((17, 17), np.float32), STEP, source_max=0.5), "bicubic")
         plane = STEP * (np.stack(np.meshgrid(*2 * [np.linspace(origin, origin + 3, 61)]), -1).reshape(-1, 2) - 8)
         worst = np.abs(reference_heights(replace(field, samples=heights), plane)).max()
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))

@@ -8,10 +8,11 @@ import os
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.georeference import degree_lengths, ellipsoid_of, from_transform
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
-from adaptive_terrain.cbt_terrain.sources import Raster, open_source
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field.georeference import degree_lengths, ellipsoid_of, from_transform
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings, Raster
+from adaptive_terrain.cbt_terrain.importing.sources import open_source
 from rasterio.transform import Affine, from_origin
 from rasters import hills, jacksboro, write_exr, write_raster
 
@@ -256,7 +257,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path):
 
 
 def test_blocks_of_rows_make_no_difference(tmp_path, monkeypatch):
-    from adaptive_terrain.cbt_terrain import importing
+    from adaptive_terrain.cbt_terrain.importing import build_store as importing
 
     heights = hills(65, 61)
     source = write_raster(tmp_path / "a.tif", heights, blockysize=7)

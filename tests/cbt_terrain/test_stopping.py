@@ -9,8 +9,8 @@ import threading
 import time
 
 import pytest
-from adaptive_terrain.cbt_terrain import stopping
-from adaptive_terrain.cbt_terrain.stopping import Stopped, check, held, listening
+from adaptive_terrain.cbt_terrain.run import stopping
+from adaptive_terrain.cbt_terrain.run.stopping import Stopped, check, held, listening
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 

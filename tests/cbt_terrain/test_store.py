@@ -9,9 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import bicubic, partial_files, store
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings, describe, run_import
+from adaptive_terrain.cbt_terrain.field import bicubic, store
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
+from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
+from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.run import partial_files
 
 
 @pytest.fixture
@@ -49,27 +54,27 @@ def test_a_store_opens_fast_and_read_only_on_disk(island):
 
 
 def test_meshlet_errors_are_kept_in_the_store(island):
-    errors = store.open_store(island).error_for(1)
+    errors = error_for(store.open_store(island), 1)
     assert len(list(island.glob("data-*/error_m1.npy"))) == 1
-    kept = store.open_store(island).error_for(1)
+    kept = error_for(store.open_store(island), 1)
     assert np.array_equal(kept, errors) and not list(island.glob("data-*/.partial-*"))
 
 
 def test_a_bicubic_surface_is_kept_in_the_store(island):
-    made = store.open_store(island).interpolated("bicubic")
+    made = interpolated(store.open_store(island), "bicubic")
     names = {p.name for p in island.glob("data-*/*_c*")}
     assert names == {"error_c.npy", "ranges_c.npy", "numbers_c.npy"}
-    assert made.error_for(2).shape == made.error.shape and len(list(island.glob("data-*/error_c_m2.npy"))) == 1
+    assert error_for(made, 2).shape == made.error.shape and len(list(island.glob("data-*/error_c_m2.npy"))) == 1
     times = {p: p.stat().st_mtime_ns for p in island.rglob("*")}
-    kept = store.open_store(island).interpolated("bicubic")
+    kept = interpolated(store.open_store(island), "bicubic")
     assert kept.key == made.key and kept.path == island
     for name in ("error", "ranges"):
         assert getattr(kept, name).tobytes() == getattr(made, name).tobytes()
     for name in bicubic.NUMBERS:
         assert getattr(kept, name) == getattr(made, name)
-    assert np.array_equal(kept.error_for(2), made.error_for(2))
+    assert np.array_equal(error_for(kept, 2), error_for(made, 2))
     assert {p: p.stat().st_mtime_ns for p in island.rglob("*")} == times
-    assert np.array_equal(store.open_store(island).error_for(2), kept.interpolated("bilinear").error_for(2))
+    assert np.array_equal(error_for(store.open_store(island), 2), error_for(interpolated(kept, "bilinear"), 2))
     run_import(ImportSettings(source="island", size=65), island)  # which takes all of it away
     assert not list(island.glob("data-*/*_c*")) and len(folders(island)) == 1
 
@@ -78,14 +83,14 @@ def test_what_resampling_moved_is_kept_for_a_bicubic_surface_too(tmp_path):
     np.save(tmp_path / "a.npy", np.random.default_rng(0).standard_normal((40, 61)).astype(np.float32))
     run_import(ImportSettings(source=str(tmp_path / "a.npy")), tmp_path / "store")
     field = store.open_store(tmp_path / "store")
-    moved = field.interpolated("bicubic").moved
+    moved = interpolated(field, "bicubic").moved
     assert (moved >= field.moved).all() and moved.max() > field.moved.max()
-    assert np.array_equal(store.open_store(tmp_path / "store").interpolated("bicubic").moved, moved)
+    assert np.array_equal(interpolated(store.open_store(tmp_path / "store"), "bicubic").moved, moved)
 
 
 @pytest.mark.parametrize("how", ["missing", "short", "numbers", "not a number"])
 def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, how):
-    made = store.open_store(island).interpolated("bicubic")
+    made = interpolated(store.open_store(island), "bicubic")
     made = replace(made, error=made.error.copy(), ranges=made.ranges.copy())  # its files are about to change
     numbers = next(island.glob("data-*/numbers_c.npy"))
     if how == "missing":  # killed between two files, with a part left over
@@ -97,10 +102,10 @@ def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, h
         os.truncate(numbers.parent / "error_c.npy", 5000)
     else:
         np.save(numbers, np.load(numbers) * (np.nan if how == "not a number" else -1.0))
-    again = store.open_store(island).interpolated("bicubic")
+    again = interpolated(store.open_store(island), "bicubic")
     assert again.error.tobytes() == made.error.tobytes() and again.ranges.tobytes() == made.ranges.tobytes()
     assert (again.range_base, again.min_height, again.steepest_x) == (made.range_base, made.min_height, made.steepest_x)
-    kept = store.open_store(island).interpolated("bicubic")
+    kept = interpolated(store.open_store(island), "bicubic")
     assert kept.max_height == made.max_height and np.load(numbers)[1] > 0
     run_import(ImportSettings(source="island", size=65), island)  # the left-over is the store's own
     assert len(folders(island)) == 1
@@ -111,8 +116,8 @@ def test_a_store_that_cannot_be_written_still_gives_meshlet_errors(island, monke
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(store, "header", full)
-    assert store.open_store(island).error_for(1).shape == store.open_store(island).error.shape
-    assert store.open_store(island).interpolated("bicubic").error.any()
+    assert error_for(store.open_store(island), 1).shape == store.open_store(island).error.shape
+    assert interpolated(store.open_store(island), "bicubic").error.any()
     assert not list(island.glob("data-*/error_m1*")) and not list(island.glob("data-*/*_c*"))
 
 
@@ -122,7 +127,7 @@ def test_a_new_version_replaces_the_old_one_while_it_is_in_use(island):
     run_import(ImportSettings(source="island", size=129, seed=8), island)
     assert len(folders(island)) == 1 and folders(island) != names
     assert float(old.samples.max()) == peak  # still mapped
-    assert old.error_for(1).shape == old.error.shape  # kept in memory, not in the other terrain's folder
+    assert error_for(old, 1).shape == old.error.shape  # kept in memory, not in the other terrain's folder
     assert not list(island.glob("data-*/error_m1*"))
     assert store.open_store(island).key != old.key
 

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
-from adaptive_terrain.cbt_terrain.surface import SurfaceBuilder
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.mesh.surface import SurfaceBuilder
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from fields import reference_heights, rough
 from invariants import arrays, assert_invariants
 
@@ -120,7 +122,7 @@ def flown(field, meshlet=0, threads=2):
 def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkeypatch):
     """Positions that change unseen between two frames stay changed where points were taken from the last frame."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    field = rough(129, 129).interpolated(interpolation)
+    field = interpolated(rough(129, 129), interpolation)
     terrain, asked, views = flown(field, meshlet)
     terrain._buffers.numpy("positions")[:, 2] += 1000.0
     heights = terrain.update(asked, [views[0]]).surface.positions[:, 2]

@@ -7,14 +7,15 @@ import itertools
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.accuracy.sweep import Row, curve_of, pareto, sweep, worst
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting, metre_steps, settings_for
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import RUNS, SHORT_RUNS, Frame, median_by_step, timed_runs
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.sweep import Row, curve_of, pareto, sweep, worst
-from adaptive_terrain.cbt_terrain.sweep_settings import PIXELS, Setting, metre_steps, settings_for
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.timed_runs import RUNS, SHORT_RUNS, Frame, median_by_step, timed_runs
-from adaptive_terrain.cbt_terrain.view import View
 from fields import rough
 
 SEEN = View.look((0, -700, 500), (0, 0, 0), resolution=(640, 360))
@@ -69,7 +70,7 @@ def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
 
 
 def test_a_sweep_of_a_smooth_surface_has_the_other_one_beside_it(field):
-    settings = settings_for(field.interpolated("bicubic"), Frame([SEEN]))
+    settings = settings_for(interpolated(field, "bicubic"), Frame([SEEN]))
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
     assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
     assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)

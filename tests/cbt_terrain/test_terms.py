@@ -4,11 +4,13 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
-from adaptive_terrain.cbt_terrain.terms import rounding
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.refine.terms import rounding
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from fields import rough
 
 
@@ -40,7 +42,7 @@ def test_rounding_counts_facets_that_lean_where_the_surface_does_not(along_x, in
     for rows, columns, depth in ((33, 3, 2), (17, 5, 4), (5, 17, 4), (33, 9, 6)):
         z = np.arange(rows)[:, None] % 2 * np.full((1, columns), 1e4, np.float32)
         for step in ((0.1, 0.1), (1.0, 27.3), (0.1, 1000.1), (1000.1, 1.0)):
-            field = from_array(np.ascontiguousarray(z.T if along_x else z), *step).interpolated(interpolation)
+            field = interpolated(from_array(np.ascontiguousarray(z.T if along_x else z), *step), interpolation)
             found = Terrain(field, 1).update(Criterion(error_px=0, error_m=1e-3, max_depth=depth))
             violated += measure(field, found.surface, random_points=100, threads=1).vertical_max_m > found.bound_m
     assert violated == 0
@@ -50,7 +52,7 @@ def test_a_bicubic_surface_rounds_by_its_own_slopes_and_heights():
     """Between the two samples of a step it climbs a quarter more steeply than bilinear, and it overshoots."""
     z = np.tile(np.float32([0, 0, 3000, 3000, 0, 0]), (6, 1))[:5, :5]
     field = from_array(np.ascontiguousarray(z), 10.0)
-    cubic = field.interpolated("bicubic")
+    cubic = interpolated(field, "bicubic")
     assert cubic.steepest_x >= 1.25 * field.steepest_x > 0 and cubic.steepest_y == field.steepest_y == 0.0
     assert 3000 * 1.125 <= cubic.max_height <= 3000 * 1.2 and -3000 * 0.2 <= cubic.min_height <= -3000 * 0.07
     assert rounding(cubic, 5, 1.0, 0.0) == pytest.approx(2.0**-13 * 1.0, rel=1e-3)

@@ -7,8 +7,8 @@ import zlib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.words import pack_cells
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.tree.words import pack_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -4,14 +4,15 @@
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain import launch, refinement
-from adaptive_terrain.cbt_terrain.buffers import shared
-from adaptive_terrain.cbt_terrain.cell_streams import CellStreams
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.refine import refinement
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.view import View
-from adaptive_terrain.kernels.tree import Run, Runs
+from adaptive_terrain.cbt_terrain.tree.cell_streams import CellStreams
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from adaptive_terrain.kernels.refine.sum_reduction import Run, Runs
 from fields import rough
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -3,9 +3,9 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.criterion import frustum_planes
+from adaptive_terrain.cbt_terrain.ask.criterion import frustum_planes
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, View
 from fields import project
 
 

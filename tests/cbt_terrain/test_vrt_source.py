@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.gdal_source import DRIVERS
-from adaptive_terrain.cbt_terrain.vrt_source import _is_local, read_mosaic
+from adaptive_terrain.cbt_terrain.importing.gdal_source import DRIVERS
+from adaptive_terrain.cbt_terrain.importing.vrt_source import _is_local, read_mosaic
 from hostile_files import PART, source, vrt
 from rasters import hills, write_raster
 

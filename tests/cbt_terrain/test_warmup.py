@@ -8,8 +8,8 @@ import threading
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.cbt_terrain import child, launch, warmup
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.run import child, launch, warmup
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,7 +27,7 @@ sys.modules.update({outer: types.ModuleType(outer) for outer in ("bl_ext", "bl_e
 spec = importlib.util.spec_from_file_location(name, root + "/__init__.py", submodule_search_locations=[root])
 sys.modules[name] = package = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(package)
-warmup = importlib.import_module(name + ".cbt_terrain.warmup")
+warmup = importlib.import_module(name + ".cbt_terrain.run.warmup")
 compiled_here = []
 import warp as wp
 compile_module = wp.Module._compile
@@ -36,7 +36,7 @@ def watched(self, *arguments, **options):
     compiled_here.extend([self.name] if done else [])
     return done
 wp.Module._compile = watched
-importlib.import_module(name + ".cbt_terrain.launch").default_threads = lambda: 3  # two children
+importlib.import_module(name + ".cbt_terrain.run.launch").default_threads = lambda: 3  # two children
 start = time.perf_counter()
 warmup.start()
 seen, gap, last = [], 0.0, time.perf_counter()

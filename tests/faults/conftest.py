@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.operators.cli import command_line
 from flights import hills_flight
 
 # Only so that a hang ends.
@@ -40,7 +40,7 @@ def run_command():
     """Runs a verb of the command line in a process of its own; returns what subprocess.run does."""
 
     def run(*arguments, **options):
-        command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *map(str, arguments)]
+        command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *map(str, arguments)]
         return subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S, **options)
 
     return run

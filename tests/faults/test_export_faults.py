@@ -9,14 +9,14 @@ import subprocess
 import sys
 
 import pytest
-from adaptive_terrain.cbt_terrain.archive import read_npz
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.operators.cli import command_line
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals, mounts and limits are those of POSIX")
 # Kills itself before or after the k-th rename: between two files, or between a file and the summary of its frame.
 SUICIDE = """
 import os, signal, sys
-from adaptive_terrain.operators.command_line import main
+from adaptive_terrain.operators.cli.command_line import main
 replace, calls, (when, at) = os.replace, [0], sys.argv[1:3]
 def counted(*arguments):
     calls[0] += 1
@@ -91,7 +91,7 @@ def test_blender_runs_out_of_disk(flight, small_disk, run_command, tmp_path, for
 
 def test_three_exports_into_one_folder(flight, undisturbed, tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *flight, "--out", str(out)]
+    command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *flight, "--out", str(out)]
     options = [["--resume"], [], ["--resume"]]
     children = [
         subprocess.Popen([*command, *more], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for more in options
@@ -110,7 +110,7 @@ def test_the_store_is_deleted_while_it_is_exported(flight, undisturbed, tmp_path
     store, out = tmp_path / "own.store", tmp_path / "out"
     shutil.copytree(flight[at], store)
     arguments = [*flight[:at], str(store), *flight[at + 1 :], "--out", str(out)]
-    command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments]
+    command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     child.stdout.readline()  # the first frame stands
     shutil.rmtree(store)

@@ -7,10 +7,12 @@ import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportJob, ImportSettings, import_source, run_import
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from invariants import assert_invariants
 from rasters import hills, write_exr, write_raster

@@ -9,14 +9,16 @@ import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import store as store_module
-from adaptive_terrain.cbt_terrain import store_arrays
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field import store as store_module
+from adaptive_terrain.cbt_terrain.field import store_arrays
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from invariants import arrays, assert_invariants
 from mutants import put_checksums
 
@@ -79,7 +81,7 @@ VIEWS = [[View.look((60.0 * k, -900.0, 500.0), (0, 0, 0))] for k in range(3)]
 def test_errors_that_are_anything_give_a_mesh_or_one_sentence(store, monkeypatch, value, meshlet, threads):
     """In every second entry, so that nothing is nested; and the terrain goes on with what still can be had. What is not
     a number or negative counts as none, which may be a coarser mesh without a fault."""
-    from adaptive_terrain.cbt_terrain import launch
+    from adaptive_terrain.cbt_terrain.run import launch
 
     monkeypatch.setattr(launch, "SLICE_ITEMS", 50)
     file = next(store.glob("data-*/error.npy"))
@@ -109,7 +111,7 @@ def test_heights_that_are_not_finite_do_not_reach_a_mesh(store, value):
         terrain.update(Criterion(error_px=0.0, error_m=1.0, max_depth=12), vertical_scale=1.5)
     if not np.isfinite(value):
         with pytest.raises(TerrainError, match="heights that are not finite"):
-            terrain.field.interpolated("bicubic")
+            interpolated(terrain.field, "bicubic")
 
 
 def test_info_verify_names_the_block(store, run_command):
@@ -237,7 +239,8 @@ def test_arrays_are_deleted_while_they_are_open(store):
 
 IMPORT = """
 import sys
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 sys.stdin.read(1)  # all begin at once
 run_import(ImportSettings(source="island", size=257, seed=int(sys.argv[2])), sys.argv[1])
 """

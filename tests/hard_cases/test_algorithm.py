@@ -5,10 +5,10 @@ import os
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.criterion import Criterion, as_seen, slant_of
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, as_seen, slant_of
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from fields import random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants
 

@@ -10,11 +10,14 @@ import zlib
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import store as stores
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, import_source, run_import
-from adaptive_terrain.cbt_terrain.store import open_store
+from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from invariants import arrays, assert_invariants
 from rasters import hills, imported, write_exr, write_raster
@@ -205,7 +208,8 @@ def test_case_20_a_bad_file_is_one_clear_error_and_the_store_stays(tmp_path, nam
 HUNGER = """
 import json, resource, sys
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import ImportSettings, run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 run_import(ImportSettings(source="island", size=17), sys.argv[1] + "/warm")
 usage = lambda: resource.getrusage(resource.RUSAGE_SELF)
 before, added = usage().ru_maxrss, {}
@@ -294,7 +298,7 @@ def test_case_20_a_store_deleted_while_in_use(tmp_path):
     peak, asked = float(field.samples.max()), Criterion(error_px=0.0, error_m=5.0)
     before = arrays(Terrain(field, 1).update(asked).surface)
     shutil.rmtree(tmp_path / "store")
-    assert float(field.samples.max()) == peak and field.error_for(1).shape == field.error.shape
+    assert float(field.samples.max()) == peak and error_for(field, 1).shape == field.error.shape
     surface = Terrain(field, 1).update(asked).surface
     assert_invariants(surface, field.lattice)
     assert arrays(surface) == before

@@ -9,18 +9,18 @@ import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.archive import read_npz
-from adaptive_terrain.cbt_terrain.partial_files import new_token, written_beside
-from adaptive_terrain.cbt_terrain.store import open_store
-from adaptive_terrain.cbt_terrain.surface import Surface
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+from adaptive_terrain.cbt_terrain.run.partial_files import new_token, written_beside
+from adaptive_terrain.operators.cli import command_line
 from flights import FRAMES, hills_flight
 from invariants import assert_invariants
 
 # The child kills itself with the third entry of the third frame's archive written.
 SUICIDE = """
 import os, signal, sys, zipfile
-from adaptive_terrain.operators.command_line import main
+from adaptive_terrain.operators.cli.command_line import main
 write, calls = zipfile.ZipFile.writestr, [0]
 def counted(self, *arguments):
     write(self, *arguments)
@@ -90,7 +90,7 @@ def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, 
 
 def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
     """Killed three times, each as soon as one more frame stands: what stands is whole, the rest is completed."""
-    out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments]
+    out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments]
     for round_ in range(3):
         child = subprocess.Popen(
             [*command, "--out", str(out), "--resume"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -121,7 +121,7 @@ def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturb
         assert alive.exists() and not dead.exists()
         assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
         assert alive.exists()
-    command = [sys.executable, "-m", "adaptive_terrain.operators.command_line", *arguments, "--out", str(out)]
+    command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments, "--out", str(out)]
     both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
     assert [(child.communicate()[1], child.returncode) for child in both] == [(b"", 0)] * 2
     assert final_meshes(out) == undisturbed

@@ -9,8 +9,9 @@ from collections import Counter
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import command_line, session
-from adaptive_terrain.operators.request import RENDER
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.scene.request import RENDER
 from mesh_files import read_mesh
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")

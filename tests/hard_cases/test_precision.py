@@ -3,12 +3,12 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.refinement import depth_limit
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.refine.refinement import depth_limit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.view import View
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from fields import reference_heights, rough
 from invariants import arrays, assert_invariants
 

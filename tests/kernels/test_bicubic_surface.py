@@ -4,11 +4,12 @@
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.heightfield import HeightField, from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.kernels.accuracy.cubic import cubic_at, heights_about
-from adaptive_terrain.kernels.displace import on_sample
-from adaptive_terrain.kernels.smooth.surface import in_patch
+from adaptive_terrain.kernels.bicubic.surface import in_patch
+from adaptive_terrain.kernels.mesh.displace import on_sample
 from fields import bezier
 
 SHAPES = [(2, 2), (2, 5), (3, 9), (9, 25)]

@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.coherence import move
-from adaptive_terrain.cbt_terrain.criterion import Criterion, localise
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.refine.drift import move
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from adaptive_terrain.kernels.coherence import Motion, Subtree
-from adaptive_terrain.kernels.criterion import Asked, LocalView
+from adaptive_terrain.kernels.refine.coherence import Motion, Subtree
+from adaptive_terrain.kernels.refine.diamond import Asked, LocalView
 from fields import extent, rough
 from invariants import arrays
 from twins import load
@@ -35,7 +37,7 @@ def a_field(rng):
         field = rough(height, width, int(rng.integers(1 << 30)), relief=float(rng.choice([2.0, 30.0, 200.0])))
     else:
         field = from_array((rng.random((height, width)) > 0.97).astype(np.float32) * 20.0, 1.0, 2.0)
-    return field.interpolated(INTERPOLATIONS[rng.integers(2)])
+    return interpolated(field, INTERPOLATIONS[rng.integers(2)])
 
 
 def flight(field, rng) -> list[View]:

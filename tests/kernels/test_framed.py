@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.criterion import Criterion, localise
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.refinement import make_domain
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.refine.refinement import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.view import View
 from fields import mesh_heights, project, reference_heights, rough, scattered, screen_error
 from twins import load
 

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain import launch, refinement
-from adaptive_terrain.cbt_terrain.blocks import blocks, shapes
-from adaptive_terrain.cbt_terrain.criterion import Criterion
-from adaptive_terrain.cbt_terrain.heightfield import INTERPOLATIONS, from_array
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.refine import refinement
+from adaptive_terrain.cbt_terrain.refine.block_tables import blocks, shapes
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
-from adaptive_terrain.cbt_terrain.view import PANORAMIC, View
 from invariants import arrays
 from level_ground import level_scenes
 from twins import load
@@ -63,7 +66,7 @@ def scenes(kind: str) -> list[tuple]:
             size = (field.lattice.width * field.lattice.step_x, field.lattice.height * field.lattice.step_y)
             kinds = rng.choice(["PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"], rng.integers(1, 3))
             views = [a_view(str(k), size, rng) for k in kinds]
-            field = field.interpolated(INTERPOLATIONS[(len(found) + len(found) // 4) % 2])
+            field = interpolated(field, INTERPOLATIONS[(len(found) + len(found) // 4) % 2])
             found.append((field, a_criterion(asks, rng), views, float(rng.choice([1.0, -2.0, 0.0]))))
     return found
 
@@ -81,7 +84,7 @@ def updated(field, criterion: Criterion, views: list[View], scale: float) -> tup
 
 @pytest.fixture
 def measuring_all(tmp_path):
-    """kernels/refine.py with margins so wide that nothing is certain, and without any memory."""
+    """kernels/refine/walk.py with margins so wide that nothing is certain, and without any memory."""
     source = (Path(kernels.__file__).parent / "refine.py").read_text()
     limits, met = "limits = limits_of(asked, w.slack)", "if met.x == x and met.y == y and met.mark == mark:"
     wide = [("below", 0.0), ("finer", 0.0), ("coarser", 1e300), ("metres_below", 0.0), ("metres_above", 1e300)]

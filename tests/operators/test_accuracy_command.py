@@ -13,19 +13,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
-from adaptive_terrain.cbt_terrain.criterion import Criterion
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
+from adaptive_terrain.cbt_terrain.accuracy.sweep import TERMS
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.store import open_store
-from adaptive_terrain.cbt_terrain.sweep import TERMS
-from adaptive_terrain.cbt_terrain.sweep_settings import Setting
-from adaptive_terrain.operators import (
-    accuracy_command,
-    accuracy_plots,
-    accuracy_subject,
-    command_line,
-)
-from adaptive_terrain.operators.exporting import write_texts
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.cli import accuracy_command, command_line
+from adaptive_terrain.operators.output.exporting import write_texts
+from adaptive_terrain.operators.report import accuracy_plots, accuracy_subject
 
 FLIGHT = {
     "clip": [1, 50000],

@@ -8,16 +8,13 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.criterion import LARGEST
-from adaptive_terrain.cbt_terrain.heightfield import from_array
-from adaptive_terrain.cbt_terrain.sweep_settings import Setting
-from adaptive_terrain.cbt_terrain.terms import Terms
-from adaptive_terrain.operators import (
-    accuracy_page,
-    accuracy_plots,
-)
-from adaptive_terrain.operators.log_plot import Curve, draw
-from adaptive_terrain.operators.shown_bounds import NO_BOUND
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
+from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.refine.terms import Terms
+from adaptive_terrain.operators.report import accuracy_page, accuracy_plots
+from adaptive_terrain.operators.text.log_plot import Curve, draw
+from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.archive import read_npz
-from adaptive_terrain.operators import command_line
-from adaptive_terrain.operators.console import Progress, duration
-from adaptive_terrain.operators.exporting import parse_formats, parse_frames
-from adaptive_terrain.operators.verbs import print_fields
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.cli.verbs import print_fields
+from adaptive_terrain.operators.output.exporting import parse_formats, parse_frames
+from adaptive_terrain.operators.text.console import Progress, duration
 
 FLIGHT = {
     "fov": 50,
@@ -325,7 +325,7 @@ def test_npz_needs_no_bpy(store, flight, tmp_path):
     script = f"""
 import sys
 sys.modules["bpy"] = None
-from adaptive_terrain.operators.command_line import main
+from adaptive_terrain.operators.cli.command_line import main
 common = ["export", "--store", {store!r}, "--path", {str(flight)!r}, "--frames", "1", "--out", {str(out)!r}]
 assert main([*common, "--format", "npz"]) == 0
 sys.exit(main([*common, "--format", "ply"]))
@@ -353,7 +353,7 @@ def test_the_process_ends_well_after_blender_was_used(store, flight, tmp_path):
         str(tmp_path),
     ]
     result = subprocess.run(
-        [sys.executable, "-m", "adaptive_terrain.operators.command_line", *argv], capture_output=True, text=True
+        [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *argv], capture_output=True, text=True
     )
     assert result.returncode == 0, result.stderr
     assert len(result.stdout.splitlines()) == 1

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_terrain.operators import command_line
+from adaptive_terrain.operators.cli import command_line
 
 BAKE = ["bake", "--store", "x", "--out", "a.npz"]
 EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
@@ -47,7 +47,7 @@ def test_numbers_out_of_range_are_wrong_usage(argv, message, capsys, tmp_path, m
 
 
 def test_the_engine_is_imported_where_an_interruption_is_caught():
-    script = "import sys, adaptive_terrain.operators.command_line; sys.exit('warp' in sys.modules)"
+    script = "import sys, adaptive_terrain.operators.cli.command_line; sys.exit('warp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script]).returncode == 0
 
 

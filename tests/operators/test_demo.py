@@ -9,8 +9,10 @@ from PIL import Image
 
 pytest.importorskip("bpy")
 
-from adaptive_terrain.cbt_terrain.archive import read_npz
-from adaptive_terrain.operators import command_line, demo, demo_scene
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.demo import demo
+from adaptive_terrain.operators.demo import scene as demo_scene
 
 
 @pytest.fixture

@@ -4,9 +4,11 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import exporting, handlers, session
-from adaptive_terrain.operators.frame_sources import scene_piece
-from adaptive_terrain.operators.read_back import BLOCK, count_triangles
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.output import exporting
+from adaptive_terrain.operators.output.frame_sources import scene_piece
+from adaptive_terrain.operators.output.read_back import BLOCK, count_triangles
+from adaptive_terrain.operators.scene import session
 from blender_meshes import digest_alone
 from mesh_files import read_mesh
 

@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import handlers, live, session, stale_renders, status_bar
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.scene import live, session, stale_renders
+from adaptive_terrain.operators.ui import status_bar
 
 
 def positions(obj):

@@ -8,10 +8,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain import store as stores
-from adaptive_terrain.cbt_terrain.sources import ImportSettings
-from adaptive_terrain.operators.height_map_panel import is_stale
-from adaptive_terrain.operators.imported import Imported, changed_settings, imported_of, lines_of, tag_object
+from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.operators.scene.imported import Imported, changed_settings, imported_of, lines_of, tag_object
+from adaptive_terrain.operators.ui.height_map_panel import is_stale
 
 
 @pytest.fixture

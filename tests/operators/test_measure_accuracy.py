@@ -8,12 +8,14 @@ from unittest.mock import Mock
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
-from adaptive_terrain.cbt_terrain.sweep_settings import PIXELS
-from adaptive_terrain.operators import handlers, measure_accuracy, measuring, session
-from adaptive_terrain.operators.measure_accuracy import MeasureAccuracy, read_measured
-from adaptive_terrain.operators.request import gather
-from adaptive_terrain.operators.statistics_panel import (
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.report import measure_accuracy, measuring
+from adaptive_terrain.operators.report.measure_accuracy import MeasureAccuracy, read_measured
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.scene.request import gather
+from adaptive_terrain.operators.ui.statistics_panel import (
     StatisticsPanel,
     measured_lines,
     prediction_lines,

@@ -7,12 +7,12 @@ import bpy
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain import launch
-from adaptive_terrain.cbt_terrain.buffers import shared
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.operators import mesh_memory
-from adaptive_terrain.operators.mesh_cleanup import Cleanup, boundary_triangles
-from adaptive_terrain.operators.mesh_writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.run.buffers import shared
+from adaptive_terrain.operators.mesh import memory as mesh_memory
+from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles
+from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 """Numbers have no powers of ten, and lengths the unit that suits them."""
 
 import pytest
-from adaptive_terrain.operators.numbers import length_text, plain
+from adaptive_terrain.operators.text.numbers import length_text, plain
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import triangle_errors
-from adaptive_terrain.operators import overlay, session
-from adaptive_terrain.operators.mesh_writer import COLOUR_ATTRIBUTE, LEVEL_ATTRIBUTE
-from adaptive_terrain.operators.overlay import BEYOND, VIRIDIS, scale_colours
-from adaptive_terrain.operators.overlay_panel import OverlayPanel
-from adaptive_terrain.operators.request import gather
+from adaptive_terrain.operators.mesh.writer import COLOUR_ATTRIBUTE, LEVEL_ATTRIBUTE
+from adaptive_terrain.operators.scene import overlay, session
+from adaptive_terrain.operators.scene.overlay import BEYOND, VIRIDIS, scale_colours
+from adaptive_terrain.operators.scene.request import gather
+from adaptive_terrain.operators.ui.overlay_panel import OverlayPanel
 
 CELL_DEPTH = 15  # of the store's 129 x 129 samples: 2 x 7 + 1
 
@@ -199,7 +199,7 @@ def test_the_button_shows_the_colours_in_every_viewport(scene, add_terrain):
     spaces = [SimpleNamespace(shading=SimpleNamespace(type="WIREFRAME", color_type="MATERIAL")) for _ in range(2)]
     areas = [SimpleNamespace(type="VIEW_3D", spaces=SimpleNamespace(active=space)) for space in spaces]
     areas.append(SimpleNamespace(type="OUTLINER", spaces=SimpleNamespace(active=None)))
-    from adaptive_terrain.operators.overlay_panel import ShowOverlay
+    from adaptive_terrain.operators.ui.overlay_panel import ShowOverlay
 
     ShowOverlay.execute(None, SimpleNamespace(screen=SimpleNamespace(areas=areas)))
     assert [(space.shading.type, space.shading.color_type) for space in spaces] == [("SOLID", "VERTEX")] * 2

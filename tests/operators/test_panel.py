@@ -7,14 +7,15 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.criterion import LARGEST
-from adaptive_terrain.cbt_terrain.island import SIDE
-from adaptive_terrain.operators import session, status_bar
-from adaptive_terrain.operators.panel_parts import wrapped
-from adaptive_terrain.operators.panels import OutputPanel, TerrainPanel
-from adaptive_terrain.operators.shown_bounds import NO_BOUND
-from adaptive_terrain.operators.statistics_panel import statistics_lines, summary_lines
-from adaptive_terrain.operators.update_terrain import UpdateTerrain
+from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.field.island import SIDE
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
+from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
+from adaptive_terrain.operators.ui import status_bar
+from adaptive_terrain.operators.ui.panel_parts import wrapped
+from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
+from adaptive_terrain.operators.ui.statistics_panel import statistics_lines, summary_lines
 
 
 def test_every_figure_has_its_unit(scene, add_terrain):
@@ -37,7 +38,7 @@ def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
 
 
 def test_the_bound_has_its_parts(scene, add_terrain):
-    from adaptive_terrain.cbt_terrain.terms import Terms
+    from adaptive_terrain.cbt_terrain.refine.terms import Terms
 
     terrain = add_terrain()
     update = session.update_object(terrain)
@@ -96,7 +97,7 @@ def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, 
 
 
 def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrain):
-    from adaptive_terrain.operators.import_terrain import settings_of
+    from adaptive_terrain.operators.scene.import_terrain import settings_of
 
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
@@ -107,7 +108,7 @@ def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrai
 
 
 def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
-    from adaptive_terrain.operators.import_terrain import settings_of, store_folder
+    from adaptive_terrain.operators.scene.import_terrain import settings_of, store_folder
 
     terrain = add_terrain()
     first = store_folder(terrain, settings_of(terrain))
@@ -119,7 +120,7 @@ def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
 
 
 def test_import_says_what_it_did():
-    from adaptive_terrain.operators.import_terrain import summary
+    from adaptive_terrain.operators.scene.import_terrain import summary
 
     report = {
         "raster": [5, 4],
@@ -144,7 +145,7 @@ def test_lock_interface_button(scene):
 
 
 def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_terrain, tmp_path, monkeypatch):
-    from adaptive_terrain.operators import exporting
+    from adaptive_terrain.operators.output import exporting
 
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 8.0
@@ -164,7 +165,7 @@ def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_te
 
 def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
     from adaptive_terrain.cbt_terrain.errors import TerrainError
-    from adaptive_terrain.operators import import_terrain
+    from adaptive_terrain.operators.scene import import_terrain
 
     def fail(obj):
         raise TerrainError("The disk is full.")
@@ -214,7 +215,7 @@ def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing
 
 
 def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, preparing, monkeypatch):
-    from adaptive_terrain.operators import import_terrain
+    from adaptive_terrain.operators.scene import import_terrain
 
     terrain = add_terrain()
     terrain.adaptive_terrain.live = False  # so that the import itself updates the mesh

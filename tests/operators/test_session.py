@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.operators import session
-from adaptive_terrain.operators.bake_terrain import BakeTerrain
-from adaptive_terrain.operators.frame_sources import scene_piece
-from adaptive_terrain.operators.statistics_panel import statistics_lines
+from adaptive_terrain.operators.output.bake_terrain import BakeTerrain
+from adaptive_terrain.operators.output.frame_sources import scene_piece
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.ui.statistics_panel import statistics_lines
 
 
 def positions(obj):
@@ -225,7 +225,7 @@ def test_a_render_waits_for_kernels_that_are_being_prepared(scene, add_terrain, 
 
 def test_without_a_window_kernels_are_loaded_on_demand(empty):
     import adaptive_terrain
-    from adaptive_terrain.cbt_terrain import warmup
+    from adaptive_terrain.cbt_terrain.run import warmup
 
     adaptive_terrain.unregister()
     adaptive_terrain.register()

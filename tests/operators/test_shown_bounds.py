@@ -4,7 +4,7 @@
 import math
 
 import pytest
-from adaptive_terrain.operators.shown_bounds import LIMITS, NO_BOUND, bound_text, limit_text
+from adaptive_terrain.operators.text.shown_bounds import LIMITS, NO_BOUND, bound_text, limit_text
 from hypothesis import given
 from hypothesis import strategies as st
 

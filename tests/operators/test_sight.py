@@ -4,9 +4,9 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.view import ORTHOGRAPHIC, View
-from adaptive_terrain.operators import frame_terrain, sight
-from adaptive_terrain.operators.status_row import sight_notice
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
+from adaptive_terrain.operators.scene import frame_terrain, sight
+from adaptive_terrain.operators.ui.status_row import sight_notice
 
 BOX = np.array([(x, y, z) for x in (-10.0, 10.0) for y in (-10.0, 10.0) for z in (0.0, 2.0)])
 
@@ -48,7 +48,7 @@ def test_round_numbers():
 
 def test_the_box_is_that_of_the_mesh(scene, add_terrain):
     """Turned, stretched, mirrored and moved: no vertex lies outside, and each side is touched within the relief."""
-    from adaptive_terrain.operators import session
+    from adaptive_terrain.operators.scene import session
 
     terrain = add_terrain()
     terrain.location, terrain.rotation_euler, terrain.scale = (500.0, -200.0, 30.0), (0.3, 0.2, 0.7), (2.0, -1.0, 3.0)

@@ -10,18 +10,12 @@ from unittest.mock import Mock
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.sweep_settings import Setting
-from adaptive_terrain.operators import (
-    accuracy_report,
-    accuracy_subject,
-    handlers,
-    measuring,
-    registration,
-    session,
-    sweep_accuracy,
-)
-from adaptive_terrain.operators.statistics_panel import AccuracyReportPanel
-from adaptive_terrain.operators.sweep_accuracy import SweepAccuracy
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
+from adaptive_terrain.operators import handlers, registration
+from adaptive_terrain.operators.report import accuracy_report, accuracy_subject, measuring, sweep_accuracy
+from adaptive_terrain.operators.report.sweep_accuracy import SweepAccuracy
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.ui.statistics_panel import AccuracyReportPanel
 from modal_runs import running, to_the_end
 
 FEW = [
@@ -101,7 +95,7 @@ def test_it_sweeps_every_kind_of_setting_and_writes_page_plots_and_table(terrain
 
 def test_it_measures_what_the_command_measures(terrain, tmp_path):
     """The same triangles and errors; only times differ."""
-    from adaptive_terrain.operators import command_line
+    from adaptive_terrain.operators.cli import command_line
 
     bpy.ops.adaptive_terrain.sweep_accuracy()
     here = rows_of(terrain)

@@ -7,10 +7,10 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.cost_curve import CostCurve
-from adaptive_terrain.operators import live, session
-from adaptive_terrain.operators.detail_panel import ViewportPanel
-from adaptive_terrain.operators.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
+from adaptive_terrain.operators.scene import live, session
+from adaptive_terrain.operators.scene.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.operators.ui.detail_panel import ViewportPanel
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
 
@@ -124,8 +124,8 @@ def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
 
 def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
     """The errors that Measure Accuracy keeps are those of the mesh that its own curve leads to."""
-    from adaptive_terrain.operators import measure_accuracy
-    from adaptive_terrain.operators.measure_accuracy import read_measured
+    from adaptive_terrain.operators.report import measure_accuracy
+    from adaptive_terrain.operators.report.measure_accuracy import read_measured
 
     monkeypatch.setattr(measure_accuracy, "PIXELS", (16.0, 4.0, 1.0))
     assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}

@@ -4,7 +4,7 @@
 import bisect
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule

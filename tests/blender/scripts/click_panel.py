@@ -17,7 +17,7 @@ folder = Path(folder)
 # Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
 FIRST_BUTTON_BELOW_TOP = 40
 WAIT_S = 240.0
-[warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.warmup")]
+[warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.run.warmup")]
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
 # Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.
 result["preparing_at_start"] = warmup.preparing()

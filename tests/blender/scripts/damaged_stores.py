@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "support"))
 from mutants import mutate  # noqa: E402
 
 
@@ -38,7 +38,7 @@ def main(folder: Path, seed: int, count: int, wholes: list[str]) -> None:
     settings = terrain.adaptive_terrain
     settings.enabled = True
     session = next(
-        module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.session")
+        module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.scene.session")
     )
     mutant = folder / "mutant"
     for k in range(seed, seed + count):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import bpy
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "support"))
 import freed  # noqa: E402
 
 [package] = [name for name in bpy.context.preferences.addons.keys() if name.endswith(".adaptive_terrain")]
-print("RESULT " + json.dumps(freed.measured(import_module(package + ".operators.freed_memory"))))
+print("RESULT " + json.dumps(freed.measured(import_module(package + ".operators.mesh.freed_memory"))))

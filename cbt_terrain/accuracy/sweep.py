@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What accuracy costs: one terrain refined with one setting after the other; what was asked, what was reached, what it
+took."""
+
+import dataclasses
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..ask.criterion import Criterion
+from ..ask.view import View
+from ..field.bicubic import interpolated
+from ..field.heightfield import HeightField
+from ..fit.fit import fit
+from ..mesh.surface import Surface
+from ..refine.terms import Terms
+from ..terrain import Terrain
+from . import Errors, Measured, Sight, look, measure, popping
+from .cost_curve import CostCurve
+from .sweep_settings import Setting
+from .timed_runs import RUNS, Frame, median_by_step, timed_runs
+
+# Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
+KEPT_SIGHTS = 16
+# Errors that differ by less than this part are the same for the Pareto front.
+DIFFERENT = 0.02
+# A fit that takes this long is timed as it is.
+LONG_FIT_MS = 1000.0
+STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
+TERMS = tuple(Terms.__dataclass_fields__)
+PARTS = ("count", "max", "p95", "mean", "rms")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a setting gave, over all frames: the largest errors and bounds, the median of triangles and times.
+
+    `bound_px`: None in metres. `limited`: as in Update, of any frame. `surface_mb`: the mesh's arrays; `buffers_mb`:
+    address space of all arrays of the engine, of which the system commits what is touched (None for a fit).
+    `terms`: the parts of the largest bound, in the setting's unit.
+    `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
+    "ingest", writing a Blender mesh, comes on top.
+    """
+
+    setting: Setting
+    bound_px: float | None
+    bound_m: float
+    limited: str
+    triangles: int
+    vertices: int
+    surface_mb: float
+    buffers_mb: float | None
+    measured: Measured
+    terms: Terms | None = None
+    popping_px: Errors | None = None
+    ms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def bound(self) -> float:
+        """In the setting's unit."""
+        return self.bound_px if self.setting.unit == "px" else self.bound_m
+
+    @property
+    def error(self) -> float:
+        """The largest error that was measured, in the setting's unit: of visible points, or of height."""
+        return self.measured.screen_px.max if self.setting.unit == "px" else self.measured.vertical_max_m
+
+    @property
+    def whole_ms(self) -> float:
+        """From the camera to the finished mesh, in Blender's memory if that was measured."""
+        return self.ms["total"] + self.ms.get("ingest", 0.0)
+
+    def figures(self) -> dict[str, float | int | str | None]:
+        """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
+        figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
+        figures |= {"bound": self.bound, "measured": self.error, "bound_px": self.bound_px, "bound_m": self.bound_m}
+        figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
+        figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
+        figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
+        figures |= {"surface_mb": self.surface_mb, "buffers_mb": self.buffers_mb}
+        measured = {f.name: getattr(self.measured, f.name) for f in dataclasses.fields(self.measured)}
+        for name, value in (measured | {"popping_px": self.popping_px}).items():
+            if isinstance(value, float):
+                figures[name] = value
+            else:
+                figures |= {f"{name}_{part}": getattr(value, part, None) for part in PARTS}
+        return figures
+
+
+def sweep(
+    heights: HeightField,
+    settings: Sequence[Setting],
+    frames: Sequence[Frame],
+    *,
+    base: Criterion | None = None,
+    threads: int | None = None,
+    write: Callable[[Surface], float] | None = None,
+    on_row: Callable[[Row], None] = lambda row: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Row]:
+    """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
+
+    `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh, and returns
+    the milliseconds of that step, "ingest". `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
+    """
+    rows, sights = [], {}
+
+    def sight(reference: HeightField, view: View, frame: Frame) -> Sight:
+        """What a view sees is the same for every setting, and takes longest to find out."""
+        found = look(reference, view, *frame.heights, threads=threads)
+        if found.key not in sights and len(sights) == KEPT_SIGHTS:
+            del sights[next(iter(sights))]
+        return sights.setdefault(found.key, found)
+
+    for i, setting in enumerate(settings):
+
+        def on_part(fraction: float, done: int = i) -> None:
+            on_progress((done + fraction) / len(settings))
+
+        on_part(0.0)
+        reference = interpolated(heights, setting.interpolation)
+        if setting.fitted:
+            row = _fitted_row(reference, setting, frames[0], threads, on_part)
+        else:
+            row = _row(reference, setting, frames, base or Criterion(), threads, sight, write, on_part)
+        rows.append(row)
+        on_row(row)
+    on_progress(1.0)
+    return rows
+
+
+def curve_of(rows: Sequence[Row]) -> CostCurve:
+    """The cost curve through the plain rows of the first row's unit and interpolation, to the finished mesh.
+
+    Raises TerrainError where there are fewer than two.
+    """
+    first = rows[0].setting if rows else Setting("px", 1.0)
+    alike = [r for r in rows if (r.setting.unit, r.setting.interpolation) == (first.unit, first.interpolation)]
+    plain = [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
+    return CostCurve.through(first.unit, [(row.setting.error, row.triangles, row.whole_ms) for row in plain])
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Which of the points (error, cost) no other beats, by rising cost: each is better than all cheaper ones, by
+    DIFFERENT at least, so that rounding and noise make no front."""
+    front, best = [], math.inf
+    for i in sorted(range(len(points)), key=lambda i: (points[i][1], points[i][0])):
+        if points[i][0] < best * (1 - DIFFERENT):
+            front.append(i)
+            best = points[i][0]
+    return front
+
+
+def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, on_part) -> Row:
+    criterion, terrain = setting.criterion(base), Terrain(heights, threads)
+    if setting.unit == "m":
+        frames = [dataclasses.replace(frames[0], views=(), after=None)]
+    looks = [(frame, view) for frame in frames for view in frame.views or [None]]
+    updates, sizes, measured, popped, runs = [], [], [], [], []
+    for frame in frames:
+        update = terrain.update(criterion, frame.views, *frame.heights)
+        # The next update overwrites the surface.
+        surface = _copy(update.surface) if frame.after else update.surface
+        updates.append(update)
+        sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
+        for view in frame.views or [None]:
+            done = len(measured)
+            measured.append(
+                measure(
+                    heights,
+                    surface,
+                    view,
+                    *frame.heights,
+                    threads=threads,
+                    sight=sight(heights, view, frame) if view else None,
+                    on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
+                )
+            )
+        runs += timed_runs(terrain, criterion, frame, RUNS if len(frames) == 1 else 1, write)
+        if frame.after:
+            popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
+    triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
+    bounds_px = [update.bound_px for update in updates] if setting.unit == "px" else []
+    bounds_m = [update.bound_m for update in updates]
+    loosest = int(np.argmax(bounds_px or bounds_m))
+    return Row(
+        setting,
+        max(bounds_px, default=None),
+        max(bounds_m),
+        ", ".join(sorted({update.limited for update in updates} - {""})),
+        triangles,
+        vertices,
+        surface_bytes / 1e6,
+        terrain.buffer_bytes / 1e6,
+        worst(measured),
+        updates[loosest].terms_px if bounds_px else updates[loosest].terms_m,
+        worst(popped),
+        median_by_step(runs),
+    )
+
+
+def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Row:
+    """A fit depends on no view; its time is that of a second run where the first is short enough to be disturbed."""
+    scale, offset = frame.vertical_scale, frame.vertical_offset
+    for part in range(2):
+        fitted = fit(
+            heights,
+            setting.error,
+            vertical_scale=scale,
+            vertical_offset=offset,
+            threads=threads,
+            on_progress=lambda fraction, part=part: on_part((part + fraction) / 3),
+        )
+        if fitted.ms["total"] > LONG_FIT_MS:
+            break
+    surface = fitted.surface
+    measured = measure(
+        heights, surface, None, *frame.heights, threads=threads, on_progress=lambda f: on_part((2 + f) / 3)
+    )
+    return Row(
+        setting,
+        None,
+        fitted.bound_m,
+        fitted.limited,
+        fitted.triangles,
+        len(surface.positions),
+        _bytes(surface) / 1e6,
+        None,
+        measured,
+        fitted.terms_m,
+        ms={"fit": fitted.ms["total"], "total": fitted.ms["total"]},
+    )
+
+
+def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
+    """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
+    after = terrain.update(criterion, frame.views, *frame.heights).surface
+    return [
+        popping(
+            terrain.field,
+            before,
+            after,
+            view,
+            *frame.heights,
+            threads=threads,
+            sight=sight(terrain.field, view, frame),
+        )
+        for view in frame.views
+    ]
+
+
+def _copy(surface: Surface) -> Surface:
+    return Surface(*(getattr(surface, f.name).copy() for f in dataclasses.fields(Surface)))
+
+
+def _bytes(surface: Surface) -> int:
+    return sum(getattr(surface, f.name).nbytes for f in dataclasses.fields(Surface))
+
+
+def worst(parts: Sequence):
+    """The largest of every figure of several Errors or Measured, counts added; None of none."""
+    parts = [part for part in parts if part is not None]
+    if not parts or isinstance(parts[0], float):
+        return max(parts, default=None)
+    if isinstance(parts[0], int):
+        return sum(parts)
+    names = [f.name for f in dataclasses.fields(parts[0])]
+    return type(parts[0])(**{name: worst([getattr(part, name) for part in parts]) for name in names})

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a sweep varies: the error that is asked, limits of depth, meshlets, interpolation, fitted heights."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from ..ask.criterion import Criterion
+from ..field.heightfield import INTERPOLATIONS, HeightField
+from .timed_runs import Frame
+
+PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
+# Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
+METRE_STEPS, COARSEST_PART = 7, 1 / 32
+MESHLETS = (1, 2, 3, 4)
+# Bisections that a limit of depth stops short of the raster's cells.
+SHORT_OF_CELLS = (6, 4, 2, 0)
+# Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
+MAX_TRIANGLES = 1 << 23
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
+    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field."""
+
+    unit: str
+    error: float
+    max_depth: int | None = None
+    meshlet: int = 0
+    fitted: bool = False
+    interpolation: str = INTERPOLATIONS[0]
+
+    @property
+    def plain(self) -> bool:
+        """Whether the error is all that is asked, of whichever surface."""
+        return self.max_depth is None and self.meshlet == 0 and not self.fitted
+
+    def criterion(self, base: Criterion) -> Criterion:
+        """`base` with this setting in place of its errors, lengths, areas and limits."""
+        asked = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
+        limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
+        return dataclasses.replace(base, **asked, **limits)
+
+
+def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
+    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
+    every other error with the other interpolation. A fit has a bilinear surface under it."""
+    own = {"interpolation": heights.interpolation}
+    other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
+    settings = []
+    if frame.views:
+        settings += [Setting("px", error, **own) for error in PIXELS]
+        depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
+        settings += [Setting("px", 1.0, max_depth=depth, **own) for depth in depths if depth >= 1]
+        settings += [Setting("px", 1.0, meshlet=meshlet, **own) for meshlet in MESHLETS]
+        settings += [Setting("px", error, **other) for error in PIXELS[::2]]
+    metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
+    settings += [Setting("m", error, **own) for error in metres]
+    settings += [Setting("m", error, **other) for error in metres[::2]]
+    return settings + [Setting("m", error, fitted=True) for error in metres]
+
+
+def metre_steps(relief_m: float) -> list[float]:
+    """Errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
+    coarsest = 2.0 ** math.floor(math.log2(relief_m * COARSEST_PART)) if relief_m > 0 else 1.0
+    return [coarsest / 2**i for i in range(METRE_STEPS)]

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A camera's flight as a JSON file of keyframes, for exports without Blender.
+
+    {"fov": 50,
+     "clip": [0.1, 100000],
+     "keyframes": [{"frame": 1, "eye": [0, -2000, 900], "target": [0, 0, 300]},
+                   {"frame": 24, "eye": [1500, -800, 400], "target": [0, 0, 300], "fov": 35}]}
+
+`eye` and `target` are metres in the terrain's own space (x east, y north, z up, the terrain's middle at x = y = 0);
+`fov` is degrees across the larger side of the picture, or `lens` millimetres before a `sensor` of 36 millimetres.
+Between keyframes every number follows a cubic Hermite curve with finite-difference tangents (Catmull-Rom on uneven
+frames), in float64: the flight passes through its keyframes with continuous speed. Outside, the end keyframe holds.
+The field of view is interpolated as the logarithm of its half's tangent, so that no curve leaves 0 .. 180 degrees.
+"""
+
+import json
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from .view import View
+
+TOP_KEYS = {"fov", "lens", "sensor", "clip", "keyframes"}
+KEY_KEYS = {"frame", "eye", "target", "fov", "lens"}
+# Degrees; beyond, a picture's scale loses its digits.
+SMALLEST_FOV, LARGEST_FOV = 1e-6, 180.0 - 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """Keyframes: `frames` float64 [K], rising; `values` float64 [K, 7]: eye, target, log(tan(field of view / 2))."""
+
+    frames: np.ndarray
+    values: np.ndarray
+    clip: tuple[float, float]
+
+    def view(self, frame: float, resolution: tuple[int, int]) -> View:
+        """The view at a frame, for a picture of `resolution` pixels."""
+        with np.errstate(all="ignore"):  # what comes out is checked
+            values = hermite(self.frames, self.values, frame)
+            away = np.linalg.norm(values[:3] - values[3:6])
+        if not np.isfinite([*values, away]).all() or away == 0.0:
+            raise TerrainError(
+                f"The camera path has no place and direction at frame {frame:g}; expected keyframes whose frames, eyes "
+                "and targets are neither too near each other nor too far apart."
+            )
+        # A curve may swing beyond its keyframes, so far that the tangent itself is out of reach.
+        fov = math.degrees(2 * math.atan(math.exp(min(max(float(values[6]), -50.0), 50.0))))
+        fov = min(max(fov, SMALLEST_FOV), LARGEST_FOV)
+        return View.look(values[:3], values[3:6], fov_deg=fov, resolution=resolution, clip=self.clip)
+
+
+def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
+    """Cubic Hermite curve through `values` [K, N] at rising `times` [K], evaluated `at` a time; clamped to the ends."""
+    at = min(max(float(at), times[0]), times[-1])
+    if len(times) == 1:
+        return values[0].copy()
+    slopes = np.gradient(values, times, axis=0)
+    i = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 2)
+    span = times[i + 1] - times[i]
+    t = (at - times[i]) / span
+    return (
+        (1 + 2 * t) * (1 - t) ** 2 * values[i]
+        + t * (1 - t) ** 2 * span * slopes[i]
+        + t * t * (3 - 2 * t) * values[i + 1]
+        + t * t * (t - 1) * span * slopes[i + 1]
+    )
+
+
+def read_camera_path(path: Path) -> CameraPath:
+    """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise TerrainError(
+            f"The camera path {path} cannot be read ({error}); expected a JSON file of keyframes."
+        ) from None
+    if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
+        raise TerrainError(f'The camera path {path} has no keyframes; expected {{"keyframes": [{{"frame": 1, ...}}]}}.')
+    _only(path, "the file", data, TOP_KEYS)
+    clip = _clip(path, data)
+    sensor = _number(path, "the file", data, "sensor", 36.0)
+    frames, values = [], []
+    for number, key in enumerate(data["keyframes"], 1):
+        where = f"keyframe {number}"
+        if not isinstance(key, dict):
+            raise TerrainError(
+                f"In the camera path {path}, {where} is {key!r}; expected an object with frame, eye, target."
+            )
+        _only(path, where, key, KEY_KEYS)
+        frames.append(_number(path, where, key, "frame"))
+        eye, target = _numbers(path, where, key, "eye", 3), _numbers(path, where, key, "target", 3)
+        if eye == target:
+            raise TerrainError(
+                f"In the camera path {path}, {where} has its eye at its target; expected different points."
+            )
+        fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
+        values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
+    if any(a >= b for a, b in zip(frames, frames[1:], strict=False)):
+        raise TerrainError(
+            f"In the camera path {path} the frames are {frames}; expected each larger than the one before."
+        )
+    return CameraPath(np.array(frames), np.array(values), clip)
+
+
+def _clip(path, data: dict) -> tuple[float, float]:
+    """Where the view starts and ends, metres; a start beyond the end is allowed, it hides nothing."""
+    start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
+    if start == end or not math.isfinite(2 * start * end / (start - end)):
+        raise TerrainError(
+            f"In the camera path {path}, the file has clip {[start, end]!r}; expected two different distances (m)."
+        )
+    return start, end
+
+
+def _fov(path, where: str, data: dict, sensor: float) -> float:
+    """Field of view in degrees: `fov` as it stands, else from `lens`, else 50."""
+    if "lens" in data and "fov" not in data:
+        lens = _number(path, where, data, "lens")
+        fov = math.degrees(2 * math.atan2(sensor / 2, lens))
+    else:
+        fov = _number(path, where, data, "fov", 50.0)
+    if not SMALLEST_FOV <= fov <= LARGEST_FOV:
+        raise TerrainError(
+            f"In the camera path {path}, {where} has a field of view of {fov:g} degrees; expected between "
+            f"{SMALLEST_FOV:g} and {LARGEST_FOV:.9g}."
+        )
+    return fov
+
+
+def _only(path, where: str, data: dict, known: set[str]) -> None:
+    if unknown := sorted(set(data) - known):
+        raise TerrainError(
+            f"In the camera path {path}, {where} has {unknown[0]!r}; expected {', '.join(sorted(known))}."
+        )
+
+
+def _number(path, where: str, data: dict, name: str, default: float | None = None) -> float:
+    return _numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
+
+
+def _numbers(path, where: str, data: dict, name: str, count: int) -> list[float]:
+    value = data.get(name)
+    good = isinstance(value, list) and len(value) == count
+    if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
+        shown = value[0] if isinstance(value, list) and count == 1 else value
+        expected = "a number" if count == 1 else f"{count} numbers"
+        raise TerrainError(f"In the camera path {path}, {where} has {name} {shown!r}; expected {expected}.")
+    return [float(v) for v in value]

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is done to a raster once: missing samples are filled, errors and ranges of heights are found."""
+
+import hashlib
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..run import launch
+from . import hierarchy, resample
+from .heightfield import HeightField
+from .lattice import Lattice
+
+Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
+
+
+def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
+    return np.zeros(shape, dtype)
+
+
+def content_key(samples: np.ndarray, lattice: Lattice, resample_max: float, source_max: float) -> str:
+    """Hex digest of what determines a terrain's shape and its bounds."""
+    digest = hashlib.blake2b(digest_size=16)
+    numbers = (lattice.step_x, lattice.step_y, lattice.levels, resample_max, source_max)
+    digest.update(repr((samples.shape, *numbers)).encode())
+    for row in range(0, samples.shape[0], 256):
+        digest.update(np.ascontiguousarray(samples[row : row + 256]))
+    return digest.hexdigest()
+
+
+def build(
+    raster: np.ndarray,
+    step_x: float,
+    step_y: float,
+    *,
+    missing: int,
+    source_max: float = 0.0,
+    name: str = "The raster",
+    allocate: Allocate = _in_memory,
+    threads: int | None = None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> HeightField:
+    """Everything that is done to a raster once: fill, bring onto a lattice, error hierarchy, ranges.
+
+    raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
+    filled in place. step_x, step_y: metres between samples. source_max: as in HeightField. allocate(name, shape, dtype)
+    provides the arrays that stay; where the raster fits its lattice, `raster` itself stays. name: what errors call the
+    raster.
+    """
+    threads = threads or launch.default_threads()
+    height, width = raster.shape
+    lattice = resample.lattice_for(width, height, step_x, step_y, name)
+    if missing == raster.size:
+        raise TerrainError(f"{name} has only missing samples (no-data or not a number): there is no terrain in it.")
+    if missing:
+        resample.fill_missing(raster, threads)
+    on_progress(0.1)
+    samples, moved, moved_max, moved_rms = raster, None, 0.0, 0.0
+    if (lattice.height, lattice.width) != raster.shape:
+        samples = allocate("samples", (lattice.height, lattice.width), np.dtype(np.float32))
+        moved_max, moved_rms = resample.onto_lattice(raster, samples, threads)
+        moved = allocate("moved", (lattice.node_count,), np.dtype(np.float32))
+        hierarchy.build_moved(raster, samples, lattice, moved, threads)
+    on_progress(0.2)
+    low, high = float(samples.min()), float(samples.max())
+    climb_x, climb_y = hierarchy.climbs(samples)
+    base, step = hierarchy.range_scale(low, high)
+    ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
+    hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
+    on_progress(0.4)
+    error = allocate("error", (lattice.node_count,), np.dtype(np.float32))
+    hierarchy.build_errors(samples, lattice, error, threads, lambda done: on_progress(0.4 + 0.6 * done))
+    return HeightField(
+        samples=samples,
+        lattice=lattice,
+        error=error,
+        ranges=ranges,
+        range_base=base,
+        range_step=step,
+        min_height=low,
+        max_height=high,
+        steepest_x=climb_x / lattice.step_x,
+        steepest_y=climb_y / lattice.step_y,
+        key=content_key(samples, lattice, moved_max, source_max),
+        resample_max=moved_max,
+        resample_rms=moved_rms,
+        moved=moved,
+        source_max=source_max,
+        filled=missing,
+    )
+
+
+def from_array(
+    samples: np.ndarray, step_x: float = 1.0, step_y: float | None = None, *, source_max: float = 0.0, **details
+) -> HeightField:
+    """A height field in memory from a 2-D array of heights in metres, row 0 south.
+
+    Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled.
+    `source_max`: metres by which they may be rounded. `details` are further fields of HeightField: origin, crs,
+    provenance; `threads` limits the threads used.
+    """
+    step_y = step_x if step_y is None else step_y
+    samples = np.asarray(samples)
+    if samples.ndim != 2 or samples.dtype.kind not in "fiub":
+        raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}: expected a 2-D array of real numbers.")
+    if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
+        raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
+    raster, missing = resample.clean_rows(resample.widen(samples))
+    threads, raster = details.pop("threads", None), np.ascontiguousarray(raster)
+    built = build(raster, step_x, step_y, missing=missing, source_max=source_max, threads=threads)
+    for name, value in details.items():
+        setattr(built, name, value)
+    return built

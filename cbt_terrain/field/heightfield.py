@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The height field: a terrain's samples on their lattice, with the error hierarchy and the height ranges."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from .lattice import Lattice
+
+INTERPOLATIONS = ("bilinear", "bicubic")
+# What the key of a bicubic surface has more than that of its samples.
+BICUBIC_KEY = "-bicubic"
+
+
+@dataclass(eq=False)
+class HeightField:
+    """A terrain ready for refinement; arrays may be memory-mapped and are never written.
+
+    samples: float32 [height, width] metres, row 0 south, column 0 west.
+    interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
+    error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py; the order of both
+    is that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
+    ranges: uint16 [lattice.range_count, 2], diamonds above the raster's cells; a height is range_base + q * range_step
+    metres. Of a bicubic surface [lattice.node_count, 2]: those of the cells follow.
+    min_height, max_height: metres between which the surface lies.
+    steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
+    resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
+    moved: float32 [lattice.node_count] metres, the most of that below each diamond, nested; None where the raster fits.
+    source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
+    filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
+    key: identifies the content: equal keys, equal terrains.
+    """
+
+    samples: np.ndarray
+    lattice: Lattice
+    error: np.ndarray
+    ranges: np.ndarray
+    range_base: float
+    range_step: float
+    min_height: float
+    max_height: float
+    steepest_x: float
+    steepest_y: float
+    key: str
+    resample_max: float = 0.0
+    resample_rms: float = 0.0
+    moved: np.ndarray | None = None
+    source_max: float = 0.0
+    filled: int = 0
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    crs: str = ""
+    provenance: dict = field(default_factory=dict)
+    path: Path | None = None
+    interpolation: str = "bilinear"
+    expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
+
+    @property
+    def raster_key(self) -> str:
+        """The key of the samples, whatever surface lies between them."""
+        return self.key.removesuffix(BICUBIC_KEY)
+
+    def damage(self, what: str) -> TerrainError:
+        """The error of a field whose arrays cannot be what an import has written."""
+        where = f"The store {self.path}" if self.path else "The height field"
+        return TerrainError(f"{where} is damaged: {what}; import it again.")
+
+    def check_samples(self) -> None:
+        """Raise TerrainError if a sample is not finite: for what reads all of them, and takes longer than this."""
+        if not all(np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256)):
+            raise self.damage("it has heights that are not finite")

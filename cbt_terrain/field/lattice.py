@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The lattice: a grid of root squares whose sides are a power of two of raster cells, and the places of its diamonds.
+
+A diamond is the pair of triangles that share a longest edge; splitting it makes one vertex, the edge's middle, so one
+entry per diamond is one entry per vertex. Above the raster's cells that vertex is a sample, and every sample is the
+split vertex of at most one diamond. Inside a square of side 2^k samples depth 2q + 1 (q = 0 .. k - 1) holds the centres
+of cells of side 2^(k-q), depth 2q + 2 the middles of their sides, and depth 2k + 1 the centres of the raster's cells.
+
+A walk goes from a diamond to its children, one or two bisections below and next to it, so what it reads together lies
+together. Group g holds the four depths with q = k - 1 - 2g and q = k - 2 - 2g: of the samples at multiples of 4^g all
+but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4, a cache line of float32 each, and
+pages of 8 x 8 tiles, the system's page: a line holds four bisections of one place, and as much of a memory-mapped array
+is read as the walk has gone through. The centres of the raster's cells follow as an image of their own. Entries of no
+diamond (one in sixteen: the vertices of the next group; and what fills the pages at the rim) are 0.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# A raster that needs more root squares than this along its short side is resampled instead: the coarsest mesh has two
+# triangles a root square.
+MAX_SHORT_SIDE_SQUARES = 16
+# Indices of Warp's arrays and coordinates of the lattice are int32; those have at least 5 bits more than samples.
+MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
+# A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
+MAX_MESHLET = 4
+# Vertices along the side of a page of the arrays of diamonds.
+PAGE = 32
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """`columns` x `rows` root squares of `2**levels` cells a side; a cell is `step_x` by `step_y` metres."""
+
+    columns: int
+    rows: int
+    levels: int
+    step_x: float = 1.0
+    step_y: float = 1.0
+
+    @property
+    def width(self) -> int:
+        """Samples from west to east."""
+        return (self.columns << self.levels) + 1
+
+    @property
+    def height(self) -> int:
+        """Samples from south to north."""
+        return (self.rows << self.levels) + 1
+
+    @property
+    def squares(self) -> int:
+        return self.columns * self.rows
+
+    @property
+    def square_bits(self) -> int:
+        """Levels of the binary tree above the root squares: ceil(log2(squares))."""
+        return (self.squares - 1).bit_length()
+
+    @property
+    def cell_depth(self) -> int:
+        """Depth, inside a square, of the diamonds whose longest edge is the diagonal of one raster cell."""
+        return 2 * self.levels + 1
+
+    @property
+    def groups(self) -> int:
+        """Groups of depths above the raster's cells: two cell sizes each, the last one may have only one."""
+        return (self.levels + 1) // 2
+
+    def group(self, depth: int) -> int:
+        """The group of a depth (1 .. cell_depth); the raster's cells count as one more, the last."""
+        return self.groups if depth == self.cell_depth else (self.levels - 1 - (depth - 1) // 2) // 2
+
+    def layout(self) -> tuple[np.ndarray, np.ndarray]:
+        """First entries, int64 [groups + 2], and pages in a row, int32 [groups + 1], of the groups and then the cells.
+
+        The last of the first entries is the total. Inside a group the order is that of `kernels/field/layout.py`.
+        """
+        sizes, pages = [0], []
+        for group in range(self.groups + 1):
+            cells = group == self.groups
+            wide, high = (count - 1 if cells else ((count - 1) >> 2 * group) + 1 for count in (self.width, self.height))
+            pages.append(-(-wide // PAGE))
+            sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
+        return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
+
+    def index(self, depth: int, i, j) -> np.ndarray:
+        """Entries, int64, of the diamonds of `depth` (1 .. cell_depth) that are split at the samples (i, j).
+
+        i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
+        """
+        base, pages = self.layout()
+        group = self.group(depth)
+        shift = 0 if depth == self.cell_depth else 2 * group
+        x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
+        page = (y >> 5) * pages[group] + (x >> 5)
+        return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
+
+    @property
+    def root_entries(self) -> np.ndarray:
+        """Entries, int64 [rows, columns], of the root squares' own diamonds: all others are below them."""
+        side = 1 << self.levels
+        return self.index(
+            1, np.arange(self.columns) * side + side // 2, np.arange(self.rows)[:, None] * side + side // 2
+        )
+
+    @property
+    def can_be_numbered(self) -> bool:
+        """Whether indices of 31 bits can number it."""
+        return max(self.width, self.height) <= MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
+
+    @property
+    def range_count(self) -> int:
+        """Entries of the array of height ranges: the groups, without the raster's cells."""
+        return int(self.layout()[0][-2])
+
+    @property
+    def node_count(self) -> int:
+        """Entries of an error hierarchy."""
+        return int(self.layout()[0][-1])
+
+
+def fit(width: int, height: int) -> tuple[int, int, int]:
+    """Columns, rows and levels of the lattice for a raster of `width` x `height` samples (each at least 2).
+
+    Exact where the raster is `m 2^k + 1` by `n 2^k + 1` with few squares, else the smallest lattice that is at least as
+    fine in both directions.
+    """
+    cells_x, cells_y = width - 1, height - 1
+    short = min(cells_x, cells_y)
+    common = math.gcd(cells_x, cells_y)
+    levels = (common & -common).bit_length() - 1
+    if short >> levels <= MAX_SHORT_SIDE_SQUARES:
+        return cells_x >> levels, cells_y >> levels, levels
+    levels = 0
+    while -(-short >> levels) > MAX_SHORT_SIDE_SQUARES:
+        levels += 1
+    return -(-cells_x >> levels), -(-cells_y >> levels), levels

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Error hierarchies for leaves that are drawn finer than they are, as meshlets."""
+
+import numpy as np
+
+from ..run import launch
+from . import hierarchy, store
+from .heightfield import HeightField
+
+
+def error_for(field: HeightField, meshlet: int) -> np.ndarray:
+    """float32 [node_count]: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
+
+    Computed once for each `meshlet`, and kept in the store if the field has one.
+    """
+    if meshlet == 0:
+        return field.error
+    if meshlet not in field.expanded:
+        field.expanded[meshlet] = _load_or_expand(field, meshlet)
+    return field.expanded[meshlet]
+
+
+def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
+    name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
+    kept = store.load_kept(field, name, field.error.shape, np.float32)
+    if kept is not None:
+        return kept
+    errors = np.array(field.error)
+    if not (errors >= 0).all() or np.isinf(errors).any():
+        raise field.damage("it has errors that are negative or not finite")
+    hierarchy.expand_errors(field.lattice, errors, meshlet, launch.default_threads())
+    store.keep(field, name, errors)
+    return errors

@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The store: a folder with one JSON file and, in a folder beside it, the memory-mapped arrays of a height field.
+
+    STORE/store.json            what it holds, and the name of the folder of arrays
+    STORE/data-*/samples.npy    float32 [height, width]
+    STORE/data-*/error.npy      float32 [lattice.node_count], in the order of lattice.py
+    STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
+    STORE/data-*/moved.npy      float32 [lattice.node_count], where the raster did not fit its lattice
+    STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
+    STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
+                                error_c_m1.npy its error hierarchies for meshlets
+
+A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
+while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
+"""
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..run import partial_files
+from .heightfield import HeightField
+from .lattice import MAX_MESHLET, Lattice
+from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
+from .store_entries import check_entries, is_data_name
+
+VERSION = 5
+JSON_NAME = "store.json"
+DATA_PREFIX = "data-"
+# More than any store's: coordinate systems and warnings are texts of some thousand characters.
+MOST_JSON_BYTES = 1 << 22
+# All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
+_OWN_FILE = re.compile(
+    r"(samples|raster|error|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
+    rf"|{partial_files.LOCK}"
+)
+
+_NUMBERS = (
+    *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
+    *("resample_max", "resample_rms", "source_max", "filled"),
+)
+
+
+def read_json(path: Path) -> dict:
+    """The content of a store's JSON file, checked entry by entry."""
+    file = path / JSON_NAME
+    try:
+        with open_regular(file) as handle:
+            text = handle.read(MOST_JSON_BYTES + 1)
+        if len(text) > MOST_JSON_BYTES:
+            raise ValueError(f"it is larger than {MOST_JSON_BYTES} bytes")
+        content = json.loads(text.decode("utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise TerrainError(
+            f"There is no terrain store at {path}: expected a folder that `import` has written."
+        ) from None
+    except (OSError, ValueError, RecursionError) as reason:
+        said = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"The store {file} cannot be read ({said}): import it again.") from reason
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        found = content.get("version") if isinstance(content, dict) else None
+        raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
+    check_entries(file, content)
+    if content["sum"] != _sum_of(content):
+        raise TerrainError(f"The store {file} is damaged: its entries differ from their checksum; import it again.")
+    return content
+
+
+def _sum_of(content: dict) -> str:
+    """Checksum of all other entries of store.json."""
+    others = {name: value for name, value in content.items() if name != "sum"}
+    return hashlib.blake2b(json.dumps(others, sort_keys=True).encode(), digest_size=8).hexdigest()
+
+
+def open_store(path: str | os.PathLike) -> HeightField:
+    """Open a store: a HeightField over memory-mapped arrays. Raises TerrainError if it is missing or damaged."""
+    path = Path(path)
+    try:
+        return _open(path)
+    except FileNotFoundError:
+        pass  # another process has just replaced the store between its JSON and its arrays
+    try:
+        return _open(path)
+    except FileNotFoundError as reason:
+        raise TerrainError(f"The store {path} lacks {Path(reason.filename).name}: import it again.") from None
+
+
+def _open(path: Path) -> HeightField:
+    content = read_json(path)
+    lattice = Lattice(**content["lattice"])
+    folder = path / content["data"]
+    if folder.is_symlink():
+        raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
+    moved = map_array(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
+    return HeightField(
+        samples=map_array(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
+        lattice=lattice,
+        error=map_array(folder / "error.npy", (lattice.node_count,), np.float32),
+        ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        moved=moved,
+        **{name: content[name] for name in _NUMBERS},
+        key=content["key"],
+        origin=np.array(content["origin"], np.float64),
+        crs=content["crs"],
+        provenance=content["provenance"],
+        path=path,
+    )
+
+
+def verify(path: str | os.PathLike) -> dict[str, int]:
+    """Check every block of every array of a store; returns how many blocks each file has.
+
+    Raises TerrainError for the first array with a fault.
+    """
+    field = open_store(path)
+    folder, found = data_folder(field), {}
+    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "moved")}
+    for name, array in shapes.items():
+        if array is not None:
+            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+    for name, (shape, dtype) in kept_arrays(field.lattice).items():
+        file = folder / f"{name}.npy"
+        if os.path.lexists(file):
+            try:
+                found[file.name] = verify_array(file, shape, dtype)
+            except TerrainError as error:
+                cause = str(error).removesuffix("import the terrain again.")
+                raise TerrainError(f"{cause}delete the file, it is made again when it is needed.") from error
+    return found
+
+
+def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
+    """Names, shapes and dtypes of the arrays that a store may have kept."""
+    plain, cells = lattice.node_count, lattice.node_count - lattice.range_count
+    # Behind the errors of a bicubic surface are the bends of the raster's cells.
+    errors = {"error": plain, "error_c": plain + cells}
+    kept = {f"{name}_m{m}": ((n,), np.float32) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
+    kept |= {"error_c": ((plain + cells,), np.float32), "ranges_c": ((plain, 2), np.uint16)}
+    return kept | {"moved_c": ((plain,), np.float32), "numbers_c": ((6,), np.float64)}
+
+
+def check_target(path: str | os.PathLike) -> None:
+    """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store."""
+    folder = Path(path)
+    if not os.fspath(path) or not folder.parts or "\0" in os.fspath(path):
+        raise TerrainError(
+            f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
+        )
+    try:
+        if not os.path.lexists(folder) or (folder / JSON_NAME).exists():
+            folder.exists()  # says here what is wrong with the name
+            return
+        if not folder.is_dir():
+            raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
+        foreign = sorted(entry.name for entry in folder.iterdir() if not _is_own(entry) and os.path.lexists(entry))
+        if foreign and (folder / JSON_NAME).exists():
+            return  # another process has made a store of it meanwhile
+    except OSError as reason:
+        shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
+        raise TerrainError(
+            f"The store {shown} cannot be used ({reason.strerror or reason}): choose another folder."
+        ) from reason
+    if foreign:
+        raise TerrainError(
+            f"The folder {folder} is no terrain store and holds {foreign[0]!r}: choose a new or an empty folder."
+        )
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
+    if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
+        return False
+    try:
+        return all(map(_is_own_entry, folder.iterdir()))
+    except FileNotFoundError:
+        return True  # another import has just removed it
+
+
+def _is_own_entry(entry: Path) -> bool:
+    if entry.is_dir():
+        return partial_files.is_partial_name(entry.name)
+    return _OWN_FILE.fullmatch(entry.name) is not None
+
+
+def data_folder(field: HeightField) -> Path | None:
+    """Where a field's arrays lie now, or None for a field in memory or whose store has been replaced."""
+    if field.path is None:
+        return None
+    try:
+        content = read_json(field.path)
+    except TerrainError:
+        return None
+    return field.path / content["data"] if content["key"] == field.raster_key else None
+
+
+def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
+    """An array that was made of a field and kept as NAME.npy, if there is one."""
+    folder = data_folder(field)
+    if folder is None:
+        return None
+    try:
+        return map_array(folder / f"{name}.npy", shape, dtype)
+    except (OSError, TerrainError):
+        return None
+
+
+def keep(field: HeightField, name: str, array: np.ndarray) -> None:
+    """Keep an array that was made of a field as NAME.npy; a store that cannot be written is left as it is."""
+    folder = data_folder(field)
+    if folder is None:
+        return
+    partial_files.remove_abandoned(folder)
+    try:
+        with partial_files.written_beside(folder / f"{name}.npy") as partial, partial.open("wb") as file:
+            file.write(header(array.shape, array.dtype))
+            array.tofile(file)
+            file.write(all_checksums(array))
+    except OSError:
+        pass
+
+
+class Draft:
+    """A version of a store while it is written; nothing of it is visible until `publish`."""
+
+    def __init__(self, path: Path, name: str | None = None):
+        self.path = path
+        self._made = missing_folders(path)
+        self.folder = path / (name or new_data_name())
+        self._lock = partial_files.make_folder(self.folder, parents=True)
+        self.published = False
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
+        """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
+
+        Raises OSError (ENOSPC) now if the disk is full: a mapped page that finds no room later would kill the process.
+        """
+        file = self.folder / f"{name}.npy"
+        file.write_bytes(header(shape, dtype))
+        if not np.prod(shape):
+            return np.empty(shape, dtype)
+        os.truncate(file, file_bytes(math.prod(shape) * np.dtype(dtype).itemsize))
+        self._arrays[name] = array = np.load(file, mmap_mode="r+").view(np.ndarray)
+        if hasattr(os, "posix_fallocate"):
+            with file.open("r+b") as handle:
+                os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
+        return array
+
+    def remove(self, name: str) -> None:
+        del self._arrays[name]
+        (self.folder / f"{name}.npy").unlink()
+
+    def publish(self, field: HeightField, digest: str, report: dict) -> None:
+        """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
+        for name, array in self._arrays.items():
+            with (self.folder / f"{name}.npy").open("r+b") as file:
+                file.seek(PAGE_BYTES + array.nbytes)
+                file.write(all_checksums(array))
+        lattice = {k: getattr(field.lattice, k) for k in ("columns", "rows", "levels", "step_x", "step_y")}
+        content = {
+            "version": VERSION,
+            "data": self.folder.name,
+            "digest": digest,
+            "key": field.key,
+            "lattice": lattice,
+            "resampled": field.moved is not None,
+            **{name: getattr(field, name) for name in _NUMBERS},
+            "origin": [float(c) for c in field.origin],
+            "crs": field.crs,
+            "provenance": field.provenance,
+            "report": report,
+        }
+        content["sum"] = _sum_of(json.loads(json.dumps(content)))
+        part = self.folder / JSON_NAME
+        part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+        previous = _named_folder(self.path)
+        os.replace(part, self.path / JSON_NAME)
+        self.published = True
+        partial_files.end_work(self.folder, self._lock)
+        with suppress(OSError):
+            if previous is not None and _is_own(previous):
+                shutil.rmtree(previous, ignore_errors=True)
+        remove_abandoned(self.path)
+
+    def discard_unless_published(self) -> None:
+        """Take away what was written for nothing; a store that stood there before is untouched."""
+        if self.published:
+            return
+        os.close(self._lock)
+        discard(self.path, self.folder.name, self._made)
+
+
+def missing_folders(path: Path) -> list[Path]:
+    """The folder of a store and those above it that are still to be made, the innermost first."""
+    path = path.absolute()
+    return [folder for folder in (path, *path.parents) if not folder.exists()]
+
+
+def discard(path: Path, folder: str, made: list[Path]) -> None:
+    """Take away the folder of arrays of an unfinished version, and the folders that were made for it."""
+    shutil.rmtree(path / folder, ignore_errors=True)
+    with suppress(OSError):  # another import has put something there
+        for parent in made:
+            parent.rmdir()
+
+
+def _named_folder(path: Path) -> Path | None:
+    file = path / JSON_NAME
+    try:
+        return path / json.loads(file.read_text(encoding="utf-8"))["data"] if file.is_file() else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def new_data_name() -> str:
+    """Name of a new folder of arrays."""
+    return f"{DATA_PREFIX}{partial_files.new_token()}"
+
+
+def remove_abandoned(path: Path) -> None:
+    """Take away the folders of arrays that neither a living process nor store.json has use for."""
+    if (path / JSON_NAME).exists() and _named_folder(path) is None:
+        return  # of a damaged store nobody knows what it needs
+    for folder in path.glob(f"{DATA_PREFIX}*"):
+        with suppress(OSError):
+            if _is_own(folder):
+                token = folder.name.removeprefix(DATA_PREFIX)
+                partial_files.remove_if_abandoned(folder, token, lambda folder=folder: _named_folder(path) == folder)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the entries of a store's JSON file may be: each is checked, since the file may have been edited or damaged."""
+
+import re
+from pathlib import Path
+
+from ..errors import TerrainError
+from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
+from .lattice import MAX_SHORT_SIDE_SQUARES, Lattice
+
+_DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
+LATTICE = ("columns", "rows", "levels", "step_x", "step_y")
+# More cells than any raster that can be imported has; keeps the arithmetic of sizes far from overflow.
+MAX_CELLS = 2**31
+
+
+def is_data_name(name: str) -> bool:
+    """Whether a store's folder of arrays can have this name."""
+    return _DATA_NAME.fullmatch(name) is not None
+
+
+def _is_number(value, least: float = -1e300, most: float = 1e300) -> bool:
+    return type(value) in (int, float) and least <= value <= most
+
+
+def _is_count(value, least: int) -> bool:
+    return type(value) is int and least <= value <= MAX_CELLS
+
+
+def _is_extent(cells: int, step) -> bool:
+    return _is_number(step) and SMALLEST_EXTENT < step * cells < LARGEST_EXTENT
+
+
+def _is_lattice(value) -> bool:
+    if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
+        return False
+    columns, rows, levels = (value[name] for name in LATTICE[:3])
+    if not (_is_count(columns, 1) and _is_count(rows, 1) and _is_count(levels, 0) and levels < 32):
+        return False
+    wide, high = columns << levels, rows << levels
+    if wide * high >= MAX_CELLS or min(columns, rows) > MAX_SHORT_SIDE_SQUARES:
+        return False
+    known = _is_extent(wide, value["step_x"]) and _is_extent(high, value["step_y"])
+    return known and Lattice(columns, rows, levels).can_be_numbered
+
+
+def _is_provenance(value) -> bool:
+    if not isinstance(value, dict) or not isinstance(value.get("settings", {}), dict):
+        return False
+    return isinstance(value.get("settings", {}).get("source", ""), str)
+
+
+def _is_text(value) -> bool:
+    return isinstance(value, str)
+
+
+def _is_figure(value) -> bool:
+    """What a report may hold: a text, a finite number, true or false, or a list of them."""
+    return all(type(v) in (str, bool) or _is_number(v) for v in (value if isinstance(value, list) else [value]))
+
+
+def _is_report(value) -> bool:
+    if not isinstance(value, dict) or not all(map(_is_figure, value.values())):
+        return False
+    warnings = value.get("warnings", [])
+    return isinstance(warnings, list) and all(map(_is_text, warnings))
+
+
+LARGEST = 1e39  # metres: float32 has no more, and squares and sums of it are far from overflow
+_HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
+_DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
+_SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
+_ENTRIES = {
+    "data": (lambda value: isinstance(value, str) and is_data_name(value), "data- and 32 hex digits"),
+    "sum": (_is_text, "a text"),
+    "digest": (_is_text, "a text"),
+    "key": (_is_text, "a text"),
+    "crs": (_is_text, "a text"),
+    "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
+    "range_base": _HEIGHT,
+    "range_step": _DISTANCE,
+    "min_height": _HEIGHT,
+    "max_height": _HEIGHT,
+    "steepest_x": _SLOPE,
+    "steepest_y": _SLOPE,
+    "resampled": (lambda value: type(value) is bool, "true or false"),
+    "resample_max": _DISTANCE,
+    "resample_rms": _DISTANCE,
+    "source_max": _DISTANCE,
+    "filled": (lambda value: _is_count(value, 0), "a count"),
+    "origin": (
+        lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value)),
+        "three finite numbers",
+    ),
+    "provenance": (_is_provenance, "an object with the settings of the import"),
+    "report": (_is_report, "an object with the figures and warnings of the import"),
+}
+
+
+def check_entries(file: Path, content: dict) -> None:
+    """Raise TerrainError that names the file and the first entry that is missing or cannot be."""
+    for name, (good, expected) in _ENTRIES.items():
+        if name not in content:
+            raise TerrainError(
+                f"The store {file} is damaged: {name!r} is missing, expected {expected}; import it again."
+            )
+        if not good(content[name]):
+            shown = repr(content[name])
+            shown = shown if len(shown) < 200 else f"{shown[:200]}..."
+            raise TerrainError(
+                f"The store {file} is damaged: its {name!r} is {shown}, expected {expected}; import it again."
+            )
+    if content["min_height"] > content["max_height"]:
+        raise TerrainError(
+            f"The store {file} is damaged: its 'min_height' {content['min_height']} is above its 'max_height' "
+            f"{content['max_height']}; import it again."
+        )

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A static mesh whose vertices need not lie on the surface: fewer triangles for the same vertical error.
+
+The bound is that of greedy insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; how
+heights are fitted is in fitting.py.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from ..ask.criterion import Criterion
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..refine.refinement import MAX_TRIANGLES
+from ..run import launch
+from ..terrain import Terrain, Update
+from .fitter import Fitter, Mesh
+
+# A budget coarsens what was asked in steps of 2^(1/8).
+STEPS_PER_OCTAVE = 8
+# A fit never does with what interpolation needs for so many times the error: moving a chord halves its error at most.
+MOST_GAIN = 2.6
+
+
+@dataclass(frozen=True)
+class Fitted(Update):
+    """What a fit did, as `Update`.
+
+    `worst_m`: the exact largest distance of the delivered heights from the surface, metres; `bound_m` is the largest
+    that has with what resampling at import moved in its place, what rounding of plane coordinates adds and what the
+    source had rounded.
+    `rounds`: meshes it took; 0 if the interpolating mesh was best.
+    """
+
+    worst_m: float = 0.0
+    rounds: int = 0
+
+
+def fit(
+    field: HeightField,
+    error_m: float,
+    *,
+    max_triangles: int | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int | None = None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> Fitted:
+    """The mesh that is nowhere more than `error_m` metres of height off, with vertices moved to save triangles.
+
+    Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
+    of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
+    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels.
+    Raises TerrainError if a number cannot be used.
+    """
+    check_interpolation(field.interpolation)
+    threads = launch.default_threads() if threads is None else max(1, threads)
+    criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
+    error_m = criterion.error_m
+    most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
+    with launch.stopwatch() as ms, launch.timed("total"):
+        fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
+        plain = Terrain(field, threads).update(criterion, (), None, vertical_scale, vertical_offset)
+        best = None
+        if plain.relaxed > 1.0:
+            best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
+        elif plain.limited != "max_depth":
+            best = fitter.run(error_m)
+        more = best is not None and plain.relaxed == 1.0
+        more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
+        if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
+            best = fitter.interpolated(plain, error_m)
+    on_progress(1.0)
+    limited = "max_triangles" if best.relaxed > 1.0 else best.limited
+    return Fitted(
+        surface=best.surface,
+        leaves=best.triangles,
+        changed=True,
+        bound_px=None,
+        bound_m=best.bound_m,
+        bound_edge_px=None,
+        bound_area_px=None,
+        relaxed=best.relaxed,
+        limited=limited,
+        terms_px=None,
+        terms_m=best.terms,
+        ms=ms,
+        worst_m=best.worst_m,
+        rounds=best.rounds,
+    )
+
+
+def check_interpolation(name: str) -> None:
+    """Raise TerrainError unless a surface with this interpolation can be fitted; for before it is made."""
+    if name != "bilinear":
+        raise TerrainError(f"A fit is of the bilinear surface; the terrain's is {name}: choose bilinear interpolation.")
+
+
+def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: float) -> Mesh | None:
+    """The fit for the least step from `error_m` on that has at most `most` triangles, as bisection finds it.
+
+    relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
+    """
+    if not plain_m > error_m or relaxed == math.inf:  # nothing has so few
+        return None
+    low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MOST_GAIN)))
+    high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
+    found = None
+    while high - low > 1:
+        step = (low + high) // 2
+        factor = 2.0 ** (step / STEPS_PER_OCTAVE)
+        mesh = fitter.run(error_m * factor)
+        if mesh is not None and mesh.triangles <= most:
+            found, high = replace(mesh, relaxed=factor), step
+        else:
+            low = step
+    return found

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How heights are fitted to a bound.
+
+Between two points of a bend a chord that starts on the surface errs twice as much as one that is moved to the middle
+of its error, so heights that are free allow a coarser mesh. The mesh of the walk for a larger error is a start. A few
+sweeps move its vertices (kernels/fitting/moving.py); triangles that are still too far are split where they stand out,
+where they lie (kernels/fitting/mesh.py), and so on until none is. What was split is raised in a copy of the error
+hierarchy, so that the walk makes that mesh, in its order, and it keeps the heights.
+
+A triangle is split only if interpolation would split it too, else its vertices go back to the surface for good: at
+worst the end is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and
+what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, what
+resampling at import moved below that triangle, and what the source had rounded.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+
+from ...kernels.fitting import binding
+from ...kernels.fitting import mesh as mesh_kernels
+from ...kernels.fitting import moving as kernels
+from ...kernels.refine.diamond import Asked, LocalView
+from ..ask.criterion import Criterion
+from ..field.heightfield import HeightField
+from ..mesh.surface import Surface, SurfaceBuilder
+from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
+from ..run import launch
+from ..run.buffers import Buffers, shared
+from ..terrain import Terrain, Update, box_of
+from .sweeps import FEW, Sweeps
+
+# The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
+# more has so many to split that neighbours of those that need it are split as well.
+START = 1.7
+MAX_MESHES = 16
+# Length of a step over the mean push, and the part of the bound that vertices are pushed to keep.
+STRETCH, AIM = 1.25, 0.95
+# Nanoseconds that a sweep takes for a triangle, and for a sample of it.
+TRIANGLE_NS, SAMPLE_NS = 80.0, 1.2
+# Vertices in raster cells lie on parts of a cell of 2^-FINEST.
+FINEST = DEPTH_BELOW_CELLS // 2 + 1
+# Far more than float64 rounds off the sum of a few terms.
+OUTWARD = 1.0 + 1e-12
+
+
+@dataclass(frozen=True)
+class Mesh:
+    surface: Surface
+    bound_m: float
+    worst_m: float
+    terms: Terms
+    limited: str
+    rounds: int
+    relaxed: float = 1.0
+
+    @property
+    def triangles(self) -> int:
+        return len(self.surface.level)
+
+
+class Fitter:
+    """What fits of one height field at one vertical scale have in common."""
+
+    def __init__(
+        self,
+        field: HeightField,
+        vertical_scale: float,
+        vertical_offset: float,
+        threads: int,
+        on_progress: Callable[[float], None],
+    ):
+        box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
+        self.field, self.threads, self.on_progress = field, threads, on_progress
+        self.rounds = 0
+        self.placement = (float(vertical_scale), float(vertical_offset))
+        self.scale = abs(self.placement[0])
+        self.source = field.source_max * self.scale
+        self.depth = max(1, min(depth_limit(field), field.lattice.cell_depth + DEPTH_BELOW_CELLS))
+        self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
+
+    def run(self, error_m: float) -> Mesh | None:
+        """The fit for one error; None if it was given up, or if interpolation cannot hold it either."""
+        if not self.scale or self._hopeless(error_m):
+            return None
+        field, buffers = self.field, Buffers()
+        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
+        errors = field.error * np.float32(1.0 / START)
+        domain = make_domain(replace(field, error=errors, expanded={}), 0, *self.placement)
+        m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
+        work = Sweeps(self, m, buffers, shared(errors, wp.float32))
+        for rounds in range(1, MAX_MESHES + 1):
+            leaves, _ = refinement.run(domain, asked, self.depth, MAX_TRIANGLES)
+            surface = builder.build(leaves, domain, 0)
+            work.bind(surface, known)
+            if rounds > 1:
+                self._measure(m, surface)
+                beyond = work.beyond()
+                if not beyond.any():
+                    return self._judged(surface, buffers, error_m, rounds)
+            work.link(surface)
+            if rounds > 1 and beyond.sum() > FEW * work.triangles:
+                work.look_again(beyond)
+            elif rounds > 1:
+                found = work.refine(0.0)
+                if not found["splits"] and not found["pins"]:
+                    return self._judged(surface, buffers, error_m, rounds, found["deepest"] > 0)
+            work.settle()
+            self.spread(binding.keep, work.vertices, [m, *known])
+        return None
+
+    def interpolated(self, update: Update, error_m: float) -> Mesh:
+        """The mesh of an update, measured as a fit is."""
+        if not self.scale:
+            return Mesh(update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed)
+        buffers, m = Buffers(), self._mesh(error_m)
+        Sweeps(self, m, buffers, None).bind(update.surface, self._nothing_known())
+        self._measure(m, update.surface)
+        mesh = self._judged(update.surface, buffers, error_m, 0)
+        if update.bound_m < mesh.bound_m:
+            mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
+        return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
+
+    def _hopeless(self, error_m: float) -> bool:
+        """Whether what cannot be refined away is so much that the interpolating mesh does not hold the error."""
+        if self.field.resample_max * self.scale <= 0.5 * left_of(error_m, self.source):
+            return False
+        criterion = Criterion(error_px=0.0, error_m=error_m)
+        update = Terrain(self.field, self.threads).update(criterion, (), None, *self.placement)
+        return update.bound_m - update.terms_m.source > left_of(error_m, self.source)
+
+    def within(self, error_m: float) -> float:
+        """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
+        return max(error_m, left_of(error_m, self.source) + self.source)
+
+    def _mesh(self, error_m: float) -> mesh_kernels.Mesh:
+        m = mesh_kernels.Mesh()
+        m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
+        left = left_of(error_m, self.source)
+        m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(), left / 2)
+        m.aim, m.stretch = AIM, STRETCH
+        return m
+
+    def _nothing_known(self) -> list[wp.array]:
+        """Of every sample the height of its vertex and what is known of it; memory is committed where it is used."""
+        samples = self.field.samples.size
+        return [
+            shared(np.zeros(samples, np.float32), wp.float32),
+            shared(np.zeros(samples, np.uint8), wp.uint8),
+        ]
+
+    def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
+        triangles = len(surface.level)
+        self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
+
+    def moved(self, buffers: Buffers, triangles: int) -> np.ndarray:
+        """float64 [T]: metres that resampling moved the raster below each triangle. Of a float32 array and a float64
+        number numpy 1 makes float32, numpy 2 float64; the mesh must not depend on it."""
+        return buffers.numpy("fit_moved")[:triangles].astype(np.float64) * self.scale
+
+    def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
+        """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds,
+        the mesh's and the source's.
+
+        A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
+        twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
+        what holds already.
+        """
+        lattice, triangles = self.field.lattice, len(surface.level)
+        worst = buffers.numpy("fit_worst")[:triangles]
+        moved = self.moved(buffers, triangles)
+        of_level = np.zeros(int(surface.level.max()) + 1)
+        np.maximum.at(of_level, surface.level, worst)
+        steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
+        shift = self._sideways(float(steeper.max())) + self._rounded()
+        decides = int(np.argmax(worst + moved))
+        parts = float(worst[decides]), float(moved[decides]), shift, self.source
+        bound, limited = sum(parts) * OUTWARD, ""
+        if sum(parts) <= self.within(error_m):
+            bound = min(bound, self.within(error_m))
+            limited = "source" if bound > error_m else ""
+        else:
+            own = parts[0] + shift > left_of(error_m, self.source)
+            limited = "max_depth" if deepest else "precision" if own else "resampling"
+        terms = Terms.shares(bound, *parts)
+        return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)
+
+    def _rounded(self) -> float:
+        """Metres by which a distance may be off that is computed in float64."""
+        highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
+        return DISPLACEMENT_ERROR * (highest * self.scale + abs(self.placement[1]))
+
+    def _shift(self, error_m: float) -> float:
+        """Metres of height that rounding the plane coordinates to float32 may add, vertices moved by `error_m`."""
+        lattice = self.field.lattice
+        # Of what is split in raster cells only the corners of the cells are moved.
+        twist = float(self.field.error[lattice.range_count :].max()) * self.scale
+        finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
+        return self._sideways(2.0 * error_m * finer)
+
+    def _sideways(self, steeper: float) -> float:
+        """The same for facets that are `steeper` metres a cell steeper than the surface."""
+        lattice, shift = self.field.lattice, 0.0
+        axes = (
+            (lattice.width, lattice.step_x, self.field.steepest_x),
+            (lattice.height, lattice.step_y, self.field.steepest_y),
+        )
+        for samples, step, slope in axes:
+            places = (np.arange(((samples - 1) << FINEST) + 1) * 0.5**FINEST - 0.5 * (samples - 1)) * step
+            off = float(np.abs(places.astype(np.float32) - places).max())
+            shift += off * (slope * self.scale + steeper / step)
+        return shift
+
+    def ns_each(self, triangles: int) -> float:
+        """Nanoseconds that one of so many triangles takes."""
+        return TRIANGLE_NS + SAMPLE_NS * self.field.samples.size / triangles
+
+    def tell_progress(self) -> None:
+        """Nobody knows how many rounds there will be: every one is a fifth of what was left."""
+        self.rounds += 1
+        self.on_progress(1.0 - 0.8**self.rounds)
+
+    def spread(self, kernel, count: int, inputs: list, cost: float = 1.0) -> None:
+        launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
+
+
+def _asked(error_m: float) -> Asked:
+    """Nothing but a vertical error."""
+    asked = Asked()
+    asked.error_px2 = asked.edge_px2 = asked.area_px2 = math.inf
+    asked.metres2, asked.limit = error_m**2, 1.0
+    asked.view, asked.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")
+    return asked

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh that is being fitted: sweeps that move its vertices, and splits where that is not enough."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.fitting import binding
+from ...kernels.fitting import mesh as mesh_kernels
+from ...kernels.fitting import moving as kernels
+from ...kernels.fitting import splitting as refine_kernels
+from ..mesh.surface import Surface
+from ..run import launch
+from ..run.buffers import Buffers, shared
+
+SWEEPS = 4
+# A triangle is split if its excess is this part of the largest that it touches; all are, once few are left or many
+# rounds have gone.
+LOCAL, FEW, MANY_ROUNDS = 0.85, 0.01, 16
+MAX_ROUNDS = 64
+
+
+class Sweeps:
+    """A mesh that is being fitted: its triangles, and the list of those that are looked at."""
+
+    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers, errors: wp.array | None):
+        self.fitter, self.m, self.buffers, self.errors = fitter, m, buffers, errors
+        self.triangles = self.vertices = self.count = 0
+        self.recorded: dict = {}
+        self.stacks = [wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")]
+        self.found_np = np.zeros(7, np.int32)
+        self.found = shared(self.found_np, wp.int32)
+
+    def bind(self, surface: Surface, known: list[wp.array]) -> None:
+        """Take over a welded mesh, with the heights that are known."""
+        triangles, vertices = len(surface.level), len(surface.positions)
+        if triangles + triangles // 8 > self.m.room:
+            self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
+        self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0
+        self.buffers.numpy("fit_corner_verts")[: 3 * triangles] = surface.corner_verts
+        self.buffers.numpy("fit_level")[:triangles] = surface.level
+        spread = self.fitter.spread
+        spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
+        spread(binding.begin, triangles, [self.m])
+
+    def _reserve(self, triangles: int, vertices: int) -> None:
+        """Make room; what was there is lost."""
+        get = self.buffers.get
+        for count, arrays in (
+            (triangles, {"level": wp.int32, "moved": wp.float32, "worst": wp.float64, "seen": wp.vec3f}),
+            (triangles, {"awake": wp.int32, "active": wp.int32}),
+            (3 * triangles, {"corner_verts": wp.int32, "beside": wp.int32, "pushes": wp.vec2f}),
+            (vertices, {"point": wp.vec2i, "z": wp.float32, "state": wp.uint8, "first": wp.int32, "movers": wp.int32}),
+            (2 * vertices, {"push": wp.float64}),
+        ):
+            for name, dtype in arrays.items():
+                setattr(self.m, name, get(f"fit_{name}", count, dtype))
+        self.m.marks = get("fit_marks", triangles // 32 + 1, wp.uint32)
+        self.buffers.numpy("fit_marks")[:] = 0
+        self.m.room = triangles - 32  # a list is written in blocks
+
+    def link(self, surface: Surface) -> None:
+        """Find the neighbours, before anything is split or moved."""
+        edges = len(surface.edges)
+        side = self.buffers.get("fit_side", edges, wp.int32)
+        self.buffers.numpy("fit_side")[:edges] = -1
+        inputs = [self.triangles, self.m, shared(surface.corner_edges, wp.int32), side]
+        launch.once(binding.link, inputs, step="fit link")
+
+    def beyond(self) -> np.ndarray:
+        """bool [T]: whether a triangle is farther from the surface than it may be."""
+        moved = self.fitter.moved(self.buffers, self.triangles)
+        return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound - moved
+
+    def look_again(self, which: np.ndarray) -> None:
+        """Triangles that a sweep is to measure."""
+        self.buffers.numpy("fit_worst")[: self.triangles][which] = mesh_kernels.NOT_MEASURED.value
+
+    def settle(self) -> None:
+        """Sweep and split until no triangle is beyond the bound."""
+        later = 0
+        for rounds in range(1, MAX_ROUNDS + 1):
+            self.m.round = rounds
+            self.fitter.tell_progress()
+            beyond = self._sweep()
+            found = self.refine(LOCAL if beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS else 0.0)
+            later = found["later"]
+            if found["splits"] - later + found["pins"] <= later:  # the next walk is due
+                break
+
+    def _sweep(self) -> int:
+        """Move the vertices; returns how many triangles were beyond the bound before the last move."""
+        for _ in range(SWEEPS):
+            self._pull()
+            inputs = [self.count, self.triangles, self.m, self.found]
+            launch.slices(kernels.move, [inputs], step="fit move", recorded=self.recorded)
+            self.count = int(self.found_np[0])
+            if not self.found_np[1]:
+                break
+        self._pull()
+        return int(self.found_np[1])
+
+    def _pull(self) -> None:
+        pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
+        cuts = [self.count * i // pieces for i in range(pieces + 1)]
+        inputs = [[lo, hi, self.m] for lo, hi in zip(cuts, cuts[1:], strict=False)]
+        launch.slices(kernels.pull, inputs, step="fit pull", recorded=self.recorded)
+
+    def refine(self, local: float) -> dict[str, int]:
+        """Split what is beyond the bound, or pin it to the surface."""
+        self.found_np[1:3] = self.triangles, self.vertices
+        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.errors]
+        launch.slices(
+            refine_kernels.refine, [[*inputs, *self.stacks, self.found]], step="fit refine", recorded=self.recorded
+        )
+        self.count, self.triangles, self.vertices = self.found_np[:3].tolist()
+        return dict(zip(("splits", "pins", "later", "deepest"), self.found_np[3:].tolist(), strict=True))

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import a source into a store: the work, which import_process.py does in a process of its own."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field import resample, store
+from ..field.build import build
+from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
+from ..field.heightfield import HeightField
+from .raster import ISLAND, ImportSettings, Raster
+from .sources import check_file, open_source
+
+READING = "Reading"  # the part of an import in which files from outside are read
+# Rows are read and written in blocks of about this many samples.
+BLOCK_SAMPLES = 1 << 20
+# Changed when the same source would give a different store: the island's shape, the hierarchy.
+METHOD = 1
+# Heights by which files mean that there is none, often without saying so.
+NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
+SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
+
+
+def run_import(
+    settings: ImportSettings,
+    path: str | os.PathLike,
+    on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
+    folder: str | None = None,
+) -> dict:
+    """Import in this process and return the report; the store at `path` changes at the very end or not at all.
+
+    folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError. What comes from
+    outside is safe only in a process of its own (import_process.py): this one gives nothing up before it opens a file.
+    """
+    started = time.monotonic()
+    store.check_target(path)
+    raster = open_source(settings)
+    path = Path(path)
+    draft = None
+    try:
+        digest = source_digest(settings, raster.sources)
+        # What a file of files is made of is known only now; of others, the caller has already asked this.
+        report = finished_before(path, digest) if raster.sources else None
+        if report is not None:
+            return report
+        width, height = max(raster.width, 2), max(raster.height, 2)
+        place = _place(settings, raster)
+        lattice = resample.lattice_for(width, height, place.step_x, place.step_y, settings.source)
+        fits = (lattice.width, lattice.height) == (width, height)
+        _check_room(path, width, height, lattice, fits)
+        draft = store.Draft(path, folder)
+        heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
+        missing, source_max, lowest = _read_heights(
+            raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
+        )
+        field = build(
+            heights,
+            place.step_x,
+            place.step_y,
+            missing=missing,
+            source_max=source_max,
+            name=settings.source,
+            allocate=draft.allocate,
+            on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
+        )
+        del heights
+        if not fits:
+            draft.remove("raster")
+        field.origin = np.array([*place.middle, 0.0])
+        field.crs = place.crs
+        field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
+        field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
+        report = _report(field, raster, place)
+        report["warnings"] += _undeclared(raster, settings, lowest)
+        report["seconds"] = round(time.monotonic() - started, 3)
+        draft.publish(field, digest, report)
+        return report
+    except OSError as reason:
+        raise TerrainError(
+            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
+        ) from reason
+    finally:
+        raster.close()
+        if draft is not None:
+            draft.discard_unless_published()
+
+
+def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
+    """Hex digest of the settings and of the files' paths, sizes and times of change: of the source, what belongs to it,
+    and `sources`, the files that it names. Raises TerrainError if it is missing."""
+    settings.check()
+    parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
+    if settings.source != ISLAND:
+        source = Path(settings.source)
+        check_file(source)
+        files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
+        files += [source.with_name(source.name + suffix) for suffix in SIDECARS]
+        for file in [*files, *sources]:
+            if os.path.isfile(file):  # unlike Path.is_file, never an error: with a suffix a name may be too long
+                stat = file.stat()
+                parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
+    """The report of an earlier import of the same source with the same settings, if the store is whole."""
+    try:
+        content = store.read_json(Path(path))
+        if content["digest"] != digest:
+            return None
+        store.open_store(path)
+        return content["report"] | {"unchanged": True}
+    except (TerrainError, KeyError):
+        return None
+
+
+def describe(path: str | os.PathLike) -> dict:
+    """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
+    content = store.read_json(Path(path))
+    field = store.open_store(path)
+    return {
+        "path": str(path),
+        "source": content["provenance"].get("settings", {}).get("source", ""),
+        **content["report"],
+        "origin": content["origin"],
+        "largest_error_m": float(field.error[field.lattice.root_entries].max()),
+        "key": field.key,
+    }
+
+
+def _place(settings: ImportSettings, raster: Raster) -> Georeference:
+    """The raster's georeference, or 1 m a sample, with the distances of the extent if one is given."""
+    place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
+    if settings.extent is None:
+        extent = place.step_x * max(raster.width - 1, 1), place.step_y * max(raster.height - 1, 1)
+        if not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in extent):
+            raise TerrainError(
+                f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference: expected lengths "
+                f"between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; give the extent in metres."
+            )
+        return place
+    step_x, step_y = settings.extent[0] / max(raster.width - 1, 1), settings.extent[1] / max(raster.height - 1, 1)
+    return dataclasses.replace(place, step_x=step_x, step_y=step_y, size_warnings=())
+
+
+def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
+    """Refuse what the disk cannot hold before a byte is written."""
+    needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * lattice.range_count
+    needed += 0 if fits else 4 * width * height + 4 * lattice.node_count
+    existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
+    free = shutil.disk_usage(existing).free
+    if needed > free:
+        raise TerrainError(
+            f"A terrain of {width} x {height} samples needs {needed / 1e9:.2f} GB in {path}, where {free / 1e9:.2f} GB "
+            "are free: make room, choose another folder, or check that the file's header tells its true size."
+        )
+
+
+def _read_heights(
+    raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
+) -> tuple[int, float, float]:
+    """Fill `heights` (row 0 south) from the raster; returns how many are missing, metres by which the source's own
+    rounding may have moved them, and the lowest in metres."""
+    rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
+    scale = raster.scale * settings.height_scale
+    offset = raster.offset * settings.height_scale + settings.height_offset
+    missing, largest, converted, lowest = 0, 0.0, 0.0, np.inf
+    for first in range(0, raster.height, rows_at_once):
+        count = min(rows_at_once, raster.height - first)
+        rows = raster.read(first, count)
+        if scale != 1.0 or offset != 0.0:
+            with np.errstate(over="ignore", invalid="ignore"):
+                rows = rows.astype(np.float64) * scale + offset
+        if raster.width == 1 or raster.height == 1:
+            rows = resample.widen(rows)
+        exact = rows
+        rows, absent = resample.clean_rows(exact, settings.source)
+        missing += absent
+        if absent < rows.size:
+            largest = max(largest, float(np.nanmax(np.abs(rows))))
+            lowest = min(lowest, float(np.nanmin(rows)))
+            if not np.can_cast(exact.dtype, np.float32):
+                converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
+        if place.first_column_east:
+            rows = rows[:, ::-1]
+        if place.first_row_south:
+            heights[first : first + len(rows)] = rows
+        else:
+            end = heights.shape[0] - first
+            heights[end - len(rows) : end] = rows[::-1]
+        on_progress((first + count) / raster.height)
+    source_max = 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
+    return missing, source_max, lowest
+
+
+def _undeclared(raster: Raster, settings: ImportSettings, lowest: float) -> list[str]:
+    """A warning where the lowest height is one that files write for no data."""
+    scale = raster.scale * settings.height_scale
+    if scale == 0.0 or settings.no_data is not None:
+        return []
+    value = (lowest - raster.offset * settings.height_scale - settings.height_offset) / scale
+    value = next((known for known in NO_DATA_VALUES if np.isclose(value, known, rtol=1e-6, atol=0.0)), value)
+    if value not in NO_DATA_VALUES and value > -1e30:
+        return []
+    return [
+        f"The lowest height in the file is {value:.9g}, which often means no data: if it does, import again and give "
+        "that as the no-data value."
+    ]
+
+
+def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
+    """Half a step of the stored values in metres, of floats at the largest: what the source itself leaves open.
+
+    largest: metres, the largest height that was read.
+    """
+    scale = abs(raster.scale * settings.height_scale)
+    stored = np.dtype(raster.stored)
+    if stored.kind != "f" or scale == 0.0:  # a file may say that its scale is 0
+        return 0.5 * scale
+    offset = abs(raster.offset * settings.height_scale + settings.height_offset)
+    value = min((largest + offset) / scale, float(np.finfo(stored).max))
+    return 0.5 * scale * float(np.spacing(stored.type(value)))
+
+
+def _reference(raster: Raster, place: Georeference) -> str:
+    """What the bounds are measured against, where that is not the file's own raster."""
+    if not raster.projected_from:
+        return ""
+    return f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
+
+
+def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
+    lattice = field.lattice
+    warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
+    if raster.stored == "float16":
+        largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
+        warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    return {
+        "format": raster.format,
+        "raster": [raster.width, raster.height],
+        "samples": [lattice.width, lattice.height],
+        "squares": [lattice.columns, lattice.rows],
+        "step_m": [lattice.step_x, lattice.step_y],
+        "extent_m": [lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)],
+        "lowest_m": field.min_height,
+        "highest_m": field.max_height,
+        "filled": field.filled,
+        "moved_max_m": field.resample_max,
+        "moved_rms_m": field.resample_rms,
+        "source_step_m": field.source_max,
+        "crs": field.crs,
+        "bounds_against": _reference(raster, place),
+        "warnings": warnings,
+    }

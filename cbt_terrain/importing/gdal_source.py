@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rasters through rasterio (GDAL): GeoTIFF, BigTIFF, COG, SRTM .hgt, PNG, ASCII grid, VRT.
+
+rasterio is imported inside functions only, which run in the import's child process: its libraries must not meet those
+of Blender. The child first calls `keep_only_drivers`.
+"""
+
+import math
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.georeference import Georeference, ellipsoid_of, from_transform
+from .raster import ImportSettings, Raster, blank
+from .vrt_source import read_mosaic
+
+# GDAL may try no other driver on a file than the one of its suffix.
+DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
+# More bands than any height map has; where they lie together, all are read.
+MAX_BANDS = 1024
+# Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
+LARGEST_BLOCK = 256 << 20
+CACHE_BYTES = 256 << 20  # rasterio takes bytes, where GDAL's own variable takes megabytes
+# No network, no code out of a file, no sidecar files written, a bounded cache.
+OPTIONS = {
+    "GDAL_CACHEMAX": CACHE_BYTES,
+    "GDAL_PAM_ENABLED": "NO",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+}
+UNITS_IN_METRES = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 1200.0 / 3937.0, "cm": 0.01}
+
+
+def keep_only_drivers(suffix: str) -> list[str]:
+    """Take from GDAL, in this process and for good, all drivers but those that a file of this suffix needs; returns
+    those that are left. Raises TerrainError if others are left, because files could then ask for them."""
+    import rasterio
+    from rasterio import _env
+
+    wanted = set(DRIVERS.values()) if suffix == ".vrt" else {DRIVERS[suffix]}
+    with rasterio.Env() as env:
+        known = set(env.drivers())
+    os.environ["GDAL_SKIP"] = ",".join(sorted(known - wanted))  # is read when drivers are registered
+    _env._have_registered_drivers = False
+    _env.GDALEnv().start()
+    with rasterio.Env() as env:
+        left = sorted(env.drivers())
+    if set(left) != wanted:
+        raise TerrainError(
+            f"GDAL {rasterio.__gdal_version__} has the drivers {shown(', '.join(left))}, expected only "
+            f"{', '.join(sorted(wanted))}: it cannot be held to them, so no file is opened; install rasterio 1.4."
+        )
+    return left
+
+
+def open_raster(path: Path, settings: ImportSettings) -> Raster:
+    """Open a raster file. Raises TerrainError if GDAL cannot."""
+    driver = DRIVERS[path.suffix.lower()]
+    try:
+        return _open_raster(path.absolute(), driver, settings)
+    except TerrainError:
+        raise
+    except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
+        hint = "a name like N36W085.hgt" if driver == "SRTMHGT" else "a whole file of that kind"
+        raise TerrainError(f"{shown(path)} cannot be read as {driver} ({_short(reason)}): expected {hint}.") from reason
+
+
+def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
+    import rasterio
+    from rasterio.enums import ColorInterp, MaskFlags
+
+    rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
+        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [])
+    dataset, sources, texts = opened
+    band = settings.band
+    if not 1 <= band <= dataset.count:
+        raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
+    stored = np.dtype(dataset.dtypes[band - 1])
+    if stored.kind not in "fiu":
+        raise TerrainError(f"{path} holds {stored} values: expected real numbers.")
+    notes = []
+    if dataset.count > 1 and driver == "PNG":
+        notes.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
+    if dataset.colorinterp[band - 1] == ColorInterp.palette:
+        notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
+    if stored.itemsize == 1:
+        notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
+    unit = (dataset.units[band - 1] or "").strip().lower()
+    in_metres = UNITS_IN_METRES.get(unit, 1.0)
+    if in_metres != 1.0:
+        notes.append(f"Heights are in {unit} in the file; they were converted to metres.")
+    read_from, masked, no_data, projected_from = dataset, False, None, ""
+    if settings.project:
+        from .reproject import reprojected
+
+        read_from = reprojected(path, dataset, stored, settings)
+        projected_from = dataset.crs.to_string()
+    else:
+        flags = dataset.mask_flag_enums[band - 1]
+        masked, no_data = settings.no_data is None and MaskFlags.all_valid not in flags, settings.no_data
+    return Raster(
+        width=read_from.width,
+        height=read_from.height,
+        read=_reader(path, read_from, band, masked, no_data),
+        block_rows=read_from.block_shapes[band - 1][0],
+        stored=str(stored),
+        format=driver,
+        georeference=_georeference(read_from),
+        projected_from=projected_from,
+        scale=dataset.scales[band - 1] * in_metres,
+        offset=dataset.offsets[band - 1] * in_metres,
+        warnings=notes,
+        sources=tuple(sources),
+        close=lambda: [thing.close() for thing in (read_from, dataset, *texts)],
+    )
+
+
+def _open_file(path: Path, driver: str):
+    """A dataset of one file, whose smallest readable piece fits into memory."""
+    import rasterio
+
+    dataset = rasterio.open(path, driver=driver, sharing=False)
+    _check_blocks(path, dataset)
+    return dataset
+
+
+def _open_vrt(path: Path) -> tuple:
+    """A dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the files that it names; and the texts of VRTs,
+    which GDAL has as long as they are kept."""
+    import rasterio
+    from rasterio.env import setenv
+
+    mosaic = read_mosaic(path, set(DRIVERS))
+    for source in mosaic.sources:
+        driver = DRIVERS[source.suffix.lower()]
+        if driver == "VRT":
+            continue
+        try:
+            _open_file(source, driver).close()
+        except TerrainError:
+            raise
+        except Exception as reason:
+            raise TerrainError(
+                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({_short(reason)}): expected "
+                "a whole file of that kind."
+            ) from reason
+    setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # files beside a source (.msk, .ovr) could be VRTs again
+    texts = [
+        rasterio.MemoryFile(text.encode(), dirname=mosaic.folder, filename=f"{number}.vrt")
+        for number, text in enumerate(mosaic.texts)
+    ]
+    dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
+    _check_blocks(path, dataset)
+    return dataset, list(mosaic.sources), texts
+
+
+def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None):
+    """The function `read` of a Raster."""
+    from rasterio.windows import Window
+
+    def read(first: int, count: int) -> np.ndarray:
+        window = Window(0, first, dataset.width, count)
+        try:
+            rows = dataset.read(band, window=window)
+            mask = dataset.read_masks(band, window=window) if masked else None
+        except Exception as reason:
+            raise TerrainError(
+                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({_short(reason)}): "
+                "get the file again."
+            ) from reason
+        if mask is not None:
+            rows = rows.astype(np.float64 if rows.itemsize > 2 and rows.dtype != np.float32 else np.float32)
+            rows[mask == 0] = np.nan
+            return rows
+        return blank(rows, no_data)
+
+    return read
+
+
+def _georeference(dataset) -> Georeference | None:
+    if dataset.transform.is_identity and dataset.crs is None:
+        return None
+    crs, about = dataset.crs, {}
+    if crs is not None and crs.is_geographic:
+        about["degrees"] = math.degrees(crs.units_factor[1])
+        about["ellipsoid"] = ellipsoid_of(crs.to_wkt())
+    elif crs is not None and crs.is_projected:
+        about["metres"] = crs.linear_units_factor[1]
+    name = crs.to_string() if crs is not None else ""
+    return from_transform(tuple(dataset.transform)[:6], dataset.width, dataset.height, crs=name, **about)
+
+
+def _check_blocks(path: Path, dataset) -> None:
+    """Refuse too many bands, and too large a smallest readable piece, before GDAL reads one; have room for two."""
+    from rasterio.enums import Interleaving
+    from rasterio.env import setenv
+
+    if not 1 <= dataset.count <= MAX_BANDS:
+        raise TerrainError(
+            f"{shown(path)} has {dataset.count} bands, expected 1 to {MAX_BANDS}: write the one of heights alone."
+        )
+    rows, columns = dataset.block_shapes[0]
+    size = rows * columns * max(np.dtype(kind).itemsize for kind in dataset.dtypes)
+    if dataset.count > 1 and dataset.interleaving == Interleaving.pixel:
+        size *= dataset.count
+    if size > LARGEST_BLOCK:
+        raise TerrainError(
+            f"{shown(path)} is stored in pieces of {size / 1e9:.1f} GB, expected {LARGEST_BLOCK / 1e9:.1f} GB at most: "
+            "write it again with smaller tiles or strips."
+        )
+    if 2 * size > CACHE_BYTES:  # else one that is read in parts is unpacked for each of them
+        setenv(GDAL_CACHEMAX=2 * LARGEST_BLOCK)
+
+
+def _short(reason: BaseException) -> str:
+    """GDAL's message without line breaks."""
+    return shown(reason.__cause__ or reason, 300).rstrip(".")

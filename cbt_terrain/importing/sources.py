@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where heights come from: a file, or the built-in island, opened as a raster."""
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field import island
+from ..field.georeference import Georeference
+from .exr_source import open_exr
+from .gdal_source import DRIVERS, open_raster
+from .raster import ISLAND, RAW_SUFFIXES, ImportSettings, Raster, blank
+
+
+def open_source(settings: ImportSettings) -> Raster:
+    """Open what the settings name. Raises TerrainError; to be called in the import's child process."""
+    settings.check()
+    if settings.source == ISLAND:
+        return _open_island(settings)
+    path = Path(settings.source)
+    check_file(path)
+    suffix = path.suffix.lower()
+    try:
+        if suffix in RAW_SUFFIXES:
+            return _open_raw(path, settings)
+        if suffix == ".npy":
+            return _open_npy(path, settings)
+        if suffix == ".exr":
+            return open_exr(path, settings)
+        if suffix in DRIVERS:
+            return open_raster(path, settings)
+    except OSError as reason:
+        raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
+    known = ", ".join((*DRIVERS, ".exr", ".npy", *RAW_SUFFIXES))
+    raise TerrainError(f"{path} is of no known kind of height map: expected one of {known}.")
+
+
+def check_file(path: Path) -> None:
+    """Raise TerrainError if there is no readable, non-empty file."""
+    try:
+        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
+        regular = path.is_file()
+    except (OSError, ValueError) as reason:
+        said = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"{shown(path)} cannot be read ({said}): expected the file of a height map.") from reason
+    if not regular:
+        raise TerrainError(f"{shown(path)} {what}: expected the file of a height map.")
+    if not os.access(path, os.R_OK):
+        raise TerrainError(f"{path} may not be read by this user: change its permissions.")
+    if path.stat().st_size == 0:
+        raise TerrainError(f"{path} is empty: expected the file of a height map.")
+
+
+def _open_island(settings: ImportSettings) -> Raster:
+    size = settings.size
+
+    def read(first: int, count: int) -> np.ndarray:
+        rows = np.empty((count, size), np.float32)
+        island.island_rows(size, first, rows, settings.seed)
+        return rows
+
+    step = island.SIDE / (size - 1)
+    place = Georeference(step, step, first_row_south=True)
+    return Raster(size, size, read, "float32", ISLAND, georeference=place, block_rows=64)
+
+
+def _open_raw(path: Path, settings: ImportSettings) -> Raster:
+    kind = np.dtype(settings.raw_dtype).newbyteorder("<" if settings.raw_little_endian else ">")
+    size = path.stat().st_size
+    samples, rest = divmod(size, kind.itemsize)
+    width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
+    if width * height * kind.itemsize != size or rest:
+        asked = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
+        raise TerrainError(
+            f"{path} has {size} bytes, but {asked}: give its size and type as they are (on the command line "
+            "--raw-size WxH and --raw-type)."
+        )
+    values = np.memmap(path, kind, "r", shape=(height, width))
+    return _from_array(values, settings, "RAW")
+
+
+def _open_npy(path: Path, settings: ImportSettings) -> Raster:
+    try:
+        values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
+    except Exception as reason:  # whatever the parser of a damaged header raises
+        said = shown(reason).rstrip(".") or type(reason).__name__
+        raise TerrainError(f"{path} is not a whole .npy file of numbers ({said}): get the file again.") from reason
+    if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
+        raise TerrainError(f"{path} holds {values.dtype} {values.shape}: expected a 2-D array of real numbers.")
+    return _from_array(values, settings, "NumPy")
+
+
+def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) -> Raster:
+    def read(first: int, count: int) -> np.ndarray:
+        rows = np.asarray(values[first : first + count])
+        return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)
+
+    height, width = values.shape
+    return Raster(width, height, read, values.dtype.name, format_name, block_rows=64)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""GDAL's virtual rasters (.vrt), read by an allow-list before GDAL sees them.
+
+A VRT is XML that names other files. GDAL lets it also name network services, raw bytes of any file, pixel functions and
+caches to be written. So GDAL never gets the file: it gets a text written anew from the elements below, in which every
+source is the whole path of a regular file that was looked at, or another VRT that went the same way.
+"""
+
+import math
+import re
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+from ..errors import TerrainError, shown
+
+MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
+MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
+MAX_NESTED = 3  # VRTs inside of VRTs
+LARGEST_NUMBER = 2.0**31  # of pixels, in a window
+
+_SOURCE = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRect"}
+_COMPLEX = _SOURCE | {"ScaleOffset", "ScaleRatio", "NODATA", "LUT", "UseMaskBand"}
+_BAND = {"NoDataValue", "HideNoDataValue", "UnitType", "Offset", "Scale", "ColorInterp", "MaskBand"}
+_RECTANGLE = {"xOff", "yOff", "xSize", "ySize"}
+# Element: its attributes and the elements in it.
+ALLOWED = {
+    "VRTDataset": ({"rasterXSize", "rasterYSize"}, {"SRS", "GeoTransform", "VRTRasterBand", "MaskBand"}),
+    "SRS": ({"dataAxisToSRSAxisMapping", "coordinateEpoch"}, set()),
+    "VRTRasterBand": (
+        {"dataType", "band", "blockXSize", "blockYSize"},
+        _BAND | {"SimpleSource", "ComplexSource", "AveragedSource"},
+    ),
+    "MaskBand": (set(), {"VRTRasterBand"}),
+    "SimpleSource": ({"resampling", "name"}, _SOURCE),
+    "AveragedSource": ({"resampling", "name"}, _SOURCE | {"NODATA"}),
+    "ComplexSource": ({"resampling", "name"}, _COMPLEX),
+    "SourceFilename": ({"relativeToVRT", "shared"}, set()),
+    "SourceProperties": ({"RasterXSize", "RasterYSize", "DataType", "BlockXSize", "BlockYSize"}, set()),
+    "SrcRect": (_RECTANGLE, set()),
+    "DstRect": (_RECTANGLE, set()),
+}
+# What says nothing of a height; left out with all that is in it.
+IGNORED = {"CategoryNames", "ColorTable", "Description", "GCPList", "Histograms", "Metadata"}
+IGNORED |= {"Overview", "OverviewList"}
+# Attributes that say what holds anyway.
+PLAIN = {("subClass", "VRTSourcedRasterBand"), ("subClass", "VRTDataset")}
+# What the text of an element, or an attribute, must be; by its name.
+_NUMBER = r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?"
+_COUNT, _NAME = r"\d{1,10}", r"[\w :/²°.-]{0,64}"
+TEXTS = {
+    "SRS": r"EPSG:\d{1,7}|[A-Z_]+\s*\[.*|",
+    "GeoTransform": rf"{_NUMBER}(\s*,\s*{_NUMBER}){{5}}",
+    "NoDataValue": rf"(?i:{_NUMBER}|[-+]?nan|[-+]?inf)",
+    "NODATA": rf"(?i:{_NUMBER}|[-+]?nan|[-+]?inf)",
+    "HideNoDataValue": "[01]",
+    "Offset": _NUMBER,
+    "Scale": _NUMBER,
+    "ScaleOffset": _NUMBER,
+    "ScaleRatio": _NUMBER,
+    "LUT": rf"{_NUMBER}\s*:\s*{_NUMBER}(\s*,\s*{_NUMBER}\s*:\s*{_NUMBER})*",
+    "UseMaskBand": "true|false",
+    "SourceBand": r"\d{1,5}|mask|mask,\d{1,5}",
+    "UnitType": _NAME,
+    "ColorInterp": _NAME,
+    "name": _NAME,
+    "resampling": r"\w{1,16}",
+    "relativeToVRT": "[01]",
+    "shared": "[01]",
+    "dataType": r"\w{1,16}",
+    "DataType": r"\w{1,16}",
+    "dataAxisToSRSAxisMapping": r"[-,\d]{1,16}",
+    "coordinateEpoch": _NUMBER,
+    **dict.fromkeys(("rasterXSize", "rasterYSize", "RasterXSize", "RasterYSize", "band"), _COUNT),
+    **dict.fromkeys(("blockXSize", "blockYSize", "BlockXSize", "BlockYSize"), _COUNT),
+    **dict.fromkeys(_RECTANGLE, _NUMBER),
+}
+_PATTERNS = {name: re.compile(pattern, re.DOTALL) for name, pattern in TEXTS.items()}
+
+
+@dataclass
+class Mosaic:
+    """A VRT and those inside it.
+
+    texts: the XML for GDAL, the outermost last; text n is to be the file /vsimem/FOLDER/n.vrt. sources: every file that
+    is named, in order and once. numbers: of the texts, by the files that they were.
+    """
+
+    folder: str = field(default_factory=lambda: uuid.uuid4().hex)
+    texts: list[str] = field(default_factory=list)
+    sources: dict[Path, None] = field(default_factory=dict)
+    numbers: dict[Path, int] = field(default_factory=dict)
+
+
+def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
+    """Read a VRT and all VRTs that it names. suffixes: of files that may be sources. Raises TerrainError."""
+    mosaic = Mosaic()
+    _add(path.absolute(), suffixes, (), mosaic)
+    return mosaic
+
+
+def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
+    """Read one VRT and those inside it into `mosaic`; returns its number. outer: those that it is in."""
+    real = path.resolve()
+    if real in outer:
+        raise TerrainError(f"{shown(path)} is a VRT that contains itself: expected sources that hold samples.")
+    if len(outer) > MAX_NESTED:
+        raise TerrainError(
+            f"{shown(outer[0])} holds VRTs inside of VRTs, more than {MAX_NESTED} deep: merge them into one file first."
+        )
+    if real not in mosaic.numbers:
+        tree = _parse(path)
+        for name in tree.iter("SourceFilename"):
+            source = _source_path(path, name, suffixes)
+            mosaic.sources[source] = None
+            name.text = str(source)
+            if source.suffix.lower() == ".vrt":
+                name.text = f"/vsimem/{mosaic.folder}/{_add(source, suffixes, (*outer, real), mosaic)}.vrt"
+            name.attrib["relativeToVRT"] = "0"
+        mosaic.numbers[real] = len(mosaic.texts)
+        mosaic.texts.append(ElementTree.tostring(tree, encoding="unicode"))
+    return mosaic.numbers[real]
+
+
+def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:
+    """The file that a SourceFilename names: regular, of a kind that we read, and what its suffix says."""
+    text = (name.text or "").strip()
+    source = path.parent / text if name.get("relativeToVRT") == "1" else Path(text)
+    source = source if source.is_absolute() else path.parent / source
+    said = f"{shown(path)} names the source {shown(text)!r}"
+    try:
+        regular = "\0" not in text and _is_local(source, path) and source.is_file()
+    except (OSError, ValueError):
+        regular = False
+    if not regular or "<" in str(source) or str(source).startswith("/vsi"):
+        raise TerrainError(f"{said}, which is no regular file here: expected the file of a height map.")
+    if source.suffix.lower() not in suffixes:
+        raise TerrainError(f"{said}: expected one of {', '.join(sorted(suffixes))}.")
+    if source.suffix.lower() != ".vrt":
+        with source.open("rb") as file:
+            if file.read(4096).lstrip().startswith(b"<"):
+                raise TerrainError(f"{said}, which holds XML: expected samples, as its suffix says.")
+    return source
+
+
+def _is_local(source: Path, path: Path) -> bool:
+    r"""Whether a path leads to no other computer but that of the VRT itself (on Windows, \\server\share is a drive)."""
+    return not source.drive.startswith(("\\\\", "//")) or source.drive == path.drive
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    """The elements of a VRT that GDAL may see. Raises TerrainError for anything that is not on the list."""
+    with path.open("rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise TerrainError(f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML: cut it into several VRTs.")
+    reader = _Reader(path)
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = reader.start, reader.end
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = reader.text, reader.doctype
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError) as reason:
+        raise TerrainError(f"{shown(path)} is no well-formed XML ({reason}): get the file again.") from reason
+    return reader.builder.close()
+
+
+class _Reader:
+    """What expat calls: builds the tree of what is allowed, leaves out what is ignored, raises at all else."""
+
+    def __init__(self, path: Path):
+        self.path, self.builder = path, ElementTree.TreeBuilder()
+        self.open, self.pieces = [], []  # names of the elements that are open; texts of the innermost
+        self.count = self.ignored = self.length = 0
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        self.count += 1
+        if self.count > MAX_ELEMENTS or len(self.open) + self.ignored >= MAX_DEPTH:
+            self._refuse(f"more than {MAX_ELEMENTS:,} elements, or elements more than {MAX_DEPTH} deep")
+        if self.ignored or name in IGNORED:
+            self.ignored += 1
+            return
+        expected = ALLOWED.get(self.open[-1], ((), ()))[1] if self.open else {"VRTDataset"}
+        if name not in expected:
+            self._refuse(f"<{shown(name, 40)}> where none is expected")
+        for key, value in attributes.items():
+            if key not in ALLOWED.get(name, ((), ()))[0] and (key, value) not in PLAIN:
+                self._refuse(f'{shown(key, 40)}="{shown(value, 40)}" in <{name}>')
+            self._check(name, key, value)
+        self.builder.start(name, {key: value for key, value in attributes.items() if (key, value) not in PLAIN})
+        self.open.append(name)
+        self.pieces, self.length = [], 0
+
+    def end(self, name: str) -> None:
+        if self.ignored:
+            self.ignored -= 1
+            return
+        text = "".join(self.pieces).strip()
+        if name in ALLOWED and name not in TEXTS and name != "SourceFilename":
+            if text:
+                self._refuse(f"the text {shown(text, 40)!r} in <{name}>")
+        elif name != "SourceFilename":
+            self._check(name, name, text)
+        self.builder.data(text)
+        self.builder.end(name)
+        self.open.pop()
+        self.pieces, self.length = [], 0
+
+    def text(self, data: str) -> None:
+        if self.ignored:
+            return
+        self.length += len(data)
+        if self.length > MAX_TEXT:
+            self._refuse(f"a text of more than {MAX_TEXT:,} characters in <{self.open[-1]}>")
+        self.pieces.append(data)
+
+    def doctype(self, *_arguments) -> None:
+        self._refuse("a document type, which may define entities")
+
+    def _check(self, element: str, name: str, value: str) -> None:
+        """Refuse a value that is not what its name says."""
+        pattern = _PATTERNS.get(name)
+        good = pattern is None or pattern.fullmatch(value) is not None
+        if good and name in _RECTANGLE:
+            good = math.fabs(float(value)) < LARGEST_NUMBER
+        if not good:
+            self._refuse(f"the value {shown(value, 40)!r} for {name} in <{element}>")
+
+    def _refuse(self, what: str) -> None:
+        raise TerrainError(
+            f"{shown(self.path)} holds {what}: of a VRT, plain mosaics of files are read; write it as a GeoTIFF "
+            "(gdal_translate) where you trust it."
+        )

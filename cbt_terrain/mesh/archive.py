@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain surface as one .npz file: the same surface is the same bytes, on every machine and at any time."""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..run.partial_files import written_beside
+
+# The earliest date that a zip can hold: the file says nothing of when it was written.
+FIXED_DATE = (1980, 1, 1, 0, 0, 0)
+MOST_ENTRIES = 32
+
+
+def write_npz(path: Path, surface, origin, info: dict) -> None:
+    """Write a `Surface` to `path`, atomically.
+
+    Entries: `positions` float32 [V, 3], metres about `origin` float64 [3]; `triangles` int32 [T, 3], counter-clockwise
+    seen from above; `edges` int32 [E, 2]; the attributes `normals` float32 [V, 3], `uv` float32 [V, 2], `level` int32
+    [T]; and `info`, JSON text (no times, so that it is a function of the frame alone).
+    """
+    entries = {
+        "positions": surface.positions,
+        "origin": np.asarray(origin, np.float64),
+        "triangles": surface.corner_verts.reshape(-1, 3),
+        "edges": surface.edges,
+        "normals": surface.normals,
+        "uv": surface.uv,
+        "level": surface.level,
+        "info": np.array(json.dumps(info, sort_keys=True)),
+    }
+    with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in entries.items():
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))
+
+
+def read_npz(path: Path) -> dict:
+    """The entries of a file that `write_npz` wrote, with `info` as a dict. Raises TerrainError for any other file."""
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():  # to read a pipe would wait for ever
+            raise ValueError("it is not a regular file")
+        with zipfile.ZipFile(path) as archive:
+            # As `write_npz` writes them: then what they unpack to is bounded by the file's own size.
+            if len(archive.infolist()) > MOST_ENTRIES or any(e.compress_type for e in archive.infolist()):
+                raise ValueError("its entries are compressed or too many")
+            entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
+        if "info" not in entries:
+            raise ValueError("it has no entry 'info'")
+        info = json.loads(str(entries["info"]))
+        if not isinstance(info, dict):
+            raise ValueError("its entry 'info' is no JSON object")
+    except OSError as reason:
+        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:200]}..."
+        raise TerrainError(
+            f"{shown} cannot be read ({reason.strerror or reason}): expected an exported .npz."
+        ) from reason
+    except Exception as reason:  # whatever the parsers of a damaged file raise
+        said = " ".join(str(reason).split()).rstrip(".") or type(reason).__name__
+        raise TerrainError(f"{path} is no .npz that was exported here ({said}): export it again.") from reason
+    return entries | {"info": info}
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    with archive.open(name) as entry:
+        return np.lib.format.read_array(entry, allow_pickle=False)
+
+
+def _npy(array: np.ndarray) -> bytes:
+    """The array as the bytes of an .npy file, in C order and little endian."""
+    buffer = io.BytesIO()
+    array = np.asarray(array, order="C")
+    np.lib.format.write_array(buffer, array.astype(array.dtype.newbyteorder("<"), copy=False), allow_pickle=False)
+    return buffer.getvalue()

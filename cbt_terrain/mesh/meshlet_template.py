@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The template of a meshlet: what an even number of bisections makes of one leaf, as tables of places."""
+
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from ...kernels.mesh.meshlet import Template
+
+# Corners and sides are kept left, apex, right at odd depths, and mirrored at even ones.
+_MIRRORED_CORNERS, _MIRRORED_SIDES = [2, 1, 0], [1, 0, 2]
+
+Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
+
+
+@cache
+def template(meshlet: int) -> Template:
+    """The tables for 4**meshlet triangles a leaf; kernels/mesh/meshlet.py says in which order points and lines come."""
+    n = 1 << meshlet
+    triangles = [((n, 0, 0), (0, n, 0), (0, 0, n))]
+    for _ in range(2 * meshlet):
+        triangles = [
+            child
+            for left, apex, right in triangles
+            for middle in [tuple((x + y) // 2 for x, y in zip(left, right, strict=True))]
+            for child in ((left, middle, apex), (apex, middle, right))
+        ]
+    inner_points: dict[Place, int] = {}
+    inner_lines: dict[frozenset[Place], tuple[int, Place, Place]] = {}
+
+    def point(b: Place) -> int:
+        if n in b:
+            return b.index(n)
+        side = _side(b)
+        if side is not None:
+            return 3 + side * (n - 1) + b[(side + 1) % 3] - 1
+        return 3 * n + inner_points.setdefault(b, len(inner_points))
+
+    def line(p: Place, q: Place) -> int:
+        side = _side(p, q)
+        if side is not None:
+            return side * n + min(p[(side + 1) % 3], q[(side + 1) % 3])
+        return 3 * n + inner_lines.setdefault(frozenset((p, q)), (len(inner_lines), p, q))[0]
+
+    corners = np.array([[point(b) for b in triangle] for triangle in triangles], np.int32)
+    sides = np.array([[line(a, b), line(b, c), line(c, a)] for a, b, c in triangles], np.int32)
+
+    def table(rows, dtype, shape) -> wp.array:
+        return wp.array(np.array(rows, np.int32).reshape(shape), dtype=dtype, device="cpu")
+
+    t = Template()
+    t.segments, t.levels, t.triangles = n, 2 * meshlet, len(triangles)
+    t.inner_points, t.inner_lines = len(inner_points), len(inner_lines)
+    t.points, t.lines = 3 * n + t.inner_points, 3 * n + t.inner_lines
+    t.corners = table([corners[:, _MIRRORED_CORNERS], corners], wp.int32, -1)
+    t.sides = table([sides[:, _MIRRORED_SIDES], sides], wp.int32, -1)
+    t.weights = table([b[1:] for b in inner_points], wp.vec2i, (-1, 2))
+    t.ends = table([(point(p), point(q)) for _, p, q in inner_lines.values()], wp.int32, -1)
+    return t
+
+
+def _side(*places: Place) -> int | None:
+    """The side on which all places lie: 0 from left to apex, 1 from apex to right, 2 from right to left."""
+    for side in range(3):
+        if all(b[(side + 2) % 3] == 0 for b in places):
+            return side
+    return None

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keeping to a number of leaves: by how much what is asked has to be coarsened."""
+
+import math
+from functools import partial
+
+import numpy as np
+import warp as wp
+
+from ...kernels.budget.count import count
+from ...kernels.budget.count_state import CELLS, MARKS, MOST_HALVES, STEPS_PER_OCTAVE, Cell, Count
+from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.refine.walk_state import STACK
+from ..field.lattice import Lattice
+from ..run import launch
+from ..run.buffers import Buffers, bind, shared
+from .step_search import MAX_STEP, Found, lowest
+
+
+def limit_of(step: int) -> float:
+    """What squares of what is asked are multiplied by; infinity beyond MAX_STEP."""
+    return 2.0 ** (2 * step / STEPS_PER_OCTAVE) if step <= MAX_STEP else math.inf
+
+
+class Budget:
+    """Counts leaves of one lattice and finds the step that keeps to a number of them."""
+
+    def __init__(self, lattice: Lattice, buffers: Buffers, threads: int):
+        self._lattice, self._buffers, self._threads = lattice, buffers, threads
+        self._limits = shared(np.array([limit_of(step) for step in range(MAX_STEP + 2)]), wp.float64)
+        self._marks = np.zeros(0)  # places, in squares along the quadtree, evenly by what the last pass has measured
+        self._structs: list[Count] = []
+        self._recorded: dict = {}
+
+    def search(self, domain: Domain, asked: Asked, max_depth: int, most: int, start: Found | None, low: int) -> Found:
+        """The finest step that gives at most `most` leaves, not finer than `low`; MAX_STEP + 1 if none does.
+
+        start: what has been found for the frame before (None: nothing). It changes how long the search takes, not the
+        answer. But without it, 0 is only a step that may fit: a refinement finds that out as soon as counting does.
+        """
+        roots = 2 * self._lattice.squares
+
+        return lowest(partial(self._splits, domain, asked, max_depth), most - roots, start, low)
+
+    def _splits(self, domain: Domain, asked: Asked, max_depth: int, finest: int, coarsest: int, most: int, thinned):
+        """The first step from `finest` to `coarsest` with at most `most` triangles that are split, and how many there
+        are at each step from it on; `coarsest` + 1 and none if there is no such step.
+
+        thinned: from which step on to finer ones a sample is counted, and after how many steps half as many cells of it
+        are left; all that is an estimate then. None: everything is counted.
+        """
+        cell_bits, steps = max_depth + max_depth % 2, len(self._limits)
+        cuts = self._cuts(cell_bits, most)
+        slices, spacing = len(cuts) - 1, most // 64 + 1
+        get, numpy = self._buffers.get, self._buffers.numpy
+        arrays = {
+            "limits": self._limits,
+            "level_limits": get("count_level_limits", slices * STACK, wp.vec3d),
+            "stack": get("count_stack", slices * CELLS, Cell),
+            "last_steps": get("count_last_steps", slices * steps, wp.int64),
+            "from_step": get("count_from_step", slices, wp.int32),
+            "marks": get("count_marks", slices * MARKS, wp.uint64),
+            "turns": get("count_turns", slices * (MOST_HALVES + 1), wp.int32),
+            "measured": get("count_measured", slices, wp.int64),
+        }
+        last_steps = numpy("count_last_steps")[: slices * steps].reshape(slices, steps)
+        last_steps[:] = 0
+        numpy("count_turns")[:] = 0
+        while len(self._structs) < slices:
+            self._structs.append(Count())
+        for slot, struct in enumerate(self._structs[:slices]):
+            bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
+            bind(struct, slot=slot, finest=finest, coarsest=coarsest, **arrays)
+            bind(struct, thin_from=thinned[0] if thinned else 0, thin_steps=thinned[1] if thinned else 1)
+            bind(struct, most=most, spacing=spacing)
+        inputs = [[domain, asked, asked, struct] for struct in self._structs[:slices]]
+        launch.slices(count, inputs, step="budget", recorded=self._recorded)
+        noted = np.minimum(numpy("count_measured")[:slices] // spacing, MARKS)
+        marks = numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)
+        self._marks = np.concatenate([row[:n] for row, n in zip(marks, noted, strict=True)]) / 2.0**cell_bits
+        first = int(numpy("count_from_step")[:slices].max())
+        splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
+        more = int(np.count_nonzero(splits > most))  # each slice knows of its own alone
+        return first + more, splits[more:]
+
+    def _cuts(self, cell_bits: int, most: int) -> list[int]:
+        """Where the quadtree is cut for the threads: evenly by what the last pass has measured; any cut does."""
+        end = self._lattice.squares << cell_bits
+        if self._threads < 2 or most < launch.SLICE_ITEMS or len(self._marks) < self._threads:
+            return [0, end]
+        at = [self._marks[len(self._marks) * k // self._threads] for k in range(1, self._threads)]
+        return [0, *sorted({cut for cut in (int(mark * 2.0**cell_bits) for mark in at) if 0 < cut < end}), end]

@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The refinement of a terrain for a set of views: drives the walk, keeps to a budget, marks the tree."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels.refine import curve
+from ...kernels.refine import walk as kernels
+from ...kernels.refine.band import REMEMBERED, Band
+from ...kernels.refine.coherence import Motion, Subtree
+from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.refine.sum_reduction import Run, Runs
+from ...kernels.refine.walk_state import STACK, Walk
+from ..field.heightfield import HeightField
+from ..field.lattice import MAX_MESHLET
+from ..field.meshlet_errors import error_for
+from ..run import launch
+from ..run.buffers import Buffers, bind, shared
+from ..tree.cell_streams import AHEAD
+from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
+from .block_tables import blocks, shapes
+from .budget import Budget, Found, limit_of
+from .drift import MOST_DRIFT, Walked, move
+
+# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
+PLANE_BITS = 23
+# Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
+MAX_TREE_DEPTH = curve.DEEPEST
+# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
+LARGEST_ERROR = 1000.0
+# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
+DEPTH_BELOW_CELLS = 8
+# Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
+MAX_TRIANGLES = 1 << 26
+# By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
+SLACK = 0.05
+# What a leaf costs that is taken from the last frame, of one that is found anew: 8 ns of 91, by a fit to flights of
+# four speeds.
+TAKEN_COST = 0.1
+# A count and a walk agree but where errors are not nested, except on step 0, which need not be counted.
+MOST_SEARCHES = 2
+# What a walk writes that the next one may copy.
+WRITTEN = ("code", "point", "kept", "kept_counts")
+
+
+@dataclass
+class Leaves:
+    """The leaves of one refinement, in curve order, slice by slice.
+
+    `counts` int64 [slices, 3]: leaves, vertices, edges. `squares` int32 [slices]: where each begins.
+    `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
+    4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
+    `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
+    square pixels of a triangle, squared metres of weighed error and of all error.
+    `parts` float64 [2, 2]: own error and what resampling moved, metres before scaling, of the leaf that has the most
+    error in pixels and of the one that has it in metres. `slots` int64 [slices]: rows of the walk's lists.
+    `after`: the leaves of the last frame if points were taken from them, `taken`: the runs of those.
+    """
+
+    counts: np.ndarray
+    squares: np.ndarray
+    before: np.ndarray
+    sides: np.ndarray
+    base: np.ndarray
+    bounds: np.ndarray
+    parts: np.ndarray
+    slots: np.ndarray
+    after: "Leaves | None" = None
+    taken: "Runs | None" = None
+    changed_cells: int = 0
+
+    @property
+    def total(self) -> int:
+        return int(self.counts[:, 0].sum())
+
+
+def depth_limit(field: HeightField) -> int:
+    """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
+    lattice = field.lattice
+    side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
+    return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
+
+
+def make_domain(
+    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: float = 0.0
+) -> Domain:
+    """The height field as the kernels read it; memory is shared, nothing is read.
+
+    rounding: metres that positions may be off, see `terms.rounding`.
+    """
+    lattice = field.lattice
+    domain = Domain()
+    domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
+    domain.unit_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
+    domain.width, domain.height = lattice.width, lattice.height
+    unit = 2.0 ** (lattice.levels - domain.unit_bits)
+    domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
+    domain.west = -0.5 * (lattice.width - 1) * lattice.step_x
+    domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
+    domain.height_scale, domain.height_offset = height_scale, height_offset
+    domain.range_base, domain.range_step = field.range_base, field.range_step
+    domain.error_scale, domain.rounding = abs(height_scale), rounding
+    domain.largest_error = _largest_error(field)
+    domain.source = field.source_max * abs(height_scale)
+    domain.resampled = int(field.moved is not None)
+    domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
+    domain.bicubic = int(field.interpolation == "bicubic")
+    base, pages = lattice.layout()
+    domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.bend_base = base[-1] if domain.bicubic else base[-2]
+    domain.error = shared(error_for(field, meshlet), wp.float32)
+    domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
+    domain.samples = shared(field.samples.reshape(-1), wp.float32)
+    return domain
+
+
+def _largest_error(field: HeightField) -> float:
+    """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
+    rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
+    return min(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, 1e38)
+
+
+class Refinement:
+    """Persistent state of the refinement of one height field: the tree and the walk's buffers."""
+
+    def __init__(self, field: HeightField, buffers: Buffers, threads: int):
+        self.field, self.lattice = field, field.lattice
+        self.buffers = buffers
+        self.threads = threads
+        self.tree: ConcurrentBinaryTree | None = None
+        self._cell_bits = 0
+        self._capacity = 4096
+        self._budget = Budget(self.lattice, buffers, threads)
+        self._found: Found | None = None  # by the last refinement's search, None before the first
+        # Two sets that take turns, as the tree's streams do: setting arrays and structs costs as much as launches.
+        self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
+        self._recorded: tuple[dict, dict] = {}, {}
+        self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
+        self._last: Walked | None = None
+
+    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, limited: bool = False):
+        """Refine from the roots to at most `max_leaves` and mark the tree.
+
+        Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
+        functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
+        asked for so few leaves, so they may well be too few; it only says what is tried first.
+        """
+        cell_bits = max(max_depth, MIN_DEPTH)
+        if self.tree is None or cell_bits != self._cell_bits:
+            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
+            self._cell_bits = cell_bits
+        asked.limit, walks = 1.0, None
+        most = max(max_leaves, 2 * self.lattice.squares)
+        start, self._found = self._found, Found(0)
+        # Where the last refinement kept to the limit as asked, this one may, too.
+        plain = not limited or (start is not None and start.step == 0)
+        if plain:
+            walks, counts = self._walk(domain, asked, max_depth, most)
+        low, too_many = int(plain), 0
+        while walks is None:
+            near = start if start and start.step else None
+            self._found = self._budget.search(domain, asked, max_depth, most, near, low)
+            asked.limit, low = limit_of(self._found.step), self._found.step + 1
+            leaves = self._found.splits + 2 * self.lattice.squares
+            walks, counts = self._walk(domain, asked, max_depth, most, leaves)
+            too_many += walks is None
+            if too_many > MOST_SEARCHES:
+                raise self.field.damage("there are more leaves than its errors allow")
+        leaves = self._leaves(walks, counts)
+        if np.isnan(leaves.bounds).any():
+            self._last = None
+            raise self.field.damage("its heights are not finite")
+        if self._last:
+            leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
+            self._last.leaves, self._last.after = leaves, None
+            if leaves.after:
+                leaves.after.after = None  # or all leaves of a flight would stay
+        leaves.changed_cells = self._mark(walks, counts)
+        return leaves, math.sqrt(asked.limit)
+
+    def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, expected: int = 0):
+        """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
+        cuts, last, self._last = self._cuts(), self._last, None
+        self._make_room(expected // (len(cuts) - 1))
+        # Of edges alone bands decide so fast that keeping them costs as much as it saves.
+        keeps = asked.view_count == 1 and asked.error_px2 < math.inf
+        if keeps:
+            for name in WRITTEN:
+                self.buffers.swap(name, "last_" + name)
+        drift = last.drift(domain, asked, max_depth, self.tree.stamp) if keeps and last else math.inf
+        kept = drift <= MOST_DRIFT
+        if kept:
+            move(self._motion, last.asked.view, asked.view, drift)
+        while True:
+            walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
+            for walk in walks:
+                bind(walk, last_slots=last.slots if kept else 0, last_room=last.room if kept else 1)
+                if keeps:
+                    walk.slack = SLACK
+                walk.motion = self._motion
+            kernel = kernels.keeping_walk if keeps else kernels.walk
+            launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
+            counts = self.buffers.numpy("counts")[: 3 * len(walks)].reshape(-1, 3).copy()
+            if counts[:, 0].sum() > max_leaves:
+                return None, None
+            if counts[:, 0].max() <= self._capacity:
+                if keeps:
+                    after = last.leaves if kept else None
+                    room, taken = _room_for(self._capacity), self.buffers.numpy("taken")[: len(walks)]
+                    work = counts[:, 0], counts[:, 0] - (1 - TAKEN_COST) * taken
+                    self._last = Walked(domain, asked, max_depth, len(walks), room, work, after)
+                return walks, counts
+            self._make_room(counts[:, 0].max())
+
+    def _make_room(self, leaves: int):
+        """Room for so many leaves in each slice, and some more."""
+        if leaves > self._capacity:
+            self._capacity = int(1.25 * leaves) + 1024
+
+    def _cuts(self) -> list[int]:
+        """Where the curve is cut for the threads: evenly by what the last refinement has cost; any cut does."""
+        tree, end = self.tree, self.lattice.squares << self._cell_bits
+        leaves = tree.leaf_count - (1 << self.lattice.square_bits) + self.lattice.squares
+        if self.threads < 2 or leaves < launch.SLICE_ITEMS:
+            return [0, end]
+        shares = np.arange(1, self.threads) / self.threads
+        ends = costs = np.array([0, leaves])
+        if self._last is not None:
+            ends, costs = (np.cumsum([0, *of]) for of in self._last.work)
+        at = np.interp(shares * costs[-1], costs, ends).astype(np.int64)
+        inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) for leaf in at.tolist()]
+        return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]  # an edited tree may have leaves anywhere
+
+    def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[Walk]:
+        """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""
+        slices, squares = len(cuts) - 1, self.lattice.squares
+        stride, stacks = capacity + 2 * squares + 8, slices * STACK
+        get = self.buffers.get
+        arrays = {
+            "code": get("code", slices * stride, wp.uint16),
+            "point": get("point", slices * stride, wp.vec2i),
+            "cell": self.tree.next_cells(slices * stride + (1 << self.lattice.square_bits)),
+            "stack": get("walk_stack", stacks, wp.vec4i),
+            "aside": get("walk_aside", stacks, wp.int32),
+            "bands": get("walk_bands", stacks, Band),
+            "remembered": get("walk_remembered", slices * REMEMBERED, Band),
+            "limits": get("walk_limits", stacks, wp.vec3d),
+            "blocks": blocks(),
+            "shapes": shapes(),
+            "sides": get("sides", slices * 4 * squares, wp.int32),
+            "counts": get("counts", slices * 3, wp.int64),
+            "bounds": get("bounds", slices * 10, wp.float64),
+            "taken": get("taken", slices, wp.int64),
+            "kept": get("kept", slices * _room_for(capacity), Subtree),
+            "kept_counts": get("kept_counts", slices, wp.int64),
+            "last_kept": get("last_kept", 1, Subtree),
+            "last_counts": get("last_kept_counts", 1, wp.int64),
+            "last_code": get("last_code", 1, wp.uint16),
+            "last_point": get("last_point", 1, wp.vec2i),
+            "last_cell": self.tree.last_cells(),
+            "runs": get("runs", slices * _room_for(capacity), Run),
+            "run_counts": get("runs_counts", slices, wp.int64),
+            "point_runs": get("point_runs", slices * _room_for(capacity), Run),
+            "point_run_counts": get("point_runs_counts", slices, wp.int64),
+        }
+        self.buffers.numpy("sides")[: slices * 4 * squares] = 0
+        while len(self._walk_structs[0]) < slices:
+            self._walk_structs[0].append(Walk())
+        walks = self._walk_structs[0][:slices]
+        for k, walk in enumerate(walks):
+            bind(
+                walk,
+                first_cell=cuts[k],
+                end_cell=cuts[k + 1],
+                cell_bits=self._cell_bits,
+                max_depth=max_depth,
+                leaf_capacity=capacity,
+                leaf_limit=max_leaves,
+                leaf_base=k * stride,
+                slot=k,
+                grid=int(squares > 1),
+                slack=0.0,
+                last_slots=0,
+                last_room=1,
+                room=_room_for(capacity),
+                **arrays,
+            )
+        return walks
+
+    def _leaves(self, walks: list[Walk], counts: np.ndarray) -> Leaves:
+        """Describe the slices that hold any leaves."""
+        slices, squares = len(walks), self.lattice.squares
+        used = np.flatnonzero(counts[:, 0])
+        sides = self.buffers.numpy("sides")[: slices * 4 * squares].reshape(slices, squares, 4)
+        code = self.buffers.numpy("code")
+        base = np.array([w.leaf_base for w in walks], np.int64)[used]
+        starts = (code[base] >> curve.FIRST & 1).astype(bool)
+        cells = np.array([w.first_cell for w in walks], np.int64)[used]
+        # A slice whose first cells belong to the last leaf of a square begins with the next square.
+        squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
+        before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
+        bounds = self.buffers.numpy("bounds")[: slices * 10].reshape(slices, 10)[used]
+        parts = np.stack([bounds[bounds[:, 1].argmax(), 6:8], bounds[bounds[:, 5].argmax(), 8:]])
+        bounds = bounds[:, :6].max(axis=0)
+        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts, used)
+
+    def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
+        """Write the leaves into the tree; returns how many of its cells changed."""
+        parts = [(w.leaf_base, n) for w, n in zip(walks, counts[:, 0], strict=True)]
+        squares, most = self.lattice.squares, 1 << self.lattice.square_bits
+        if squares < most:  # those that only fill the tree up to a power of two are a leaf each, after all others
+            cells = self.tree.next_cells(1).numpy()
+            first = len(cells) - AHEAD - 1 - (most - squares)
+            cells[first : first + most - squares] = np.arange(squares, most, dtype=np.int64) << self._cell_bits
+            parts.append((first, most - squares))
+        last = self._last
+        runs = self._listed(self._runs, "runs") if last else None
+        # A mark that is stopped leaves cells and counters that do not agree: then the next refinement has a new tree.
+        tree, self.tree = self.tree, None
+        changed = tree.mark_written(parts, runs)
+        self.tree = tree
+        if last:
+            last.stamp = tree.stamp
+        self._walk_structs, self._recorded = self._walk_structs[::-1], self._recorded[::-1]
+        return changed
+
+    def _listed(self, runs: Runs, name: str) -> Runs:
+        """What a walk that keeps has taken."""
+        get, last = self.buffers.get, self._last
+        bind(runs, runs=get(name, 1, Run), counts=get(name + "_counts", 1, wp.int64))
+        bind(runs, room=last.room, lists=last.slots)
+        return runs
+
+
+def _room_for(leaves: int) -> int:
+    """Subtrees that a slot of so many leaves may keep."""
+    return leaves // 8 + 8

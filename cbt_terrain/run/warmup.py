@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels are made ready in the background, before anyone asks for them.
+
+Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 s each, about 10 s in all, and where
+that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
+of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
+child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already.
+"""
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import threading
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+import warp as wp
+
+from ...kernels import accuracy, budget, field, mesh, refine
+from ..errors import TerrainError
+from . import child, launch, stopping
+
+POLL_SECONDS = 0.1
+MAX_CHILDREN = 4
+CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
+
+
+class _Preparation:
+    """One run; its thread alone touches the child processes. `fraction`: 0 .. 1 while modules are compiled. `done`: the
+    kernels of a frame are ready; `overlay_done`: those of the overlay too."""
+
+    def __init__(self):
+        self.fraction: float | None = None
+        self.done, self.overlay_done = threading.Event(), threading.Event()
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        processes = []
+        try:
+            modules = kernel_modules()
+            compiled = {module: compiled_file(module) for module in modules + overlay_modules()}
+            if not all(file.exists() for file in compiled.values()):
+                self.fraction = 0.0
+                processes = self._start_children()
+            self._finish(modules, compiled, processes)
+            self.done.set()
+            self._finish(overlay_modules(), compiled, processes)
+        except Exception:  # whoever launches a kernel is told the reason again
+            traceback.print_exc()
+        finally:
+            for process in processes:
+                if self.stopping.is_set():
+                    process.kill()
+                process.wait()
+            self.fraction = None
+            self.done.set()
+            self.overlay_done.set()
+
+    def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
+        """Wait until the children have compiled `modules`, or have ended; then load them."""
+        files = list(compiled.values())
+        while any(process.poll() is None for process in processes):
+            self.fraction = sum(file.exists() for file in files) / len(files)
+            if all(compiled[module].exists() for module in modules) or self.stopping.wait(POLL_SECONDS):
+                break
+        for module in modules:
+            if self.stopping.is_set():
+                return
+            load(module)
+
+    def _start_children(self) -> list[subprocess.Popen]:
+        count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
+        cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
+        streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+        processes = []
+        try:
+            for i in range(count):
+                processes.append(child.start("cbt_terrain.run.warmup", str(i), str(count), variables=cache, **streams))
+        except OSError:
+            pass  # loading compiles what is left
+        return processes
+
+
+_current: _Preparation | None = None
+
+
+def start() -> None:
+    """Begin to make every kernel ready; does nothing if that was begun."""
+    global _current
+    if _current is None:
+        _current = _Preparation()
+
+
+def stop() -> None:
+    """End what `start` began, at once; whoever waits gets a TerrainError."""
+    global _current
+    preparation, _current = _current, None
+    if preparation is not None:
+        preparation.stopping.set()
+        preparation.thread.join()
+
+
+def preparing() -> bool:
+    """Whether kernels are being made ready, so that an update would have to wait."""
+    return _current is not None and not _current.done.is_set()
+
+
+def progress() -> float | None:
+    """0 .. 1 while kernels are compiled, those of the overlay too; else None."""
+    return _current.fraction if _current is not None else None
+
+
+def wait(overlay: bool = False) -> None:
+    """Return when the kernels of a frame, or of the overlay, are ready. Raises TerrainError if that was stopped."""
+    preparation = _current
+    if preparation is not None:
+        ready = preparation.overlay_done if overlay else preparation.done
+        while not ready.wait(POLL_SECONDS):
+            stopping.check()
+        if preparation.stopping.is_set():
+            raise TerrainError("The extension was switched off while its kernels were being prepared; switch it on.")
+
+
+def kernel_modules() -> list[ModuleType]:
+    """Every module that has kernels for an import or a frame; other rooms' are for what is asked now and then."""
+    return [module for room in (field, refine, budget, mesh) for module in _modules_of(room)]
+
+
+def overlay_modules() -> list[ModuleType]:
+    """Those that measure errors, which the overlay shows."""
+    return _modules_of(accuracy)
+
+
+def _modules_of(package: ModuleType) -> list[ModuleType]:
+    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
+    modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
+    return [module for module in modules if _kernels_of(module)]
+
+
+def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
+    found = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    return [kernel for kernel in found if kernel.module.name == module.__name__]
+
+
+def compiled_file(module: ModuleType) -> Path:
+    """Where Warp keeps what it has compiled of a module for this processor; the file appears when it is complete.
+
+    A cache may serve several machines, as in a shared home: each kind of processor has its own file in the folder.
+    """
+    name = wp.get_module(module.__name__).get_module_identifier(CPU_BLOCK)
+    processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
+    return Path(wp.config.kernel_cache_dir) / name / f"{name}.cpu{processor}.o"
+
+
+def load(module: ModuleType) -> None:
+    """Load a module's kernels, and compile them first if that has not been done."""
+    for kernel in _kernels_of(module):
+        launch.slices(kernel, [], step="load")  # loads the kernel and launches nothing
+
+
+def child_main(first: str, step: str) -> None:
+    """Fill Warp's cache with every `step`-th module from `first`."""
+    child.end_with_parent()
+    if hasattr(os, "nice"):
+        os.nice(5)  # the window and an import come first
+    for modules in (kernel_modules(), overlay_modules()):
+        for module in modules[int(first) :: int(step)]:
+            load(module)

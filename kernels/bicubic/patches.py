@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The C1 bicubic surface as Bezier patches, one a cell of the raster: how far it bends, leans and rises.
+
+A patch and its derivatives are weighted means of their control values, so the largest of these bounds them. All of them
+are differences of samples, in each direction those of four samples p0 .. p3 in a row of which the patch lies between p1
+and p2. field/bicubic.py says what follows from them. `h` as in hierarchy.py; beyond the border h(-1) = 2 h(0) -
+h(1). What is an exact difference of float32 samples stays one: a planar map bends by exactly zero.
+"""
+
+import warp as wp
+
+from ..field.hierarchy import round_up
+from ..field.layout import Depth, entry
+from ..field.ranges import quantise_down, quantise_up
+
+wp.set_module_options({"enable_backward": False})
+
+# Far more than float64 rounds off the sums below.
+OUTWARD = wp.constant(wp.float64(1.0 + 1e-12))
+vec12d = wp.types.vector(length=12, dtype=wp.float64)
+mat24d = wp.types.matrix(shape=(2, 4), dtype=wp.float64)
+
+
+@wp.func
+def controls(p: wp.vec4d) -> wp.vec4d:
+    """Control heights of the cubic."""
+    sixth = wp.float64(1.0) / wp.float64(6.0)
+    return wp.vec4d(p[1], p[1] + (p[2] - p[0]) * sixth, p[2] - (p[3] - p[1]) * sixth, p[2])
+
+
+@wp.func
+def chord(p: wp.vec4d) -> wp.vec4d:
+    """The straight line from p1 to p2 as a cubic."""
+    third = (p[2] - p[1]) / wp.float64(3.0)
+    return wp.vec4d(p[1], p[1] + third, p[2] - third, p[2])
+
+
+@wp.func
+def off_chord(p: wp.vec4d) -> wp.vec2d:
+    """Control heights of the cubic less that line; the outer two are 0."""
+    two = wp.float64(2.0)
+    sixth = wp.float64(1.0) / wp.float64(6.0)
+    return wp.vec2d((two * p[1] - p[0] - p[2]) * sixth, (two * p[2] - p[1] - p[3]) * sixth)
+
+
+@wp.func
+def slopes(p: wp.vec4d) -> wp.vec3d:
+    """Control values of the first derivative, metres a cell."""
+    half = wp.float64(0.5)
+    middle = wp.float64(2.0) * (p[2] - p[1]) - half * (p[1] - p[0]) - half * (p[3] - p[2])
+    return wp.vec3d(half * (p[2] - p[0]), middle, half * (p[3] - p[1]))
+
+
+@wp.func
+def bends(p: wp.vec4d) -> wp.vec2d:
+    """Control values of the second derivative, metres a square cell."""
+    near = (p[1] - p[0]) - (p[2] - p[1])
+    far = (p[2] - p[1]) - (p[3] - p[2])
+    two = wp.float64(2.0)
+    return wp.vec2d(far - two * near, near - two * far)
+
+
+@wp.func
+def rows_of(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, cy: int) -> wp.vec4d:
+    """Samples of column x (inside the raster) in the four rows about row `cy` of cells."""
+    p1 = wp.float64(h[cy * width + x])
+    p2 = wp.float64(h[(cy + 1) * width + x])
+    p0 = wp.float64(2.0) * p1 - p2
+    p3 = wp.float64(2.0) * p2 - p1
+    if cy > 0:
+        p0 = wp.float64(h[(cy - 1) * width + x])
+    if cy < height - 2:
+        p3 = wp.float64(h[(cy + 2) * width + x])
+    return wp.vec4d(p0, p1, p2, p3)
+
+
+@wp.func
+def column(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, cy: int):
+    """Of column x, -1 .. width: control heights (4), slopes (3), bends (2), heights off the chord (2)."""
+    p = wp.vec4d()
+    if x < 0:
+        p = wp.float64(2.0) * rows_of(h, width, height, 0, cy) - rows_of(h, width, height, 1, cy)
+    elif x == width:
+        p = wp.float64(2.0) * rows_of(h, width, height, x - 1, cy) - rows_of(h, width, height, x - 2, cy)
+    else:
+        p = rows_of(h, width, height, x, cy)
+    b = controls(p)
+    d = slopes(p)
+    c = bends(p)
+    o = off_chord(p)
+    return vec12d(b[0], b[1], b[2], b[3], d[0], d[1], d[2], c[0], c[1], o[0], o[1], wp.float64(0.0))
+
+
+@wp.func
+def most(known: wp.float64, v: wp.vec4d) -> wp.float64:
+    """The largest magnitude."""
+    return wp.max(known, wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.max(wp.abs(v[2]), wp.abs(v[3]))))
+
+
+@wp.func
+def most_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
+    return wp.max(known, wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2]))))
+
+
+@wp.func
+def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
+    """One value of four columns."""
+    return wp.vec4d(a[k], b[k], c[k], d[k])
+
+
+@wp.func
+def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
+    """Lowest and highest control height of a patch."""
+    low = wp.float64(wp.inf)
+    high = -wp.float64(wp.inf)
+    for k in range(4):
+        v = controls(across(a, b, c, d, k))
+        low = wp.min(low, wp.min(wp.min(v[0], v[1]), wp.min(v[2], v[3])))
+        high = wp.max(high, wp.max(wp.max(v[0], v[1]), wp.max(v[2], v[3])))
+    return wp.vec2d(low, high)
+
+
+@wp.kernel
+def extents(offset: int, h: wp.array(dtype=wp.float32), width: int, height: int, found: wp.array(dtype=wp.vec4d)):
+    """Of row `offset + tid` of cells: lowest and highest control height, steepest slope east and north (a cell)."""
+    cy = offset + wp.tid()
+    low = wp.float64(wp.inf)
+    high = -wp.float64(wp.inf)
+    steep_x = wp.float64(0.0)
+    steep_y = wp.float64(0.0)
+    a = column(h, width, height, -1, cy)
+    b = column(h, width, height, 0, cy)
+    c = column(h, width, height, 1, cy)
+    for cx in range(width - 1):
+        d = column(h, width, height, cx + 2, cy)
+        z = heights(a, b, c, d)
+        low = wp.min(low, z[0])
+        high = wp.max(high, z[1])
+        for k in range(4):
+            steep_x = most_of_3(steep_x, slopes(across(a, b, c, d, k)))
+        for k in range(4, 7):
+            steep_y = most(steep_y, controls(across(a, b, c, d, k)))
+        a = b
+        b = c
+        c = d
+    found[cy] = wp.vec4d(low, high, steep_x, steep_y)
+
+
+@wp.func
+def bend_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
+    """A quarter of the largest norm of the second derivatives of a patch, metres.
+
+    All three are raised to the degree 3 x 3: of their values at the same control point the norm is convex.
+    """
+    third = wp.float64(1.0) / wp.float64(3.0)
+    half = wp.float64(0.5)
+    two = wp.float64(2.0)
+    yy0 = controls(across(a, b, c, d, 7))
+    yy1 = controls(across(a, b, c, d, 8))
+    xy0 = raised(slopes(across(a, b, c, d, 4)))
+    xy1 = raised(slopes(across(a, b, c, d, 5)))
+    xy2 = raised(slopes(across(a, b, c, d, 6)))
+    largest = wp.float64(0.0)
+    for k in range(4):
+        ends = bends(across(a, b, c, d, k))
+        step = (ends[1] - ends[0]) * third
+        xx = wp.vec4d(ends[0], ends[0] + step, ends[1] - step, ends[1])
+        yy = yy0 + (yy1 - yy0) * (third * wp.float64(k))
+        xy = xy0
+        if k == 1:
+            xy = (xy0 + two * xy1) * third
+        if k == 2:
+            xy = (two * xy1 + xy2) * third
+        if k == 3:
+            xy = xy2
+        for i in range(4):
+            mean = half * (xx[i] + yy[i])
+            apart = half * (xx[i] - yy[i])
+            largest = wp.max(largest, wp.abs(mean) + wp.sqrt(apart * apart + xy[i] * xy[i]))
+    return wp.float64(0.25) * largest
+
+
+@wp.func
+def raised(q: wp.vec3d) -> wp.vec4d:
+    """Control values of a quadratic as those of a cubic."""
+    two = wp.float64(2.0)
+    third = wp.float64(1.0) / wp.float64(3.0)
+    return wp.vec4d(q[0], (q[0] + two * q[1]) * third, (two * q[1] + q[2]) * third, q[2])
+
+
+@wp.func
+def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
+    """How far the patch is from the bilinear one, at most."""
+    zero = wp.float64(0.0)
+    # Control heights of the difference: what is off along the rows, along the columns, and both where they meet.
+    east = zero
+    north = zero
+    both = zero
+    lines = mat24d()
+    for k in range(2):
+        v = chord(across(a, b, c, d, 9 + k))
+        north = most(north, v)
+        for i in range(4):
+            lines[k, i] = v[i]
+    for k in range(4):
+        w = off_chord(across(a, b, c, d, k))
+        east = wp.max(east, wp.max(wp.abs(w[0]), wp.abs(w[1])))
+        if k == 1 or k == 2:
+            both = wp.max(both, wp.max(wp.abs(w[0] + lines[k - 1, 1]), wp.abs(w[1] + lines[k - 1, 2])))
+    # The two inner control values of a row have 3/4 of the weight together, the twelve outside the corners 15/16.
+    separate = wp.float64(0.75) * (east + north)
+    return wp.min(separate, wp.float64(0.9375) * wp.max(both, wp.max(east, north)))
+
+
+@wp.kernel
+def patch_errors(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    cells: Depth,
+    own: Depth,
+    below: Depth,
+    off: wp.array(dtype=wp.float32),
+    errors: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid` of cells: `off` the bilinear patch (at `cells`), own errors, and bends (at `below`).
+
+    Bends are saturated along the row to half of their neighbours'.
+    """
+    cy = offset + wp.tid()
+    half = wp.float32(0.5)
+    last = wp.float32(0.0)
+    a = column(h, width, height, -1, cy)
+    b = column(h, width, height, 0, cy)
+    c = column(h, width, height, 1, cy)
+    for cx in range(width - 1):
+        d = column(h, width, height, cx + 2, cy)
+        bend = round_up(bend_of(a, b, c, d) * OUTWARD)
+        apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
+        twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
+        off[entry(cells, cx, cy)] = apart
+        exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
+        errors[entry(own, cx, cy)] = wp.min(exact, bend)
+        last = wp.max(bend, last * half)
+        errors[entry(below, cx, cy)] = last
+        a = b
+        b = c
+        c = d
+    for i in range(width - 1):
+        cell = entry(below, width - 2 - i, cy)
+        last = wp.max(errors[cell], last * half)
+        errors[cell] = last
+
+
+@wp.kernel
+def cover_sides(offset: int, columns: int, rows: int, below: Depth, own: Depth, errors: wp.array(dtype=wp.float32)):
+    """A cell's own error is not below that of the four diamonds on its sides: half the larger bend."""
+    t = offset + wp.tid()
+    cy = t / columns
+    cx = t - cy * columns
+    bend = errors[entry(below, cx, cy)]
+    if cx > 0:
+        bend = wp.max(bend, errors[entry(below, cx - 1, cy)])
+    if cx < columns - 1:
+        bend = wp.max(bend, errors[entry(below, cx + 1, cy)])
+    if cy > 0:
+        bend = wp.max(bend, errors[entry(below, cx, cy - 1)])
+    if cy < rows - 1:
+        bend = wp.max(bend, errors[entry(below, cx, cy + 1)])
+    at = entry(own, cx, cy)
+    errors[at] = wp.max(errors[at], bend * wp.float32(0.5))
+
+
+@wp.kernel
+def patch_ranges(
+    offset: int,
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    base: wp.float64,
+    step: wp.float64,
+    own: Depth,
+    ranges: wp.array(dtype=wp.uint16),
+):
+    """Row `offset + tid` of cells: lowest and highest control height."""
+    cy = offset + wp.tid()
+    per_step = wp.float64(1.0) / step
+    a = column(h, width, height, -1, cy)
+    b = column(h, width, height, 0, cy)
+    c = column(h, width, height, 1, cy)
+    for cx in range(width - 1):
+        d = column(h, width, height, cx + 2, cy)
+        z = heights(a, b, c, d)
+        at = wp.int64(2) * entry(own, cx, cy)
+        ranges[at] = quantise_down(z[0], base, step, per_step)
+        ranges[at + wp.int64(1)] = quantise_up(z[1], base, step, per_step)
+        a = b
+        b = c
+        c = d

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a count of leaves reads and writes, and at which step of coarsening a diamond is split for the last time."""
+
+import warp as wp
+
+from ..refine.band import Limits, Measured
+from ..refine.diamond import Asked, larger, sizes, smaller, too_coarse_at
+
+wp.set_module_options({"enable_backward": False})
+
+CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
+STEPS_PER_OCTAVE = 32
+# Squared limits are 2^(1/16) apart.
+STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
+# Of a sample a cell stands for 2**MOST_HALVES at most. Below a cell there are fewer than 2**curve.DEEPEST triangles, so
+# sums of a cell's parts stay far below 2**63.
+MOST_HALVES = wp.constant(16)
+MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured
+
+
+@wp.struct
+class Cell:
+    """A cell whose diamond is split, and what is certain of the diamonds below it at all steps that are counted."""
+
+    x: wp.int32  # its middle
+    y: wp.int32
+    depth: wp.int32
+    clear: wp.int32  # the frustum holds the diamond's box
+    split_depth: wp.int32  # above it edges ask for a split
+    leaf_depth: wp.int32  # from it on they do not
+    halves: wp.int32  # it stands for 2**halves cells of a sample
+    code: wp.uint64  # its first deepest cell, all squares in a row
+    split_above: wp.float64  # metres of own error: above, a diamond is split
+    leaf_up_to: wp.float64  # ... up to these no error asks for a split
+
+
+@wp.struct
+class Count:
+    """Which part of the quadtree a slice counts, and for which steps."""
+
+    first_cell: wp.uint64  # slice [first_cell, end_cell) of deepest cells, all squares in a row
+    end_cell: wp.uint64
+    cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
+    max_depth: wp.int32
+    slot: wp.int32
+    finest: wp.int32  # steps from this one
+    coarsest: wp.int32  # ... to this one
+    # Of cells that are split at finer steps than `thin_from` alone, a sample is counted; of half as many again after
+    # every `thin_steps`. 0 or less: all are.
+    thin_from: wp.int32
+    thin_steps: wp.int32
+    most: wp.int64  # steps at which more triangles than this are split are of no interest
+    spacing: wp.int64  # diamonds that are measured from mark to mark
+    limits: wp.array(dtype=wp.float64)  # of each step: what is asked is multiplied by it
+    level_limits: wp.array(dtype=wp.vec3d)  # see `footprint.put_limits`; slice after slice
+    stack: wp.array(dtype=Cell)
+    # Per slice and step: triangles for which it is the last at which they are split.
+    last_steps: wp.array(dtype=wp.int64)
+    turns: wp.array(dtype=wp.int32)  # per slice, and `halves` of the cell above: cells that were to be thinned
+    from_step: wp.array(dtype=wp.int32)  # per slice: counts hold from here on; more than `coarsest`: nowhere
+    marks: wp.array(dtype=wp.uint64)  # per slice: places, see MARKS
+    measured: wp.array(dtype=wp.int64)  # per slice: diamonds, for which a sample stands
+
+
+@wp.func
+def last_split(
+    asked: Asked, limits: Limits, steps: wp.array(dtype=wp.float64), first: wp.int32, last: wp.int32, m: Measured
+):
+    """The last step from `first` to `last` at which a diamond is split that is at `first`.
+
+    limits: those of `first`. A logarithm says which one it is or nearly so; what decides is what the walk does.
+    """
+    long2 = m.long2 + m.climb2
+    legs2 = m.legs2 + m.climb2
+    over = larger(m.metres2 * limits.per_error2, larger(long2 * limits.per_edge2, legs2 * limits.per_area2)) / m.pixel2
+    over = larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
+    beyond = wp.float64(wp.log2(wp.float32(over))) * STEPS_PER_SQUARE
+    step = first + wp.int32(larger(smaller(beyond, wp.float64(last - first)), wp.float64(0.0)))
+    while step < last and too_coarse_at(asked, steps[step + 1], m.pixel2, m.metres2, long2, legs2):
+        step += 1
+    while step > first and not too_coarse_at(asked, steps[step], m.pixel2, m.metres2, long2, legs2):
+        step -= 1
+    return step
+
+
+@wp.func
+def last_of_edges(
+    asked: Asked,
+    limits: Limits,
+    steps: wp.array(dtype=wp.float64),
+    first: wp.int32,
+    last: wp.int32,
+    unit_bits: wp.int32,
+    depth: wp.int32,
+    climb2: wp.float64,
+    pixel2: wp.float64,
+):
+    """As `last_split`, of edges alone, where a pixel spans sqrt(pixel2); `first` - 1 if they ask for none at all."""
+    m = Measured()
+    long2, legs2 = sizes(asked, unit_bits, depth)
+    m.long2 = long2
+    m.legs2 = legs2
+    m.climb2 = climb2
+    m.pixel2 = pixel2
+    step = first - 1
+    if too_coarse_at(asked, steps[first], pixel2, wp.float64(0.0), long2 + climb2, legs2 + climb2):
+        step = last_split(asked, limits, steps, first, last, m)
+    return step
+
+
+@wp.func
+def halves_of(w: Count, last: wp.int32, above: wp.int32) -> wp.int32:
+    """For 2**how many cells one stands in a sample, `last` the last step at which it is split; -1: it is left out.
+
+    above: those of the cell above it. Of as many as one then stands for, one after the other along the quadtree, one is
+    taken by chance (stratified sampling: neighbours have about as many splits below them).
+    """
+    halves = wp.clamp((w.thin_from - last) / w.thin_steps, above, MOST_HALVES)
+    if halves > above:
+        place = w.slot * (MOST_HALVES + 1) + above
+        turn = w.turns[place]
+        w.turns[place] = turn + 1
+        bits = halves - above
+        taken = wp.int32(wp.rand_init(above, turn >> bits) >> wp.uint32(16))
+        if ((taken ^ turn) & ((1 << bits) - 1)) != 0:
+            halves = -1
+    return halves
+
+
+@wp.func
+def note(w: Count, code: wp.uint64, measured: wp.int64, noted: wp.int32) -> wp.int32:
+    """Note the place `code` as often as that is due after so many diamonds; returns how many places are noted."""
+    places = noted
+    while measured >= wp.int64(places + 1) * w.spacing and places < MARKS:
+        w.marks[w.slot * MARKS + places] = code
+        places += 1
+    return places

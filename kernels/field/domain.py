@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The height field, its lattice and its place, as the walk and the displacement read them."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Domain:
+    """Memory is shared with the height field; `cbt_terrain/refine/refinement.py` fills the rest."""
+
+    columns: wp.int32
+    rows: wp.int32
+    levels: wp.int32  # a root square has 2**levels raster cells a side
+    unit_bits: wp.int32  # and 2**unit_bits lattice units
+    width: wp.int32  # samples in a row
+    height: wp.int32
+    unit_x: wp.float64  # metres of a lattice unit
+    unit_y: wp.float64
+    west: wp.float64  # metres, x of lattice coordinate 0
+    south: wp.float64
+    height_scale: wp.float64
+    height_offset: wp.float64
+    range_base: wp.float64
+    range_step: wp.float64
+    error_scale: wp.float64  # magnitude of height_scale
+    rounding: wp.float64  # metres: what float32 positions may be off
+    source: wp.float64  # metres: what the source's own heights may be off
+    resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
+    bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
+    base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
+    pages: wp.array(dtype=wp.int32)  # ... and pages in a row
+    cell_base: wp.int64  # the same of the raster's cells
+    cell_pages: wp.int32
+    bend_base: wp.int64  # of what errors below the cells begin with: of a bilinear surface the cells' own
+    largest_error: wp.float32  # no error is larger, whatever the store has
+    error: wp.array(dtype=wp.float32)
+    moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
+    ranges: wp.array(dtype=wp.uint16)  # of a bicubic surface those of the cells follow
+    samples: wp.array(dtype=wp.float32)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Displacement: lattice points to positions, normals and texture coordinates by the height field at full resolution."""
+
+import warp as wp
+
+from ..refine.diamond import Domain
+from ..refine.sum_reduction import Runs
+from ..unchecked import copy_vec2s, copy_vec3s, height_at, pair_at, prefetch, put_vec2, put_vec3
+
+wp.set_module_options({"enable_backward": False})
+
+AHEAD = wp.constant(32)
+HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32 is infinite
+
+
+@wp.struct
+class Points:
+    """Points of the lattice, and what becomes of them."""
+
+    point: wp.array(dtype=wp.vec2i)
+    positions: wp.array(dtype=wp.vec3f)
+    normals: wp.array(dtype=wp.vec3f)
+    uv: wp.array(dtype=wp.vec2f)
+    not_finite: wp.array(dtype=wp.int32)  # [1]: set to 1 where a position or a normal is not finite
+    # Points that were in the last frame, and what became of them.
+    taken: Runs
+    last_base: wp.array(dtype=wp.int64)  # of each slice of it: its first point
+    last_vertex: wp.array(dtype=wp.int64)  # ... and that one's number
+    last_slices: wp.int32
+    last_positions: wp.array(dtype=wp.vec3f)
+    last_normals: wp.array(dtype=wp.vec3f)
+    last_uv: wp.array(dtype=wp.vec2f)
+
+
+@wp.func
+def height(samples: wp.array(dtype=wp.float32), i: wp.int64) -> wp.float64:
+    return wp.float64(height_at(samples, i))
+
+
+@wp.func
+def on_sample(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+    """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
+    row = wp.int64(columns)
+    at = wp.int64(j) * row + wp.int64(i)
+    west = at - wp.int64(1)
+    east = at + wp.int64(1)
+    south = at - row
+    north = at + row
+    per_x = wp.float64(0.5)
+    per_y = wp.float64(0.5)
+    if i == 0 or j == 0 or i == columns - 1 or j == rows - 1:
+        if i == 0:
+            west = at
+            per_x = wp.float64(1.0)
+        if i == columns - 1:
+            east = at
+            per_x = wp.float64(1.0)
+        if j == 0:
+            south = at
+            per_y = wp.float64(1.0)
+        if j == rows - 1:
+            north = at
+            per_y = wp.float64(1.0)
+    gx = (height(samples, east) - height(samples, west)) * per_x
+    gy = (height(samples, north) - height(samples, south)) * per_y
+    return wp.vec3d(height(samples, at), gx, gy)
+
+
+@wp.func
+def in_cell(
+    samples: wp.array(dtype=wp.float32),
+    columns: wp.int32,
+    rows: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
+    s: wp.float64,
+    t: wp.float64,
+):
+    """Height and gradient inside cell (i, j), bilinear between its four samples."""
+    whole = wp.float64(1.0)
+    south = on_sample(samples, columns, rows, i, j) * ((whole - s) * (whole - t))
+    south += on_sample(samples, columns, rows, i + 1, j) * (s * (whole - t))
+    north = on_sample(samples, columns, rows, i, j + 1) * ((whole - s) * t)
+    north += on_sample(samples, columns, rows, i + 1, j + 1) * (s * t)
+    return south + north
+
+
+@wp.func
+def put_vertex(
+    points: Points,
+    o: wp.int32,
+    domain: Domain,
+    p: wp.vec2i,
+    g: wp.vec3d,
+    slope_x: wp.float64,
+    slope_y: wp.float64,
+    per_width: wp.float64,
+    per_height: wp.float64,
+):
+    """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
+    px = domain.west + wp.float64(p[0]) * domain.unit_x
+    py = domain.south + wp.float64(p[1]) * domain.unit_y
+    pz = g[0] * domain.height_scale + domain.height_offset
+    nx = -g[1] * slope_x
+    ny = -g[2] * slope_y
+    nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
+    # Samples of a damaged store may be anything; whatever is not finite makes the sum so.
+    if not (wp.abs(pz + (nx + ny) * nz) < HIGHEST):
+        points.not_finite[0] = 1
+    put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
+    put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
+    u = wp.float32(wp.float64(p[0]) * per_width)
+    put_vec2(points.uv, o, wp.vec2f(u, wp.float32(wp.float64(p[1]) * per_height)))
+
+
+@wp.func
+def runs_of(points: Points, slot: wp.int32):
+    """Where the list of the points that slice `slot` has taken begins and ends."""
+    run = wp.int64(slot) * points.taken.room
+    run_end = run
+    if slot < points.taken.lists:
+        run_end = run + points.taken.counts[slot]
+    return run, run_end
+
+
+@wp.func
+def take_run(
+    points: Points,
+    run: wp.int64,
+    run_end: wp.int64,
+    v: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+):
+    """Copy what the last frame has of the points of a run from point v on; returns where they begin and end, both `end`
+    if there is none."""
+    begin = end
+    stop = end
+    if run < run_end:
+        taken = points.taken.runs[run]
+        first = taken.first - point_base
+        begin = wp.clamp(wp.int32(first), v, end)
+        stop = wp.clamp(wp.int32(first + taken.count), v, end)
+        if stop > begin:
+            s = wp.int32(0)
+            while s + 1 < points.last_slices and taken.before >= points.last_base[s + 1]:
+                s += 1
+            at = points.last_vertex[s] + taken.before - points.last_base[s] + wp.int64(begin) - first
+            count = stop - begin
+            to = vertex_base + begin
+            copy_vec3s(points.last_positions, at, count, points.positions, to)
+            copy_vec3s(points.last_normals, at, count, points.normals, to)
+            copy_vec2s(points.last_uv, at, count, points.uv, to)
+    return begin, stop
+
+
+@wp.kernel
+def displace(
+    first: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+    slot: wp.int32,
+    domain: Domain,
+    points: Points,
+):
+    """Positions, normals and texture coordinates on the bilinear surface, about the local origin.
+
+    `slot`: the list of points that were taken from the last frame.
+    """
+    bits = domain.unit_bits - domain.levels
+    cell = wp.int32(1) << bits
+    columns = domain.width
+    rows = domain.height
+    samples = domain.samples
+    whole = wp.float64(1.0)
+    units = wp.float64(cell)
+    part = whole / units  # exact: a power of two
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    per_width = part / wp.float64(columns - 1)
+    per_height = part / wp.float64(rows - 1)
+    last = wp.int64(end - 1)
+    run, run_end = runs_of(points, slot)
+    v = first
+    while v < end:
+        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        run += wp.int64(1)
+        for u in range(v, begin):
+            k = point_base + wp.int64(u)
+            q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
+            near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
+            prefetch(samples, near)
+            prefetch(samples, near - wp.int64(columns))
+            prefetch(samples, near + wp.int64(columns))
+            p = pair_at(points.point, k)
+            x = p[0]
+            y = p[1]
+            g = wp.vec3d()
+            if ((x | y) & (cell - 1)) == 0:
+                g = on_sample(samples, columns, rows, x >> bits, y >> bits)
+            else:
+                i = wp.min(x >> bits, columns - 2)
+                j = wp.min(y >> bits, rows - 2)
+                s = wp.float64(x - (i << bits)) * part
+                t = wp.float64(y - (j << bits)) * part
+                g = in_cell(samples, columns, rows, i, j, s, t)
+            put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
+        v = stop

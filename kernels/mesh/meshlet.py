@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshlets: each leaf becomes 4^m triangles by a template of 2m bisections.
+
+An even number of bisections puts 2^m segments on each of the three edges, so neighbours of any depth match. Points on
+an edge belong to the edge and are made once, in its own direction, from integers: the same for both leaves.
+
+A leaf's points are numbered first in an order of the template's own: left, apex and right corner, those between them on
+each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 from right to left. Lines likewise.
+"""
+
+import warp as wp
+
+from ..refine.curve import DEEPEST
+from ..refine.sum_reduction import Run
+from ..unchecked import look_up, look_up_pairs, number_row, pair_at, put_pair
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Template:
+    """What one leaf becomes: tables of places in a leaf's order of points and lines."""
+
+    segments: wp.int32  # n = 2^m on an edge
+    levels: wp.int32  # 2m bisections
+    triangles: wp.int32
+    points: wp.int32
+    lines: wp.int32
+    inner_points: wp.int32
+    inner_lines: wp.int32
+    corners: wp.array(dtype=wp.int32)  # [2, triangles * 3] into points: of a leaf of even depth, then of odd depth
+    sides: wp.array(dtype=wp.int32)  # [2, triangles * 3] into lines
+    weights: wp.array(dtype=wp.vec2i)  # inner points: n-ths of the way from left to apex and from left to right
+    ends: wp.array(dtype=wp.int32)  # [inner_lines * 2] into points
+
+
+@wp.struct
+class Mesh:
+    """A welded mesh, on either side of the expansion."""
+
+    vertices: wp.int32
+    edge_count: wp.int32
+    point: wp.array(dtype=wp.vec2i)
+    corner_verts: wp.array(dtype=wp.int32)
+    corner_edges: wp.array(dtype=wp.int32)
+    edges: wp.array(dtype=wp.vec2i)
+    level: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def step_along(p: wp.vec2i, q: wp.vec2i, n: wp.int32) -> wp.vec2i:
+    """An n-th of the way; exact: a lattice unit is fine enough for every segment."""
+    return wp.vec2i((q[0] - p[0]) / n, (q[1] - p[1]) / n)
+
+
+@wp.func
+def expand_edge(e: wp.int32, n: wp.int32, source: Mesh, out: Mesh):
+    """The points and segments on an edge."""
+    ends = source.edges[e]
+    p = source.point[ends[0]]
+    d = step_along(p, source.point[ends[1]], n)
+    first = source.vertices + e * (n - 1)
+    behind = ends[0]
+    for j in range(n - 1):
+        p += d
+        put_pair(out.point, wp.int64(first + j), p)
+        put_pair(out.edges, wp.int64(e * n + j), wp.vec2i(behind, first + j))
+        behind = first + j
+    put_pair(out.edges, wp.int64(e * n + n - 1), wp.vec2i(behind, ends[1]))
+
+
+@wp.func
+def number_side(
+    s: wp.int32,
+    v: wp.int32,
+    e: wp.int32,
+    t: Template,
+    source: Mesh,
+    numbers: wp.array(dtype=wp.int32),
+    points: wp.int32,
+    lines: wp.int32,
+):
+    """Numbers of the points and lines on side s of a leaf: edge e, which begins or ends at corner v."""
+    n = t.segments
+    first_point = source.vertices + e * (n - 1)
+    first_line = e * n
+    step = wp.int32(1)
+    if source.edges[e][0] != v:
+        first_point += n - 2
+        first_line += n - 1
+        step = -1
+    number_row(numbers, points + 3 + s * (n - 1), n - 1, first_point, step)
+    number_row(numbers, lines + s * n, n, first_line, step)
+
+
+@wp.kernel
+def expand(
+    first_edge: wp.int32,
+    end_edge: wp.int32,
+    first_leaf: wp.int32,
+    end_leaf: wp.int32,
+    scratch: wp.int32,
+    t: Template,
+    source: Mesh,
+    out: Mesh,
+    numbers: wp.array(dtype=wp.int32),
+):
+    """All that is on some edges and inside some leaves; `numbers` has room for one leaf's from `scratch` on."""
+    n = t.segments
+    for e in range(first_edge, end_edge):
+        expand_edge(e, n, source, out)
+    points = scratch
+    lines = scratch + t.points
+    for leaf in range(first_leaf, end_leaf):
+        level = source.level[leaf]
+        odd = level & 1
+        o = 3 * leaf
+        left = o + 2 - 2 * odd  # stored left, apex, right where the depth is odd, right, apex, left where it is even
+        right = o + 2 * odd
+        v0 = source.corner_verts[left]
+        v1 = source.corner_verts[o + 1]
+        v2 = source.corner_verts[right]
+        number_side(0, v0, source.corner_edges[o + 1 - odd], t, source, numbers, points, lines)
+        number_side(1, v1, source.corner_edges[o + odd], t, source, numbers, points, lines)
+        number_side(2, v2, source.corner_edges[o + 2], t, source, numbers, points, lines)
+        numbers[points] = v0
+        numbers[points + 1] = v1
+        numbers[points + 2] = v2
+        first_point = source.vertices + source.edge_count * (n - 1) + leaf * t.inner_points
+        first_line = source.edge_count * n + leaf * t.inner_lines
+        number_row(numbers, points + 3 * n, t.inner_points, first_point, 1)
+        number_row(numbers, lines + 3 * n, t.inner_lines, first_line, 1)
+        p = source.point[v0]
+        to_apex = step_along(p, source.point[v1], n)
+        to_right = step_along(p, source.point[v2], n)
+        for k in range(t.inner_points):
+            w = pair_at(t.weights, wp.int64(k))
+            put_pair(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
+        look_up_pairs(t.ends, t.inner_lines, numbers, points, out.edges, first_line)
+        c = 3 * t.triangles
+        look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)
+        look_up(t.sides, c * odd, c, numbers, lines, out.corner_edges, c * leaf)
+        number_row(out.level, leaf * t.triangles, t.triangles, level + t.levels, 0)
+
+
+@wp.kernel
+def points_that_stay(
+    before: wp.int32,
+    now: wp.int32,
+    last_level: wp.array(dtype=wp.int32),
+    level: wp.array(dtype=wp.int32),
+    last_first: wp.int32,
+    first: wp.int32,
+    points: wp.int32,
+    runs: wp.array(dtype=Run),
+    count: wp.array(dtype=wp.int64),
+):
+    """Runs of the points inside of leaves, so many each, that are in both of two meshes, and how many runs there are.
+
+    Levels in curve order say where a leaf begins, and with that all of it; of two that overlap, those of one level are
+    the same. `last_first` and `first` are the numbers of the first such point. One serial thread.
+    """
+    i = wp.int32(0)
+    j = wp.int32(0)
+    end_i = wp.int64(0)  # of the leaf at hand, along the curve
+    end_j = wp.int64(0)
+    found = wp.int64(0)
+    goes_on = wp.bool(False)  # the run of the leaf before
+    if now > 0 and before > 0:
+        end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
+        end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])
+    while i < now and j < before:
+        stays = level[i] == last_level[j]
+        if stays:
+            if not goes_on:
+                runs[found].first = wp.int64(first) + wp.int64(points) * wp.int64(i)
+                runs[found].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
+                runs[found].count = wp.int64(0)
+                found += wp.int64(1)
+            runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
+        goes_on = stays
+        next_i = end_i <= end_j
+        next_j = end_j <= end_i
+        if next_i:
+            i += 1
+            if i < now:
+                end_i += wp.int64(1) << wp.int64(DEEPEST - level[i])
+        if next_j:
+            j += 1
+            if j < before:
+                end_j += wp.int64(1) << wp.int64(DEEPEST - last_level[j])
+    count[0] = found

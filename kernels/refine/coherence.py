@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Coherence from frame to frame: what a walk keeps of a subtree, and whether it still holds for a camera that moved.
+
+All decisions below a triangle compare the span of a pixel with a number that no camera changes. So a subtree keeps its
+*rooms*: by how much spans may fall or rise before any of them is decided otherwise (a slack, as the deferred priorities
+of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh and its bounds
+are the ones that a walk without memory gives.
+"""
+
+import warp as wp
+
+from .bounds import Bounds, seen_closer
+from .diamond import ORTHOGRAPHIC, PERSPECTIVE, Asked, LocalView, larger, smaller
+
+wp.set_module_options({"enable_backward": False})
+
+CLEAR = wp.constant(1)
+OUTSIDE = wp.constant(0)
+CROSSED = wp.constant(-1)
+NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
+ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
+
+
+@wp.struct
+class Subtree:
+    """The leaves below a triangle, where a walk has written them, and what they may bear."""
+
+    cell: wp.uint64  # first deepest cell, all squares in a row
+    depth: wp.int32
+    stands: wp.int32  # in the frustum or outside: CLEAR or OUTSIDE
+    leaves: wp.int32
+    vertices: wp.int32  # new ones
+    edges: wp.int32
+    first_leaf: wp.int64  # entries in the arrays of the walk
+    first_vertex: wp.int64
+    low: wp.vec3d  # the box of all diamonds in it, metres of the terrain's space
+    high: wp.vec3d
+    fine: wp.float64  # spans of a pixel in any of their boxes: from this, metres,
+    coarse: wp.float64  # to this
+    fall: wp.float64  # they may fall by less than this
+    rise: wp.float64  # ... and rise
+    most: Bounds
+
+
+@wp.struct
+class Motion:
+    """How the view has moved since subtrees were kept."""
+
+    eye: wp.vec3d  # before, as in LocalView
+    depth: wp.vec4d
+    step: wp.float64  # metres of camera space that the eye has moved
+    ratio: wp.float64  # span of a pixel at unit depth over what it was
+    drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
+
+
+@wp.func
+def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Whether the frustum holds a box (CLEAR), none of it (OUTSIDE), or may hold a part (CROSSED)."""
+    zero = wp.float64(0.0)
+    stand = CLEAR
+    for p in range(view.plane_count):
+        plane = view.planes[p]
+        x0 = plane[0] * low[0]
+        x1 = plane[0] * high[0]
+        y0 = plane[1] * low[1]
+        y1 = plane[1] * high[1]
+        z0 = plane[2] * low[2]
+        z1 = plane[2] * high[2]
+        # in the order of `finest_in`: the same roundings
+        most = plane[3] + larger(x0, x1)
+        most += larger(y0, y1)
+        most += larger(z0, z1)
+        if most < zero:
+            stand = OUTSIDE
+            break
+        least = plane[3] + smaller(x0, x1)
+        least += smaller(y0, y1)
+        least += smaller(z0, z1)
+        if least < zero:
+            stand = CROSSED
+    return stand
+
+
+@wp.func
+def weighed(view: LocalView, v: wp.vec3d) -> wp.float64:
+    """Length in camera space, metres."""
+    return wp.sqrt(view.weight[0] * (v[0] * v[0]) + view.weight[1] * (v[1] * v[1]) + view.weight[2] * (v[2] * v[2]))
+
+
+@wp.func
+def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
+    """By how much, least and most, depths or distances have grown in any box inside this one, metres; valid or not.
+
+    A span goes with the larger of the least depth in a box and of the least distance times a cosine. Depths change
+    linearly. The distance of a point p from eyes a and b: its change varies over p by 2 |a - b| / (|p - a| + |p - b|)
+    a metre at most.
+    """
+    half = wp.float64(0.5)
+    centre = half * (low + high)
+    reach = half * (high - low)
+    radius = weighed(view, reach)
+    before = weighed(view, centre - motion.eye)
+    now = weighed(view, centre - view.eye)
+    apart = before + now - wp.float64(2.0) * radius
+    nearest = smaller(before, now) - radius
+    valid = wp.int32(1)
+    if nearest <= radius or nearest * nearest <= NEAR * view.near2:
+        valid = 0
+    spread = wp.float64(2.0) * radius * motion.step / apart
+    least = now - before - spread
+    most = now - before + spread
+    if view.kind == PERSPECTIVE:
+        cosine = wp.sqrt(view.cosine2)
+        least = least * cosine
+        most = most * cosine
+        was = motion.depth
+        will = view.depth
+        deep_before = was[3] + was[0] * centre[0] + was[1] * centre[1] + was[2] * centre[2]
+        deep_now = will[3] + will[0] * centre[0] + will[1] * centre[1] + will[2] * centre[2]
+        across_before = wp.abs(was[0]) * reach[0] + wp.abs(was[1]) * reach[1] + wp.abs(was[2]) * reach[2]
+        across_now = wp.abs(will[0]) * reach[0] + wp.abs(will[1]) * reach[1] + wp.abs(will[2]) * reach[2]
+        across = wp.abs(will[0] - was[0]) * reach[0] + wp.abs(will[1] - was[1]) * reach[1]
+        across += wp.abs(will[2] - was[2]) * reach[2]
+        deeper_least = deep_now - deep_before - across
+        deeper_most = deep_now - deep_before + across
+        # In the frame itself depths decide, far outside of it distances: only one of them counts.
+        if deep_before - across_before > cosine * (before + radius) and deep_now - across_now > cosine * (now + radius):
+            least = deeper_least
+            most = deeper_most
+        elif deep_before + across_before > cosine * (before - radius) or deep_now + across_now > cosine * (
+            now - radius
+        ):
+            least = smaller(least, deeper_least)
+            most = larger(most, deeper_most)
+    return least, most, valid
+
+
+@wp.func
+def span_change(view: LocalView, motion: Motion, kept: Subtree):
+    """By how much, least and most, spans have grown in any box of the subtree, metres; and whether that is known."""
+    least = wp.float64(0.0)
+    most = wp.float64(0.0)
+    known = wp.int32(1)
+    if view.kind != ORTHOGRAPHIC:
+        least, most, known = change_of(view, motion, kept.low, kept.high)
+    span = wp.sqrt(view.pixel2)
+    if kept.stands == OUTSIDE:
+        span = span * wp.sqrt(view.off_screen2)
+    growth = motion.ratio - wp.float64(1.0)
+    # Spans drift, and so do those at which diamonds are decided otherwise.
+    rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
+    least = least * span + smaller(growth * kept.fine, growth * kept.coarse) - rounded
+    most = most * span + larger(growth * kept.fine, growth * kept.coarse) + rounded
+    return least, most, known
+
+
+@wp.func
+def carried(asked: Asked, motion: Motion, kept: Subtree, clear: wp.int32):
+    """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
+
+    `clear`: the frustum is known to hold it.
+    """
+    least, most, holds = span_change(asked.view, motion, kept)
+    kept.fall = kept.fall + least
+    kept.rise = kept.rise - most
+    rounded = ROUNDED * kept.coarse
+    if not (kept.fall > rounded and kept.rise > rounded and kept.fine + least > rounded):
+        holds = 0
+    if holds == 1:
+        stands = CLEAR
+        if clear == 0:
+            stands = stand_of(asked.view, kept.low, kept.high)
+        holds = wp.where(stands == kept.stands, 1, 0)
+    if holds == 1:
+        # Pixels grow as spans fall: by most where spans are finest, by least where they are coarsest.
+        drift = wp.float64(4.0) * motion.drift
+        span = wp.where(least < wp.float64(0.0), kept.fine, kept.coarse)
+        kept.most = seen_closer(kept.most, (span / (span + least)) * (wp.float64(1.0) + ROUNDED + drift))
+        kept.fine = kept.fine + least
+        kept.coarse = kept.coarse + most
+    return kept, holds

@@ -1,0 +1,397 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much too coarse a diamond is: its error, its box, and what a view makes of them.
+
+A diamond is known by its split vertex (x, y in lattice units) and its depth inside a root square. Its box covers every
+vertex that can come below it, so the children's boxes lie inside it; heights of the box and its error are saturated the
+same way. All that is done with them below is monotone, also in rounded arithmetic, so a child never exceeds a parent.
+"""
+
+import warp as wp
+
+from ..field.domain import Domain
+from ..field.layout import tile_index
+from ..unchecked import code_at, entry_at, height_at, number_at, prefetch, prefetch_range
+
+wp.set_module_options({"enable_backward": False})
+
+PERSPECTIVE = wp.constant(0)
+ORTHOGRAPHIC = wp.constant(1)
+PANORAMIC = wp.constant(2)
+MAX_PLANES = wp.constant(6)
+LARGEST = wp.constant(wp.float32(3e38))
+planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
+
+
+@wp.struct
+class LocalView:
+    """A view from the terrain's own space. Lengths of camera space are in metres of the terrain's height."""
+
+    kind: wp.int32
+    plane_count: wp.int32
+    eye: wp.vec3d  # metres
+    weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
+    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres
+    pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth, of a panorama at unit distance
+    cosine2: wp.float64  # squared least depth over distance inside the frame
+    near2: wp.float64  # squared distance below which nothing is seen
+    off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
+    planes: planes_type  # positive towards the frustum
+
+
+@wp.struct
+class Asked:
+    """What is asked, squared; infinity is off."""
+
+    view_count: wp.int32
+    measures_edges: wp.int32
+    error_px2: wp.float64
+    metres2: wp.float64
+    edge_px2: wp.float64
+    area_px2: wp.float64  # twice the area: squared legs of a right triangle
+    limit: wp.float64  # all of these times this: 1, or more to meet a budget
+    diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
+    axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
+    view: LocalView  # the first view
+    views: wp.array(dtype=LocalView)  # all of them
+
+
+@wp.func
+def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
+    """wp.min without its care for NaN, which costs four instructions for one; NaN in `a` gives `b`."""
+    return wp.where(a < b, a, b)
+
+
+@wp.func
+def larger(a: wp.float64, b: wp.float64) -> wp.float64:
+    """As `smaller`, of wp.max."""
+    return wp.where(a > b, a, b)
+
+
+@wp.func
+def sound(value: wp.float32, largest: wp.float32) -> wp.float32:
+    """An error from a store, whatever bytes that has: none where it is negative or not a number, `largest` at most."""
+    some = wp.where(value > wp.float32(0.0), value, wp.float32(0.0))
+    return wp.where(some < largest, some, largest)
+
+
+@wp.func
+def cell_entry(domain: Domain, base: wp.int64, i: wp.int32, j: wp.int32) -> wp.float32:
+    """What the errors hold from `base` on for raster cell (i, j)."""
+    e = wp.float32(0.0)
+    if i >= 0 and j >= 0 and i < (domain.columns << domain.levels) and j < (domain.rows << domain.levels):
+        e = sound(height_at(domain.error, base + tile_index(i, j, domain.cell_pages)), domain.largest_error)
+    return e
+
+
+@wp.func
+def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
+    return cell_entry(domain, domain.cell_base, i, j)
+
+
+@wp.func
+def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
+    """Where the arrays hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
+    group = (domain.levels - 1 - ((depth - 1) >> 1)) >> 1
+    shift = domain.unit_bits - domain.levels + 2 * group
+    return entry_at(domain.base, group) + tile_index(x >> shift, y >> shift, number_at(domain.pages, group))
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+    error = wp.float32(0.0)
+    finer = depth - 2 * domain.levels - 1
+    if finer < 0:
+        error = sound(height_at(domain.error, place(domain, x, y, depth)), domain.largest_error)
+    else:
+        bits = domain.unit_bits - domain.levels
+        i = x >> bits
+        j = y >> bits
+        base = wp.where(finer > 0, domain.bend_base, domain.cell_base)
+        error = cell_entry(domain, base, i, j)
+        if (depth & 1) == 0:
+            # the middle of an edge that two raster cells share
+            if (i << bits) == x:
+                error = wp.max(error, cell_entry(domain, base, i - 1, j))
+            if (j << bits) == y:
+                error = wp.max(error, cell_entry(domain, base, i, j - 1))
+        # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
+        halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+        error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
+    return error
+
+
+@wp.func
+def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
+    """Whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
+    return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
+
+
+@wp.func
+def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """Bring the tile of the diamond split at (x, y) into the cache; nothing is read."""
+    index = place(domain, x, y, depth)
+    prefetch(domain.error, index)
+    prefetch_range(domain.ranges, index + index)
+
+
+@wp.struct
+class Diamond:
+    """What a view needs to know of a diamond."""
+
+    low: wp.vec3d  # its box, metres of the terrain's space
+    high: wp.vec3d
+    rise: wp.float64  # metres, the most that an edge of it can climb
+
+
+@wp.func
+def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
+    """Lattice units that a diamond's box reaches from its split vertex along each axis.
+
+    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
+    centre and 2 s from an edge's middle.
+    """
+    s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
+    return 2 * s + (depth & 1) * s
+
+
+@wp.func
+def patches_range(domain: Domain, x: wp.int32, y: wp.int32, reach: wp.int32):
+    """Lowest and highest control height of the bicubic patches that a diamond's box touches."""
+    bits = domain.unit_bits - domain.levels
+    i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
+    j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+    least = wp.int32(65535)
+    most = wp.int32(0)
+    for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
+        for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
+            index = wp.int64(2) * (domain.cell_base + tile_index(i, j, domain.cell_pages))
+            least = wp.min(least, wp.int32(domain.ranges[index]))
+            most = wp.max(most, wp.int32(domain.ranges[index + wp.int64(1)]))
+    low = domain.range_base + wp.float64(least) * domain.range_step
+    return low, domain.range_base + wp.float64(most) * domain.range_step
+
+
+@wp.func
+def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
+    """The box of the diamond split at (x, y)."""
+    half = (depth - 1) >> 1
+    odd = depth & 1
+    reach = reach_of(domain.unit_bits, depth)
+    low = wp.float64(0.0)
+    high = wp.float64(0.0)
+    if depth <= 2 * domain.levels:
+        index = wp.int64(2) * place(domain, x, y, depth)
+        low = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
+        high = domain.range_base + wp.float64(code_at(domain.ranges, index + wp.int64(1))) * domain.range_step
+    elif domain.bicubic == 1:
+        low, high = patches_range(domain, x, y, reach)
+    else:
+        bits = domain.unit_bits - domain.levels
+        i0 = wp.max((x - reach) >> bits, 0)
+        j0 = wp.max((y - reach) >> bits, 0)
+        ahead = (wp.int32(1) << bits) - 1
+        i1 = wp.min((x + reach + ahead) >> bits, domain.width - 1)
+        j1 = wp.min((y + reach + ahead) >> bits, domain.height - 1)
+        least = domain.samples[wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0)]
+        most = least
+        for b in range(j0, j1 + 1):
+            row = wp.int64(b) * wp.int64(domain.width)
+            for a in range(i0, i1 + 1):
+                h = domain.samples[row + wp.int64(a)]
+                least = wp.where(h < least, h, least)
+                most = wp.where(h > most, h, most)
+        low = wp.float64(least)
+        high = wp.float64(most)
+    d = Diamond()
+    z0 = low * domain.height_scale + domain.height_offset
+    z1 = high * domain.height_scale + domain.height_offset
+    d.low = wp.vec3d(
+        domain.west + wp.float64(x - reach) * domain.unit_x,
+        domain.south + wp.float64(y - reach) * domain.unit_y,
+        smaller(z0, z1),
+    )
+    d.high = wp.vec3d(
+        domain.west + wp.float64(x + reach) * domain.unit_x,
+        domain.south + wp.float64(y + reach) * domain.unit_y,
+        larger(z0, z1),
+    )
+    d.rise = d.high[2] - d.low[2]
+    if depth > 2 * domain.levels:
+        # Inside a bilinear patch heights change in proportion to |dx| + |dy|; of a bicubic one by three times that at
+        # most: its slopes are means of three times the differences of its control heights.
+        part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
+        climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
+        d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
+    return d
+
+
+@wp.func
+def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
+    """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
+    side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
+    side2 = side * side
+    long2 = asked.diagonal2 * side2
+    legs2 = asked.axis2 * side2
+    if (depth & 1) == 0:
+        long2 = legs2
+        legs2 = asked.diagonal2 * side2 * wp.float64(0.25)
+    return long2, legs2
+
+
+@wp.func
+def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Metres, before scaling, that resampling moved the raster's samples below the diamond split at (x, y).
+
+    Below the raster's cells: in the cells that the diamond's box touches; boxes are nested, and so is this.
+    """
+    moved = wp.float32(0.0)
+    if domain.resampled == 1:
+        if depth <= 2 * domain.levels:
+            moved = sound(height_at(domain.moved, place(domain, x, y, depth)), LARGEST)
+        else:
+            reach = reach_of(domain.unit_bits, depth)
+            bits = domain.unit_bits - domain.levels
+            i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
+            j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+            for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
+                for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
+                    cell = height_at(domain.moved, domain.cell_base + tile_index(i, j, domain.cell_pages))
+                    moved = wp.where(cell > moved, sound(cell, LARGEST), moved)
+    return moved
+
+
+@wp.func
+def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
+    """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
+
+    All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
+    rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
+    there, the weighed error asks for a quarter of that from the first, and no more; where the source's rounding does,
+    which is the same everywhere, for four fifths.
+    """
+    e = wp.float64(error)
+    rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
+    own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
+    total = rest + domain.source
+    weighed = smaller(own + domain.source, wp.float64(1.25) * own)
+    return weighed * weighed, total * total
+
+
+@wp.func
+def own_for(metres: wp.float64, rest: wp.float64, source: wp.float64) -> wp.float64:
+    """The own error, metres, that `metres2_of` weighs as so many metres; `rest`: what moved and what rounding adds."""
+    left = larger(metres - source, wp.float64(0.8) * metres)
+    return larger(left - rest, wp.float64(0.25) * left)
+
+
+@wp.func
+def pixel2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
+    """Squared metres that a pixel spans, (dx, dy, dz) metres from the eye of a view that is not orthographic.
+
+    A segment of length e at depth z (`deep`) and distance r moves by at most f e r / z^2 pixels.
+    """
+    far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+    far2 = larger(far2, view.near2)
+    if view.kind == PERSPECTIVE:
+        ahead = larger(deep, wp.float64(0.0))
+        far2 = larger(ahead * ahead, far2 * view.cosine2)
+    return view.pixel2 * far2
+
+
+@wp.func
+def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
+    """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum.
+
+    `clear`: the frustum is known to hold the box.
+    """
+    zero = wp.float64(0.0)
+    pixel2 = view.pixel2
+    if view.kind != ORTHOGRAPHIC:
+        # Squared distance of camera space from the eye to the box.
+        dx = larger(larger(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
+        dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
+        dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
+        deep = view.depth[3] + smaller(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+        deep += smaller(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+        deep += smaller(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+        pixel2 = pixel2_at(view, dx, dy, dz, deep)
+    if clear == 0:
+        for p in range(view.plane_count):
+            plane = view.planes[p]
+            side = plane[3] + larger(plane[0] * d.low[0], plane[0] * d.high[0])
+            side += larger(plane[1] * d.low[1], plane[1] * d.high[1])
+            side += larger(plane[2] * d.low[2], plane[2] * d.high[2])
+            if side < zero:
+                pixel2 = pixel2 * view.off_screen2
+                break
+    return pixel2
+
+
+@wp.func
+def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
+    """Squared metres that a pixel spans at most, in whatever box inside this one; and whether the frustum holds it."""
+    zero = wp.float64(0.0)
+    pixel2 = view.pixel2
+    if view.kind != ORTHOGRAPHIC:
+        dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
+        dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
+        dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
+        deep = view.depth[3] + larger(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
+        deep += larger(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
+        deep += larger(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
+        pixel2 = pixel2_at(view, dx, dy, dz, deep)
+    inside = wp.int32(1)
+    if clear == 0:
+        for p in range(view.plane_count):
+            plane = view.planes[p]
+            side = plane[3] + smaller(plane[0] * d.low[0], plane[0] * d.high[0])
+            side += smaller(plane[1] * d.low[1], plane[1] * d.high[1])
+            side += smaller(plane[2] * d.low[2], plane[2] * d.high[2])
+            if side < zero:
+                pixel2 = pixel2 * view.off_screen2
+                inside = 0
+                break
+    return pixel2, inside
+
+
+@wp.func
+def finest(asked: Asked, d: Diamond, clear: wp.int32) -> wp.float64:
+    """Squared metres of the finest pixel that any view has on the box; the first view is at hand."""
+    pixel2 = wp.float64(wp.inf)
+    if asked.view_count > 0:
+        pixel2 = finest_in(asked.view, d, clear)
+        for v in range(1, asked.view_count):
+            pixel2 = smaller(pixel2, finest_in(asked.views[v], d, clear))
+    return pixel2
+
+
+@wp.func
+def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
+    """As `coarsest_in`, of the view that has the finest pixels there; inside if all frustums hold the box."""
+    pixel2 = wp.float64(wp.inf)
+    inside = wp.int32(1)
+    if asked.view_count > 0:
+        pixel2, inside = coarsest_in(asked.view, d, clear)
+        for v in range(1, asked.view_count):
+            p2, i = coarsest_in(asked.views[v], d, clear)
+            pixel2 = smaller(pixel2, p2)
+            inside = inside & i
+    return pixel2, inside
+
+
+@wp.func
+def too_coarse_at(
+    asked: Asked, limit: wp.float64, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64
+):
+    """As `too_coarse`, of `limit` times what is asked."""
+    px2 = limit * pixel2
+    coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
+    return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
+
+
+@wp.func
+def too_coarse(asked: Asked, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64):
+    """Whether a diamond is to be split, where a pixel spans sqrt(pixel2): criteria combine by or."""
+    return too_coarse_at(asked, asked.limit, pixel2, metres2, long2, legs2)

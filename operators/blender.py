@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender as a Python module, ready for terrains."""
+
+from .output.frame_sources import import_bpy
+
+
+def need_bpy(what: str):
+    """The bpy module, with this extension registered; raises TerrainError that says who needs it."""
+    bpy = import_bpy(what)
+    if not hasattr(bpy.types.Object, "adaptive_terrain"):
+        from . import registration
+
+        registration.register()
+    return bpy

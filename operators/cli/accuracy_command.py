@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`adaptive-terrain accuracy`: what accuracy costs on the terrains of a store or a scene, measured and written down."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ...cbt_terrain.accuracy.sweep import sweep
+from ...cbt_terrain.errors import TerrainError
+from ..blender import need_bpy
+from ..report import accuracy_page, accuracy_report
+from ..report.accuracy_subject import Subject
+from ..text.console import Progress
+
+
+def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -> None:
+    """Measure every subject and write the report into the folder `out`, all at the end.
+
+    Raises TerrainError where something cannot be written, and at the very end where a measured error passes its bound.
+    """
+    accuracy_report.prepare(out)
+    measure(subjects, show_progress)
+    accuracy_report.write(subjects, out)
+    print(f"{out / accuracy_report.PAGE} shows it")
+    accuracy_report.check_bounds(subjects)
+
+
+def measure(subjects: list[Subject], show_progress: bool | None = None) -> None:
+    """Fill in the rows of every subject, a line each on stdout and a bar on stderr."""
+    bar = Progress(len(subjects), "accuracy", show_progress)
+    write, note = mesh_writer()
+    try:
+        for done, subject in enumerate(subjects):
+            subject.notes += [note] if note else []
+            subject.rows = sweep(
+                subject.heights,
+                subject.settings,
+                subject.frames,
+                base=subject.base,
+                write=write,
+                on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
+                on_progress=lambda fraction, done=done: bar.to(done + fraction),
+            )
+    finally:
+        bar.close()
+        accuracy_report.ingest_end()
+
+
+def mesh_writer() -> tuple[Callable | None, str]:
+    """What writes a surface into a Blender mesh, and ""; or None and why, where Blender is missing."""
+    try:
+        need_bpy("Writing a mesh")
+    except TerrainError as reason:
+        return None, f"Writing the mesh into Blender was not measured. {reason}"
+    return accuracy_report.ingest_ms, ""

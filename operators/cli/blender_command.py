@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line inside Blender: `blender --command adaptive_terrain VERB`."""
+
+import atexit
+
+import bpy
+
+from . import command_line
+
+COMMAND = "adaptive_terrain"
+_commands = []
+
+
+def register() -> None:
+    if hasattr(bpy.utils, "register_cli_command"):  # since 4.2
+        _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
+    if not bpy.app.binary_path:
+        atexit.register(unregister)  # as in registration.py
+
+
+def unregister() -> None:
+    atexit.unregister(unregister)
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())

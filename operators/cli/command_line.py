@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: `adaptive-terrain VERB`, and the same as `blender --command adaptive_terrain VERB`.
+
+Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM. bpy is
+imported only by what needs it; the engine, whose import takes a moment, only where a stop is told in one line.
+"""
+
+import argparse
+import importlib.util
+import signal
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import stopping
+from . import verbs
+from .argument_types import MAX_INT, argument, count, pair, path, positive
+
+PROGRAM = "adaptive-terrain"
+MAX_PIXELS = 65_536  # a side, as in Blender
+MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+FRAMES = "A,B-C,D-E:STEP"
+AT_MOST = "triangles at most, but not fewer than two for each root square"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code."""
+    with stopping.listening():
+        try:
+            return _run(argv)
+        except KeyboardInterrupt:
+            print(f"{PROGRAM}: stopped", file=sys.stderr)
+            return 128 + (stopping.answer() or signal.SIGINT)
+        finally:
+            stopping.answer()  # one that comes when all is done comes too late
+
+
+def program() -> NoReturn:
+    """`main` for a process of its own: before and after the work Ctrl-C just ends it, without Python's traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(main())
+
+
+def _run(argv: list[str] | None) -> int:
+    try:
+        arguments = build_parser().parse_args(argv)
+        arguments.run(arguments)
+    except SystemExit as exit_:  # argparse has printed its message
+        return exit_.code or 0
+    except verbs.UsageError as error:
+        print(f"{PROGRAM} {arguments.verb}: error: {error}", file=sys.stderr)
+        return 2
+    except (TerrainError, OSError) as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def build_parser() -> argparse.ArgumentParser:
+    from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+    from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ..output.exporting import FORMATS, parse_formats, parse_frames
+
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description="A terrain of any size at exactly the detail that the camera can see."
+    )
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+
+    verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
+    verb.add_argument("source", help="height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or `island`")
+    verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument(
+        "--extent",
+        type=pair("x", float, float("inf")),
+        metavar="XxY",
+        help="metres east and north, instead of the file's",
+    )
+    verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
+    verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
+    verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
+    verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
+    verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
+    verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
+    project = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
+    verb.add_argument("--project", **project)
+    _add_raw(verb)
+    verb.add_argument("--size", type=int, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})")
+    verb.add_argument("--seed", type=int, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
+
+    verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
+    verb.add_argument("path", type=path, nargs="?")
+    verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
+    verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
+    verb.add_argument("--project", **project)
+    _add_raw(verb)
+
+    verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
+    verb.add_argument("--store", type=path, required=True, metavar="DIR")
+    metres = positive(MAX_ERROR_M)
+    verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
+    verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
+    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST + "; the error reached is reported")
+    between = {"choices": INTERPOLATIONS, "help": "of the surface between samples"}
+    verb.add_argument("--interpolation", default=INTERPOLATIONS[0], **between)
+    verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
+
+    verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
+    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
+    verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
+    verb.add_argument("--out", type=path, required=True, metavar="DIR")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    size = pair("x", int, MAX_PIXELS)
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    pixels = positive(MAX_ERROR_PX)
+    verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
+    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
+    verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
+    verb.add_argument("--interpolation", **between)
+    verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+
+    verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+
+    verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
+    verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
+
+    if importlib.util.find_spec("..benchmarks", __package__):  # they are no part of the extension
+        _add_bench(subparsers)
+    return parser
+
+
+def _add_bench(subparsers) -> None:
+    verb = _verb(subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench)
+    verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
+    verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
+    verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
+    verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
+    verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its plot into this folder")
+
+
+def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
+    verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+    verb.add_argument("--progress", action="store_true", default=None, help="show the bar even where no terminal is")
+    verb.set_defaults(run=run)
+    return verb
+
+
+def _add_raw(verb: argparse.ArgumentParser) -> None:
+    """What a RAW file does not say of itself."""
+    from ...cbt_terrain.importing.raster import RAW_TYPES
+
+    verb.add_argument(
+        "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"
+    )
+    verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
+    verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
+
+
+if __name__ == "__main__":
+    program()

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs of the command line: arguments in, work done, lines on stdout."""
+
+import os
+import sys
+import time
+
+from ...cbt_terrain.errors import shown
+from ..text.console import Progress, duration
+
+DEFAULT_RESOLUTION = (1920, 1080)
+LONGEST_LINE = 10_000  # a coordinate system may be long
+
+
+class UsageError(Exception):
+    """Arguments that contradict each other."""
+
+
+def run_import(arguments) -> None:
+    from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.importing.import_process import import_source
+    from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
+
+    if arguments.source != ISLAND and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of the built-in `{ISLAND}`; {arguments.source} is taken as it is")
+    settings = ImportSettings(
+        source=arguments.source,
+        **_raw_settings(arguments),
+        extent=arguments.extent,
+        height_scale=arguments.height_scale,
+        height_offset=arguments.height_offset,
+        no_data=arguments.no_data,
+        band=arguments.band,
+        channel=arguments.channel,
+        first_row_south=arguments.first_row_south,
+        project=arguments.project,
+        size=DEFAULT_SIZE if arguments.size is None else arguments.size,
+        seed=DEFAULT_SEED if arguments.seed is None else arguments.seed,
+    )
+    start = time.monotonic()
+    bar = Progress(1.0, "import", arguments.progress)
+    try:
+        report = import_source(settings, arguments.store, on_progress=lambda fraction, message: bar.to(fraction))
+    finally:
+        bar.close()
+    print_fields(report)
+    print(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def run_info(arguments) -> None:
+    if arguments.versions == (arguments.path is not None):
+        raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
+    if arguments.versions:
+        print_fields(_versions())
+        return
+    is_store = os.path.isdir(arguments.path)
+    if arguments.verify:
+        if not is_store:
+            raise UsageError(f"--verify checks a store, and {arguments.path} is no folder")
+        _verify(arguments.path)
+    elif arguments.path.suffix == ".npz":
+        from ...cbt_terrain.mesh.archive import read_npz
+
+        print_fields(read_npz(arguments.path)["info"])
+        return
+    if is_store:
+        from ...cbt_terrain.importing.build_store import describe
+
+        print_fields(describe(arguments.path))
+        return
+    from ...cbt_terrain.importing.raster import ImportSettings
+    from ...cbt_terrain.importing.source_info import describe_source
+
+    print_fields(
+        describe_source(ImportSettings(str(arguments.path), **_raw_settings(arguments), project=arguments.project))
+    )
+
+
+def _verify(path) -> None:
+    from ...cbt_terrain.field.store import verify
+
+    blocks = verify(path)
+    print(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
+
+
+def _versions() -> dict:
+    from ...cbt_terrain.importing.source_info import versions
+
+    bpy = sys.modules.get("bpy")
+    return versions() | ({"Blender": bpy.app.version_string} if bpy is not None else {})
+
+
+def _raw_settings(arguments) -> dict:
+    """What the arguments say of a RAW file."""
+    little_endian = not arguments.big_endian
+    return {"raw_size": arguments.raw_size, "raw_dtype": arguments.raw_type, "raw_little_endian": little_endian}
+
+
+def run_bake(arguments) -> None:
+    from ...cbt_terrain.run.partial_files import remove_abandoned
+    from ..output.exporting import FORMATS, check_target, figures, needs_blender, write_piece
+    from ..output.frame_sources import baked_piece
+
+    form = arguments.out.suffix[1:].lower()
+    if form not in FORMATS:
+        raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
+    check_target(arguments.out)
+    remove_abandoned(arguments.out.parent)
+    bar = Progress(1.0, "bake", arguments.progress)
+    try:
+        piece = baked_piece(
+            arguments.store,
+            arguments.max_error,
+            arguments.budget,
+            needs_blender([form]),
+            arguments.interpolation,
+            arguments.fit,
+            bar.to,
+        )
+    finally:
+        bar.close()
+    write_piece(piece, arguments.out)
+    print(summary_line(arguments.out.name, [figures(piece)]))
+    if arguments.fit and not piece.update.rounds:
+        print("the fit saved no triangles: this is the mesh without it")
+
+
+def run_export(arguments) -> None:
+    from ..output.exporting import export_frames
+
+    source = _export_source(arguments)
+    bar = Progress(len(arguments.frames), "export", arguments.progress)
+    counter = iter(range(1, len(arguments.frames) + 1))
+
+    def on_frame(frame: int, summary: dict, skipped: bool) -> None:
+        line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
+        bar.say(f"{line}, complete before" if skipped else line)
+        bar.to(next(counter), worked=not skipped)
+
+    try:
+        export_frames(
+            source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
+        )
+    finally:
+        bar.close()
+
+
+def _export_source(arguments):
+    from ...cbt_terrain.ask.criterion import Criterion
+    from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+    from ..blender import need_bpy
+    from ..output.exporting import needs_blender
+    from ..output.frame_sources import SceneFrames, StoreFrames
+
+    _check_source(arguments)
+    if arguments.scene:
+        need_bpy("A .blend file")
+        return SceneFrames(
+            arguments.scene,
+            arguments.camera,
+            arguments.resolution,
+            arguments.pixel_error,
+            arguments.budget,
+            arguments.meshlet,
+            arguments.interpolation,
+        )
+    if not arguments.path:
+        raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
+    criterion = Criterion(
+        error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
+        max_triangles=arguments.budget,
+        meshlet=arguments.meshlet or 0,
+    )
+    resolution = arguments.resolution or DEFAULT_RESOLUTION
+    interpolation = arguments.interpolation or INTERPOLATIONS[0]
+    in_blender = needs_blender(arguments.format)
+    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation)
+
+
+def run_accuracy(arguments) -> None:
+    from ..blender import need_bpy
+    from ..report import accuracy_subject
+    from . import accuracy_command
+
+    _check_source(arguments)
+    if arguments.scene:
+        need_bpy("A .blend file")
+        subjects = accuracy_subject.scene_subjects(
+            arguments.scene, arguments.camera, arguments.frames, arguments.resolution
+        )
+    else:
+        if arguments.frames and not arguments.path:
+            raise UsageError("--frames are those of a --path FILE.json, or of a scene")
+        resolution = arguments.resolution or DEFAULT_RESOLUTION
+        subjects = [accuracy_subject.store_subject(arguments.store, arguments.path, arguments.frames, resolution)]
+    accuracy_command.run(subjects, arguments.out, arguments.progress)
+
+
+def _check_source(arguments) -> None:
+    """A scene has cameras, a store a camera path."""
+    if arguments.scene and arguments.path:
+        raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
+    if arguments.store and arguments.camera:
+        raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
+
+
+def run_demo(arguments) -> None:
+    from ..demo.demo import run
+
+    run(arguments.out, arguments.progress)
+
+
+def run_bench(arguments) -> None:
+    if arguments.quick and (arguments.docs or arguments.with_cycles):
+        raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
+    from ...benchmarks import suite
+
+    suite.run(arguments.quick, arguments.with_cycles, arguments.blender, arguments.json, arguments.docs)
+
+
+def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
+    """`frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum, the largest bound."""
+    from ..text.shown_bounds import limit_text
+
+    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {_largest_bound(terrains)}"]
+    if empty := [t["name"] for t in terrains if not t["triangles"]]:
+        parts.append(f"the clean-up leaves nothing of {' and '.join(empty)}")
+    if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
+        parts.append(f"held back by {limit_text(', '.join(limited))}")
+    parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
+    if elapsed_ms is not None:
+        parts.append(f"{elapsed_ms:.0f} ms in all")
+    return f"{what}: {', '.join(parts)}"
+
+
+def _largest_bound(terrains: list[dict]) -> str:
+    """With its unit: pixels where a camera was looked through, else metres."""
+    from ..text.shown_bounds import bound_text
+
+    pixels = [t["bound_px"] for t in terrains if t["bound_px"] is not None]
+    return bound_text(max(pixels), "px") if pixels else bound_text(max(t["bound_m"] for t in terrains), "m")
+
+
+def print_fields(fields: dict, indent: str = "") -> None:
+    """One line a field, a dict below its own name; what is empty is left out. The texts may come from outside."""
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}:")
+            print_fields(value, indent + "  ")
+        elif name == "warnings":
+            for warning in value:
+                print(f"{indent}warning: {shown(warning, LONGEST_LINE)}")
+        elif isinstance(value, list | tuple):
+            print(f"{indent}{shown(name)}: {shown(', '.join(map(str, value)), LONGEST_LINE)}")
+        elif value != "" and value is not None:
+            print(f"{indent}{shown(name)}: {shown(value, LONGEST_LINE)}")

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`adaptive-terrain demo`: the built-in island from import to pictures, and a page with the figures of this run."""
+
+import json
+import os
+import platform
+import time
+from pathlib import Path
+
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.run import warmup
+from ..blender import need_bpy
+from ..output.exporting import export_frames, make_folder, write_text
+from ..output.frame_sources import StoreFrames
+from ..text.console import Progress
+from .page import write_page
+
+SIZE = 4097
+FRAMES = range(1, 25)
+PICTURE_FRAMES = (1, 12, 24)
+LEVELS_FRAME = 12
+RESOLUTION = (1280, 720)
+PLAN_RESOLUTION = (1000, 1000)
+ERROR_PX = 1.0
+# A triangle should be wide enough to be seen as one.
+LEVELS_ERROR_PX = 6.0
+# How long the steps take, relative to each other, for the time that is left.
+WEIGHT = {"import": 8.0, "meshes": 10.0, "picture": 16.0, "levels": 8.0}
+FLIGHT = {
+    "fov": 50,
+    "clip": [1, 100000],
+    "keyframes": [
+        {"frame": 1, "eye": [-4700, -3900, 1150], "target": [0, 100, 420]},
+        {"frame": 8, "eye": [-2500, -3900, 620], "target": [300, 0, 560]},
+        {"frame": 16, "eye": [600, -3600, 520], "target": [450, 200, 640]},
+        {"frame": 24, "eye": [2500, -1900, 880], "target": [300, 400, 760]},
+    ],
+}
+
+
+def run(out: Path, show_progress: bool | None = None) -> None:
+    """Import the island, export a flight of 24 frames, render pictures and write `index.html`, all into `out`."""
+    need_bpy("The demo")
+    make_folder(out)
+    steps: dict[str, float] = {}
+    bar = Progress(sum(WEIGHT.values()) + WEIGHT["picture"] * (len(PICTURE_FRAMES) - 1), "demo", show_progress)
+
+    def done(step: str, line: str, weight: float) -> None:
+        steps[step] = time.perf_counter() - started - sum(steps.values())
+        bar.say(f"{line} ({steps[step]:.1f} s)")
+        bar.to(bar.done + weight)
+
+    started = time.perf_counter()
+    warmup.start()  # what is compiled now is in no frame's time
+    try:
+        store = out / "store"
+        import_source(ImportSettings(source="island", size=SIZE), store)
+        warmup.wait()
+        done("Import", f"store: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
+        summaries, criterion = _export(out, store)
+        triangles = [summary["terrains"][0]["triangles"] for summary in summaries]
+        line = f"meshes: {len(FRAMES)} frames, {min(triangles):,} to {max(triangles):,} triangles"
+        done(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
+        from . import scene as demo_scene
+
+        scene, obj = demo_scene.build(out, store, read_camera_path(out / "flight.json"), FRAMES, RESOLUTION, criterion)
+        pictures = [(frame, f"frame_{frame:02d}.png") for frame in PICTURE_FRAMES]
+        for frame, name in pictures:
+            scene.frame_set(frame)
+            demo_scene.render(scene, out / name)
+            done(f"Picture of frame {frame}", name, WEIGHT["picture"])
+        levels = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
+        done("Pictures of the levels", "levels.png, plan.png", WEIGHT["levels"])
+    finally:
+        bar.close()
+    write_page(
+        out / "index.html",
+        machine=f"{os.cpu_count()} processor threads, {platform.system()} {platform.machine()}",
+        size=SIZE,
+        resolution=RESOLUTION,
+        error_px=ERROR_PX,
+        summaries=summaries,
+        pictures=pictures,
+        levels={"frame": LEVELS_FRAME, "error_px": LEVELS_ERROR_PX, "triangles": levels},
+        steps=steps,
+    )
+    print(f"{out / 'index.html'} shows it, made in {sum(steps.values()):.0f} s")
+
+
+def _export(out: Path, store: Path) -> tuple[list[dict], Criterion]:
+    """The flight's meshes as .npz; returns the frames' summaries and what was asked."""
+    flight = out / "flight.json"
+    write_text(flight, json.dumps(FLIGHT, indent=1) + "\n")
+    criterion = Criterion(error_px=ERROR_PX)
+    source = StoreFrames(store, flight, criterion, RESOLUTION, in_blender=False)
+    summaries = []
+    export_frames(
+        source, FRAMES, ["npz"], out / "meshes", on_frame=lambda frame, summary, skipped: summaries.append(summary)
+    )
+    return summaries, criterion

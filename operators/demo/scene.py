@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The demo's Blender scene: an island in low sun, a camera in flight, and drawings of the levels of detail."""
+
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...cbt_terrain.ask.view import inverse
+from ...cbt_terrain.run.partial_files import written_beside
+from ..output.frame_sources import open_empty_file
+from ..scene import session
+from ..scene.properties import CHOSEN_CAMERA
+from ..scene.request import RENDER
+from ..text.console import quiet
+from .materials import HAZE, Nodes, land_material, level_material, plain_material, sea_material
+
+ZENITH = (0.07, 0.20, 0.56, 1.0)
+PAPER = (0.93, 0.925, 0.90, 1.0)
+SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 28.0, 285.0
+SEA_SIZE_M = 400_000.0
+SAMPLES = 6
+
+
+def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
+    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), saved as `out`/island.blend.
+
+    Returns the scene and the terrain's object.
+    """
+    open_empty_file()
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames[0], frames[-1]
+    scene.render.use_lock_interface = True
+    scene.camera = _add_camera(scene, path, frames)
+    add_sky(scene)
+    add_sea(scene, SEA_SIZE_M)
+    set_up_render(scene, resolution)
+    obj = bpy.data.objects.new("Island", bpy.data.meshes.new("Island"))
+    scene.collection.objects.link(obj)
+    settings = obj.adaptive_terrain
+    settings.enabled, settings.store = True, str(store.resolve())
+    for detail in (settings.render, settings.viewport):
+        detail.error_px = criterion.error_px
+    scene.frame_set(frames[0])
+    session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
+    field = session.record_of(obj).field
+    step = 1 + (field.lattice.width - 1) // 2048
+    obj.data.materials.append(land_material(field.samples[::step, ::step], field.lattice.step_x * step))
+    file = str((out / "island.blend").resolve())
+    with quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=file)
+        settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
+        bpy.ops.wm.save_as_mainfile(filepath=file)
+    Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
+    return scene, obj
+
+
+def _add_camera(scene, path, frames: range):
+    """A camera with a key at every frame, so that the scene flies exactly as the file says."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.data.clip_start, camera.data.clip_end = path.clip
+    camera.rotation_mode = "QUATERNION"
+    for frame in frames:
+        view = path.view(frame, (1, 1))
+        matrix = Matrix(inverse(view.world_to_camera).tolist())
+        camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
+        camera.data.angle = 2 * math.atan(1 / view.projection[0, 0])
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_quaternion", frame=frame)
+        camera.data.keyframe_insert("lens", frame=frame)
+    return camera
+
+
+def sun_direction():
+    """Unit vector towards the sun."""
+    turn = Matrix.Rotation(math.radians(SUN_AZIMUTH_DEG), 3, "Z") @ Matrix.Rotation(
+        math.radians(-SUN_ELEVATION_DEG), 3, "Y"
+    )
+    return turn.col[0]
+
+
+def add_sky(scene) -> None:
+    """A sun and a gradient from the horizon's haze to the zenith."""
+    world = bpy.data.worlds.new("Sky")
+    scene.world = world
+    world.use_nodes = True
+    world.cycles.sampling_method = "NONE"  # a plain gradient needs no importance map
+    n = Nodes(world.node_tree)
+    direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
+    up = n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"]
+    sky = n.mix(n.math("POWER", n.math("MAXIMUM", up, 0.0), 0.55), HAZE, ZENITH)
+    background = n.add("ShaderNodeBackground", {"Color": sky, "Strength": 0.9}).outputs[0]
+    n.add("ShaderNodeOutputWorld", {"Surface": background})
+    light = bpy.data.lights.new("Sun", "SUN")
+    light.energy, light.angle, light.color = 4.2, math.radians(0.8), (1.0, 0.87, 0.70)
+    sun = bpy.data.objects.new("Sun", light)
+    sun.matrix_world = sun_direction().to_track_quat("Z", "Y").to_matrix().to_4x4()
+    scene.collection.objects.link(sun)
+
+
+def add_sea(scene, size_m: float) -> None:
+    """A plane at height 0, much larger than the island."""
+    half = size_m / 2
+    mesh = bpy.data.meshes.new("Sea")
+    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+    mesh.materials.append(sea_material())
+    scene.collection.objects.link(bpy.data.objects.new("Sea", mesh))
+
+
+def set_up_render(scene, resolution: tuple[int, int]) -> None:
+    """Cycles on the CPU, few samples and a denoiser, in the contrast of a photograph."""
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x, scene.render.resolution_y = resolution
+    scene.render.resolution_percentage = 100
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = SAMPLES
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_denoising = True
+    scene.cycles.denoising_prefilter = "FAST"
+    if hasattr(scene.cycles, "denoising_quality"):
+        scene.cycles.denoising_quality = "BALANCED"
+    scene.cycles.max_bounces = 1
+    scene.cycles.diffuse_bounces = 1
+    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.exposure = 0.55
+    scene.view_settings.look = "AgX - Medium High Contrast"
+
+
+def render(scene, path: Path) -> None:
+    """Render the current frame to a PNG file; the frame handler brings the terrain up to date, as in any render."""
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode = "PNG", "RGB"
+    with written_beside(path.resolve()) as partial, quiet():
+        scene.render.filepath = str(partial)
+        bpy.ops.render.render(write_still=True)
+
+
+def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolution: tuple[int, int]) -> int:
+    """Draw one frame's triangles by level: `levels.png` from the camera, `plan.png` from above with what it sees.
+
+    The error is `error_px` pixels here, so that triangles are large enough to be seen. Returns their number.
+    """
+    scene.frame_set(frame)
+    camera, settings = scene.camera, obj.adaptive_terrain
+    settings.render.error_px = error_px
+    settings.camera_source, settings.camera = CHOSEN_CAMERA, camera
+    update = session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
+    coarsest, finest = np.percentile(update.surface.level, (1, 99))
+    obj.data.materials.clear()
+    obj.data.materials.append(level_material(coarsest, finest, sun_direction()))
+    scene.objects["Sea"].hide_render = True
+    scene.world = bpy.data.worlds.new("Paper")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = PAPER
+    scene.cycles.use_denoising = False
+    scene.cycles.samples, scene.cycles.max_bounces = 12, 0
+    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
+    scene.view_settings.exposure = 0.0
+    render(scene, out / "levels.png")
+    _look_from_above(scene, obj, camera, plan_resolution)
+    render(scene, out / "plan.png")
+    return update.triangles
+
+
+def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
+    """An orthographic camera over the whole terrain, and a wedge that shows what `camera` sees."""
+    side, top = max(obj.dimensions.x, obj.dimensions.y), obj.dimensions.z + 5000.0
+    above = bpy.data.objects.new("Above", bpy.data.cameras.new("Above"))
+    above.data.type, above.data.ortho_scale, above.data.clip_end = "ORTHO", 1.02 * side, 2 * top
+    above.location = 0.0, 0.0, top
+    scene.collection.objects.link(above)
+    wedge = bpy.data.meshes.new("Wedge")
+    eye, spread = camera.matrix_world.translation, camera.data.angle / 2
+    ahead = camera.matrix_world.to_quaternion() @ Vector((0.0, 0.0, -1.0))
+    heading, half_width = math.atan2(ahead.y, ahead.x), 0.0022 * side
+    corners, faces = [], []
+    for turn in (-spread, spread):
+        along = Vector((math.cos(heading + turn), math.sin(heading + turn), 0.0))
+        across = Vector((-along.y, along.x, 0.0)) * half_width
+        foot = Vector((eye.x, eye.y, top / 2))
+        far = foot + along * 2 * side
+        faces.append(tuple(range(len(corners), len(corners) + 4)))
+        corners += [foot - across, far - across, far + across, foot + across]
+    wedge.from_pydata([tuple(c) for c in corners], [], faces)
+    wedge.materials.append(plain_material("Wedge", (0.80, 0.10, 0.03, 1.0)))
+    scene.collection.objects.link(bpy.data.objects.new("Wedge", wedge))
+    scene.camera = above
+    scene.render.resolution_x, scene.render.resolution_y = resolution

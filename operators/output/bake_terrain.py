@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake a static mesh: one vertical error everywhere, no camera."""
+
+import bpy
+
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.fit.fit import check_interpolation, fit
+from ..mesh.writer import write_mesh, write_mesh_bmesh
+from ..scene import session
+from ..scene.request import gather
+from ..text.shown_bounds import bound_text, limit_text
+
+
+def bake(obj, depsgraph, error_m: float, fitted: bool = False):
+    """A new, ordinary object beside the terrain `obj` whose mesh is nowhere more than `error_m` metres off in height.
+
+    Returns it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
+    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one.
+    """
+    detail = obj.adaptive_terrain.render
+    criterion = Criterion(
+        error_px=0.0,
+        error_m=error_m,
+        meshlet=detail.meshlet,
+        max_triangles=detail.max_triangles if detail.limit_triangles else None,
+    )
+    request = gather(obj, depsgraph, criterion=criterion)
+    if fitted:
+        check_interpolation(request.interpolation)
+    with session.engine_lock:
+        if fitted:
+            update = fit(
+                session.field_of(request),
+                error_m,
+                max_triangles=criterion.max_triangles,
+                vertical_scale=request.vertical_scale,
+                vertical_offset=request.vertical_offset,
+            )
+        else:
+            update = session.solve(session.Record(), request)  # an engine of its own: the terrain's stays as it is
+        mesh = bpy.data.meshes.new(f"{obj.name} baked")
+        if request.cleanup.active:
+            write_mesh_bmesh(mesh, update.surface, request.cleanup, smooth=request.smooth)
+        else:
+            write_mesh(mesh, update.surface, smooth=request.smooth)
+    for material in obj.data.materials:
+        mesh.materials.append(material)
+    baked = bpy.data.objects.new(mesh.name, mesh)
+    baked.matrix_world = obj.matrix_world
+    for collection in obj.users_collection:
+        collection.objects.link(baked)
+    return baked, update
+
+
+class BakeTerrain(bpy.types.Operator):
+    """Make an ordinary mesh object with one vertical error everywhere, independent of any camera"""
+
+    bl_idname = "adaptive_terrain.bake"
+    bl_label = "Bake Static Mesh"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        obj = context.object
+        settings = obj.adaptive_terrain
+        try:
+            baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        said = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
+        if update.limited:
+            self.report({"WARNING"}, f"{said}: held back by {limit_text(update.limited)}")
+        else:
+            self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+
+def register() -> None:
+    bpy.utils.register_class(BakeTerrain)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(BakeTerrain)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's own exporters, each called so that it writes one object's mesh of the current frame and nothing else."""
+
+from contextlib import contextmanager
+
+from ...cbt_terrain.errors import TerrainError
+
+
+@contextmanager
+def only_selected(obj):
+    """Blender's exporters write what is selected; the user's selection comes back afterwards."""
+    import bpy
+
+    if not obj.visible_get():
+        raise TerrainError(f"The terrain {obj.name!r} is hidden, so Blender cannot export it; show it.")
+    objects = list(bpy.context.view_layer.objects)
+    selected = [other.select_get() for other in objects]
+    try:
+        for other in objects:
+            other.select_set(other == obj)
+        if not obj.select_get():
+            raise TerrainError(
+                f"The terrain {obj.name!r} is barred from selection, so Blender cannot export it; free it."
+            )
+        yield
+    finally:
+        for other, was in zip(objects, selected, strict=True):
+            other.select_set(was)
+
+
+def _enable_gltf() -> None:
+    """The glTF exporter is an add-on of Blender's own; it may be off."""
+    import addon_utils
+
+    if not addon_utils.check("io_scene_gltf2")[1]:
+        addon_utils.enable("io_scene_gltf2")
+
+
+def export_selected(name: str, form: str) -> None:
+    """Have Blender's exporter of this format write what is selected to the file `name`."""
+    import bpy
+
+    only = {"filepath": name, "export_selected_objects": True, "apply_modifiers": False}
+    if form == "ply":
+        bpy.ops.wm.ply_export(**only, export_normals=True, export_uv=True)
+    elif form == "obj":
+        bpy.ops.wm.obj_export(**only, export_materials=False)
+    elif form == "stl":
+        bpy.ops.wm.stl_export(**only)
+    else:
+        _enable_gltf()
+        bpy.ops.export_scene.gltf(
+            filepath=name,
+            export_format="GLB",
+            use_selection=True,
+            export_current_frame=True,  # else it goes to frame 0
+            export_animations=False,
+            export_materials="NONE",
+        )

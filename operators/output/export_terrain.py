@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export the terrain of the current frame, at the detail of the render."""
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ...cbt_terrain.errors import TerrainError
+from ..scene import session
+from ..scene.request import RENDER
+
+
+class ExportTerrain(bpy.types.Operator, ExportHelper):
+    """Write the terrain as the camera sees it at this frame, at the detail of the render, to a file"""
+
+    bl_idname = "adaptive_terrain.export"
+    bl_label = "Export"
+
+    filename_ext = ".ply"
+    check_extension = None  # the suffix that the user types is the format
+    filter_glob: bpy.props.StringProperty(default="*.ply;*.obj;*.glb;*.stl;*.npz", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        try:
+            self._write(context, Path(self.filepath))
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            self._restore_viewport(context.object)
+        return {"FINISHED"}
+
+    def _write(self, context, path: Path):
+        from ...cbt_terrain.run.partial_files import remove_abandoned
+        from .exporting import FORMATS, check_target, figures, write_piece
+        from .frame_sources import scene_piece
+
+        if path.suffix[1:].lower() not in FORMATS:
+            raise TerrainError(f"The file {path.name!r} has no known suffix; expected one of {', '.join(FORMATS)}.")
+        check_target(path)
+        remove_abandoned(path.parent)
+        piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
+        write_piece(piece, path)
+        triangles = figures(piece)["triangles"]
+        if triangles:
+            self.report({"INFO"}, f"{path.name}: {triangles:,} triangles")
+        else:
+            self.report({"WARNING"}, f"{path.name}: the clean-up leaves nothing of the terrain; check its settings")
+
+    def _restore_viewport(self, obj):
+        """The viewport gets its own detail back, also when the export failed."""
+        if session.record_of(obj).status.mode != RENDER:
+            return
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
+
+
+def register() -> None:
+    bpy.utils.register_class(ExportTerrain)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(ExportTerrain)

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
+
+import hashlib
+import json
+import os
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.mesh.archive import write_npz
+from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.partial_files import (
+    final_names,
+    private_folder,
+    remove_abandoned,
+    written_among,
+    written_beside,
+)
+from ..scene.pauses import paused
+from ..text.console import quiet
+from .blender_exporters import export_selected, only_selected
+from .frame_sources import Piece, bounds_of
+from .read_back import count_triangles
+
+FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
+MAX_FRAMES = 1_000_000
+MAX_FRAME = 1_048_574  # what Blender holds
+# More than the blocks in which Blender's exporters write.
+PROBE_BYTES = 1 << 16
+
+
+def parse_frames(text: str) -> tuple[int, ...]:
+    """`7`, `1-24`, `1-24:2` or several of them, as `1,3,7-20:2`: ends included, in the order given, each frame once.
+
+    So `1-240:24,1-240` begins with a first look at the whole and then fills it in, as render farms have it.
+    """
+    parts = [_frame_range(part.strip()) for part in text.split(",")]
+    if sum(map(len, parts)) > MAX_FRAMES:
+        raise ValueError(f"frames {_short(text)} are more than {MAX_FRAMES:,}")
+    return tuple(dict.fromkeys(frame for part in parts for frame in part))
+
+
+def _frame_range(part: str) -> range:
+    """One part of a list of frames."""
+    match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
+    if not match:
+        raise ValueError(f"frames {_short(part)} are not A, A-B or A-B:S")
+    first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
+    if last < first or step < 1:
+        raise ValueError(f"frames {_short(part)} go backwards or stand still")
+    if max(abs(first), abs(last)) > MAX_FRAME:
+        raise ValueError(f"frames {_short(part)} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
+    return range(first, last + 1, step)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}...")
+
+
+def parse_formats(text: str) -> tuple[str, ...]:
+    """`npz,ply` as a tuple without repetition, in the order given."""
+    formats = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
+    unknown = [part for part in formats if part not in FORMATS]
+    if unknown:
+        raise ValueError(f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}")
+    return formats
+
+
+def needs_blender(formats: Sequence[str]) -> bool:
+    return any(part != "npz" for part in formats)
+
+
+def export_frames(
+    source,
+    frames: Sequence[int],
+    formats: Sequence[str],
+    out: Path,
+    *,
+    resume: bool = False,
+    on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
+) -> None:
+    """Write every frame of `source` (a StoreFrames or SceneFrames) into the folder `out`.
+
+    A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and the digest of the
+    settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are. Several
+    processes may write into one folder at once.
+    """
+    make_folder(out)
+    settings = hashlib.blake2b(json.dumps(source.settings, sort_keys=True).encode(), digest_size=12).hexdigest()
+    for frame in frames:
+        stopping.check()
+        summary_path = out / f"frame_{frame:04d}.json"
+        complete = _complete(summary_path, settings, formats)
+        summary = complete if resume else None
+        if summary is None:
+            if complete is None:  # else it says of the files to come what it says of those that stand
+                summary_path.unlink(missing_ok=True)
+            summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
+            write_text(summary_path, json.dumps(summary, indent=1) + "\n")
+            on_frame(frame, summary, False)
+        else:
+            on_frame(frame, summary, True)
+
+
+def make_folder(path: Path) -> None:
+    """The folder and those above it, as far as they are missing; what killed processes have left in it goes. Raises
+    TerrainError where it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise TerrainError(f"{path} is, or is inside, a file; expected a folder: choose another place.") from None
+    except OSError as error:
+        raise TerrainError(f"The folder {path} cannot be made ({error.strerror}); choose another place.") from None
+    remove_abandoned(path)
+
+
+def check_target(path: Path) -> None:
+    """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
+    if path.parent.is_file():
+        raise TerrainError(f"{path.parent} is a file; expected a folder to write {path.name} into: choose another.")
+    if not os.path.isdir(path.parent):
+        raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
+    if os.path.isdir(path):  # which raises for no name
+        raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
+
+
+@contextmanager
+def _written(path: Path):
+    """Failures to write `path` become one sentence that names it, whatever writes it."""
+    check_target(path)
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+    except RuntimeError as error:  # what Blender's exporters report; of a traceback, the last line
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith("Location: ")]
+        reason = (lines or ["no reason given"])[-1].removeprefix("Error: ")
+    else:
+        return
+    raise TerrainError(
+        f"{path} cannot be written ({final_names(str(reason))}); check the disk, or choose another place."
+    )
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise TerrainError where `size` bytes cannot be written beside `path`."""
+    with _written(path), private_folder(path.parent) as folder:
+        (folder / path.name).write_bytes(bytes(size))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically; raises TerrainError where that cannot be."""
+    write_texts(path.parent, {path.name: text})
+
+
+def write_texts(folder: Path, texts: dict[str, str]) -> None:
+    """Write text files, by name, into a folder: old ones are replaced once all are written, else none."""
+    with ExitStack() as stack:
+        for path, text in ((folder / name, text) for name, text in texts.items()):
+            stack.enter_context(_written(path))
+            stack.enter_context(written_beside(path)).write_text(text, encoding="utf-8")
+
+
+def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
+    """Write one frame's files; returns sizes in bytes by file name, and each terrain's figures."""
+    start = time.perf_counter()
+    files, pieces = [], []
+    for piece in source.pieces(frame):
+        for form in formats:
+            if form != "blend":
+                files.append(out / f"{piece.name}_{frame:04d}.{form}")
+                write_piece(piece, files[-1])
+        pieces.append(piece)
+    if "blend" in formats:
+        files.append(out / f"{source.name}_{frame:04d}.blend")
+        write_blend(pieces, files[-1])
+    elapsed = (time.perf_counter() - start) * 1e3
+    return {
+        "files": {file.name: file.stat().st_size for file in files},
+        "terrains": [figures(piece) for piece in pieces],
+        "elapsed_ms": round(elapsed, 3),
+    }
+
+
+def figures(piece: Piece) -> dict:
+    """The figures of one terrain for the summary; the only place where an export keeps times."""
+    update = piece.update
+    return {
+        "name": piece.name,
+        "triangles": len(piece.surface.level),
+        "vertices": len(piece.surface.positions),
+        **bounds_of(update),
+        "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
+    }
+
+
+def _complete(summary_path: Path, settings: str, formats: Sequence[str]) -> dict | None:
+    """The summary of a frame that was finished with these settings and formats and whose files all stand, else None."""
+    try:
+        summary = json.loads(summary_path.read_text(encoding="utf-8"))
+        if summary["settings"] != settings:
+            return None
+        sizes = {name: (summary_path.parent / name).stat().st_size for name in summary["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    have = {Path(name).suffix[1:] for name in sizes}
+    return summary if sizes == summary["files"] and have >= set(formats) else None
+
+
+def write_piece(piece: Piece, path: Path) -> None:
+    """Write one terrain to `path`; the suffix is the format."""
+    form = path.suffix[1:].lower()
+    if form == "npz":
+        with _written(path):
+            write_npz(path, piece.surface, piece.origin, piece.info)
+    elif form == "blend":
+        write_blend([piece], path)
+    else:
+        _write_with_blender(piece, path, form)
+
+
+@contextmanager
+def _written_by_blender(path: Path, written=written_beside):
+    """As `written`; what Blender could not even begin is found out first, as its exporters print tracebacks.
+
+    No handler of ours runs meanwhile: an exporter may change the frame while it reads the mesh.
+    """
+    with written(path) as partial, paused():
+        partial.touch()
+        partial.unlink()
+        yield partial
+
+
+def _need_all_written(path: Path) -> None:
+    """Raise OSError where a file cannot grow, RuntimeError where there is none: Blender's PLY, OBJ and STL writers do
+    not say that a full disk, a quota or a limit has cut theirs short."""
+    if not path.exists():
+        raise RuntimeError("Blender wrote nothing")
+    with path.open("r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.write(bytes(PROBE_BYTES))
+        file.flush()
+        os.fsync(file.fileno())
+        file.truncate(size)
+
+
+def write_blend(pieces: Sequence[Piece], path: Path) -> None:
+    """Save a copy of the open file; its own path stays what it was.
+
+    To read it back takes as long as to write it, so the meshes of `pieces` are counted before Blender copies them.
+    """
+    import bpy
+
+    path = path.resolve()
+    for piece in pieces:
+        _need_count(piece, path, len(piece.obj.data.polygons))
+    with _written(path), _written_by_blender(path, written_among) as partial, quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+        _need_all_written(partial)
+
+
+def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
+    """One terrain through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
+
+    The file holds the terrain's own mesh, whose bound is known: modifiers are left out. It is read back before it gets
+    its name.
+    """
+    with _written(path), _written_by_blender(path) as partial:
+        with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
+            export_selected(str(partial.resolve()), form)
+        _need_all_written(partial)
+        try:
+            found = count_triangles(partial)
+        except ValueError as reason:
+            raise RuntimeError(str(reason)) from None
+        _need_count(piece, path, found)
+
+
+def _need_count(piece: Piece, path: Path, found: int) -> None:
+    """Raise TerrainError where a file would hold another mesh than its summary says."""
+    expected = len(piece.surface.level)
+    if found != expected:
+        raise TerrainError(
+            f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "
+            "written: remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)."
+        )

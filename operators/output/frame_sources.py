@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.bicubic import interpolated
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.terrain import Terrain, Update
+from ..scene.pauses import paused
+from ..text.console import quiet
+
+MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One terrain at one frame. `origin` float64 [3], metres: what the positions are about. `info`: see `describe`.
+
+    `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
+    the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
+    that surface may stay the engine's, until the next frame is asked for.
+    """
+
+    name: str
+    surface: Surface
+    origin: np.ndarray
+    update: Update
+    info: dict
+    obj: Any = None
+
+
+class StoreFrames:
+    """A store seen along a camera path; needs no bpy unless a format does."""
+
+    name = "terrain"
+
+    def __init__(
+        self,
+        store: Path,
+        path: Path,
+        criterion: Criterion,
+        resolution: tuple[int, int],
+        in_blender: bool,
+        interpolation: str = INTERPOLATIONS[0],
+    ):
+        self.path = read_camera_path(path)
+        self.criterion, self.resolution = criterion, resolution
+        self.field = interpolated(open_store(store), interpolation)
+        self.terrain = Terrain(self.field)
+        self.obj = new_object(self.name) if in_blender else None
+        self.settings = {
+            "store": field_identity(self.field),
+            "path": file_digest(path),
+            "resolution": list(resolution),
+            "criterion": asdict(criterion),
+        }
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """The terrain as the path's camera sees it at `frame`."""
+        view = self.path.view(frame, self.resolution)
+        update = self.terrain.update(self.criterion, [view])
+        info = describe(update, self.criterion, [view], self.field) | {"frame": frame}
+        if self.obj is not None:
+            from ..mesh.writer import write_mesh
+
+            write_mesh(self.obj.data, update.surface)
+        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj)
+
+
+class SceneFrames:
+    """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
+
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet` and `interpolation` replace
+    what the objects say; None keeps it.
+    """
+
+    def __init__(
+        self,
+        blend: Path,
+        camera: str | None,
+        resolution: tuple[int, int] | None,
+        pixel_error: float | None = None,
+        budget: int | None = None,
+        meshlet: int | None = None,
+        interpolation: str | None = None,
+    ):
+        bpy = import_bpy("A .blend file")
+        from ..scene import session
+        from ..scene.request import Overrides
+
+        if not Path(blend).is_file():
+            raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
+        try:
+            with quiet():
+                bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
+        except RuntimeError as error:
+            raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
+        self.name = Path(blend).stem
+        self.scene, self.resolution = bpy.context.scene, resolution
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation)
+        self.objects = session.terrains_of(self.scene)
+        if not self.objects:
+            raise TerrainError(
+                f"The scene {self.scene.name!r} in {blend} has no adaptive terrain; add one and save it."
+            )
+        _need_distinct_names(self.objects)
+        self.camera = None
+        if camera is not None:
+            self.camera = self.scene.objects.get(camera)
+            if self.camera is None or self.camera.type != "CAMERA":
+                cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
+                raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
+        asked = {"camera": camera, "resolution": resolution, **asdict(self.overrides)}
+        stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
+        fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
+        # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
+        linked = {library.filepath: _linked_digest(library) for library in bpy.data.libraries}
+        self.settings = {"scene": file_digest(blend), "libraries": linked, "height_fields": fields, **asked}
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """Every terrain of the scene at `frame`; its mesh is written first."""
+        import bpy
+
+        with paused():  # an export updates each terrain once, for the render
+            self.scene.frame_set(frame)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        for obj in self.objects:
+            asked = {"camera": self.camera, "resolution": self.resolution, "overrides": self.overrides}
+            yield scene_piece(obj, depsgraph, frame, **asked)
+
+
+def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
+    """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
+    from ..scene import session
+    from ..scene.request import RENDER, gather
+
+    with session.engine_lock:  # the live update's thread would go on with the same engine
+        update = session.update_object(obj, depsgraph, RENDER, **asked)
+        request = gather(obj, depsgraph, RENDER, **asked)
+        surface = _surface_of(obj.data) if request.cleanup.active else update.surface.copy()
+    field = session.record_of(obj).field
+    info = describe(update, request.criterion, request.views, field, request.placement)
+    info |= {"frame": frame, **counts(surface)}
+    return Piece(file_name(obj), surface, field.origin, update, info, obj)
+
+
+def baked_piece(
+    store: Path,
+    max_error_m: float,
+    budget: int | None,
+    in_blender: bool,
+    interpolation: str,
+    fitted: bool,
+    on_progress: Callable[[float], None],
+) -> Piece:
+    """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field.
+
+    `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
+    says so, and the measured maximum.
+    """
+    from ...cbt_terrain.fit.fit import check_interpolation, fit
+
+    if fitted:
+        check_interpolation(interpolation)
+    field = interpolated(open_store(store), interpolation)
+    criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
+    more = {}
+    if fitted:
+        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress)
+        more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
+    else:
+        update = Terrain(field).update(criterion)
+    obj = new_object(StoreFrames.name) if in_blender else None
+    if obj is not None:
+        from ..mesh.writer import write_mesh
+
+        write_mesh(obj.data, update.surface)
+    info = describe(update, criterion, [], field) | more
+    return Piece(StoreFrames.name, update.surface, field.origin, update, info, obj)
+
+
+def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
+    """What a piece is, as JSON holds it: a function of the frame alone, so no times."""
+    return {
+        "generator": "Adaptive Terrain",
+        "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
+        "asked": asdict(criterion),
+        **bounds_of(update),
+        "leaves": update.leaves,
+        **counts(update.surface),
+        "views": [_view(view) for view in views],
+        "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
+        "crs": field.crs,
+        "height_field": field.key,
+        "interpolation": field.interpolation,
+    }
+
+
+def counts(surface: Surface) -> dict:
+    """What a mesh has of each, as JSON holds it."""
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.level)}
+
+
+def bounds_of(update: Update) -> dict:
+    """The bounds of an update and what they are made of, as JSON holds them; those in pixels None without a view."""
+    return {
+        "bound_px": update.bound_px,
+        "bound_m": update.bound_m,
+        "terms_px": None if update.terms_px is None else asdict(update.terms_px),
+        "terms_m": asdict(update.terms_m),
+        "relaxed": update.relaxed,
+        "limited": update.limited,
+    }
+
+
+def _view(view: View) -> dict:
+    return {
+        "kind": view.kind,
+        "world_to_camera": view.world_to_camera.tolist(),
+        "projection": None if view.projection is None else view.projection.tolist(),
+        "resolution": list(view.resolution),
+        "clip": list(view.clip),
+    }
+
+
+def import_bpy(what: str):
+    """The bpy module; raises TerrainError that says who needs it."""
+    try:
+        with quiet():
+            import bpy
+    except ImportError:
+        raise TerrainError(
+            f"{what} needs Blender's Python module; `pip install bpy` (the version that is made for this Python), "
+            "or run `blender --command adaptive_terrain` instead."
+        ) from None
+    return bpy
+
+
+def _surface_of(mesh) -> Surface:
+    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies."""
+    from ..mesh.writer import LEVEL_ATTRIBUTE
+
+    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
+
+    def read(collection, name: str, shape, dtype) -> np.ndarray:
+        array = np.empty(int(np.prod(shape)), dtype)
+        collection.foreach_get(name, array)
+        return array.reshape(shape)
+
+    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
+    uv = np.zeros((vertices, 2), np.float32)
+    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
+    normals = np.zeros((vertices, 3), np.float32)
+    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
+    return Surface(
+        read(mesh.vertices, "co", (vertices, 3), np.float32),
+        normals,
+        uv,
+        corner_verts,
+        read(mesh.loops, "edge_index", (corners,), np.int32),
+        read(mesh.edges, "vertices", (edges, 2), np.int32),
+        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
+    )
+
+
+def new_object(name: str):
+    """A mesh object in an otherwise empty Blender file."""
+    bpy = import_bpy("This format")
+    open_empty_file()
+    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.collection.objects.link(obj)
+    return obj
+
+
+def open_empty_file() -> None:
+    """A file with nothing in it. Preferences stay: factory settings would switch this extension off, and Blender then
+    deletes the wheels that it lives on."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def file_digest(path: Path) -> str:
+    """Content of a file as a short hexadecimal text."""
+    return hashlib.blake2b(Path(path).read_bytes(), digest_size=12).hexdigest()
+
+
+def field_identity(field) -> list:
+    """What an export takes from a height field; the key covers heights and spacing."""
+    return [field.key, field.origin.tolist(), field.crs]
+
+
+def file_name(obj) -> str:
+    """The object's name, without what a file name cannot hold, nor more of it."""
+    import bpy
+
+    return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+
+
+def _need_distinct_names(objects) -> None:
+    """Some file systems take upper and lower case for the same."""
+    seen = {}
+    for obj in objects:
+        other = seen.setdefault(file_name(obj).casefold(), obj)
+        if other != obj:
+            raise TerrainError(
+                f"The terrains {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
+                "rename one of them."
+            )
+
+
+def _linked_digest(library) -> str:
+    """Content of a linked library's file; empty where the file is missing."""
+    import bpy
+
+    try:
+        return file_digest(bpy.path.abspath(library.filepath))
+    except OSError:
+        return ""

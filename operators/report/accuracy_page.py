@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What `accuracy` writes: one table as CSV and JSON, and the same pages as HTML and Markdown, with their plots."""
+
+import csv
+import io
+import json
+
+from ...cbt_terrain.accuracy import interpolation
+from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of
+from ...cbt_terrain.accuracy.sweep_settings import Setting
+from ...cbt_terrain.ask.criterion import LARGEST
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..text.page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
+from ..text.shown_bounds import bound_text, limit_text
+from .accuracy_plots import label, pareto_rows, plots
+
+TITLE = "What accuracy costs"
+# Part of a time within which two measurements of the same differ.
+NOISE = 0.05
+MEANING = (
+    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of "
+    "the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved, "
+    "what float32 rounds and what the source had rounded included. *Measured* is the largest error that was found "
+    "against the height field of the store (what importing moved and the source rounded is in the bound, not in the "
+    "measurement): in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
+    "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
+    "the camera moves by two thousandths of the terrain, as in a flight; of a fit, its one run."
+)
+WORDS = (
+    "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are "
+    "moved off the surface, within the bound. *Geometric*, *resampling*, *precision* and *source* are the parts of a "
+    "bound at the one triangle that decides it: what triangles leave out, what importing moved there, what float32 "
+    "positions are off, by how much the source's own heights may be rounded. *Hidden* points lie in the picture "
+    "behind other ground. *Silhouette*: how far the outline is displaced; it is followed by rays a pixel apart, so it "
+    "alone may pass the bound where outlines are finer than that. *Popping*: how far points jump from one frame's "
+    "mesh to the next frame's; no figure where no frame follows. *Rounding*: what float32 has changed of the measured "
+    "error. *Faces*: angles of triangles to the surface's normals; *shading*: of the normals that are rendered. "
+    "*Pareto front* (rings): every setting that costs less, with the same interpolation, has an error that is larger "
+    "by a fiftieth at least; fits, which are made once, take part for triangles only. A sweep makes no mesh of more "
+    "than 8.4 million triangles: beyond it rows are held back by the triangle limit. Steps: *refine* decides and lists "
+    "the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* "
+    "Blender's mesh; *engine* is all but ingest, with what lies between its steps."
+)
+
+
+def files(subjects, machine: dict[str, str]) -> dict[str, str]:
+    """Every file of a report by its name. `subjects`: accuracy_subject.Subject, measured."""
+    blocks = page(subjects, machine)
+    plots = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
+    return plots | {
+        "accuracy.csv": as_csv(subjects),
+        "accuracy.json": as_json(subjects, machine),
+        "accuracy.md": as_markdown(TITLE, blocks),
+        "index.html": as_html(TITLE, blocks),
+    }
+
+
+def as_csv(subjects) -> str:
+    """One line a row; empty where nothing was measured."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
+    writer.writerow(lines[0])
+    writer.writerows(line.values() for line in lines)
+    return text.getvalue()
+
+
+def as_json(subjects, machine: dict[str, str]) -> str:
+    terrains = [
+        {
+            "name": s.name,
+            "height_field": s.heights.key,
+            "seen": s.seen,
+            "frames": s.numbers,
+            "current": None if s.current is None else label(s.current),
+            "notes": s.notes,
+            "curves": [json.loads(curve.to_json()) for curve in curves(s)],
+            "rows": [row.figures() for row in s.rows],
+        }
+        for s in subjects
+    ]
+    content = {"generator": "Adaptive Terrain", "machine": machine, "terrains": terrains}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
+    """The page as blocks; `prefix` begins the names of its plots."""
+    blocks = [
+        Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."),
+        Text(MEANING),
+        Text(WORDS),
+    ]
+    for subject in subjects:
+        blocks += section(subject, prefix)
+    return blocks
+
+
+def section(subject, prefix: str) -> list:
+    """All about one terrain."""
+    heights, rows = subject.heights, subject.rows
+    lattice = heights.lattice
+    relief = heights.max_height - heights.min_height
+    across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
+    made = heights.provenance
+    source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
+    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
+    frames = frames if subject.numbers else ""
+    several = (
+        " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
+    )
+    between = interpolation(heights)
+    blocks = [
+        Heading(subject.name),
+        Text(
+            f"{lattice.width} x {lattice.height} samples over {across:,.0f} x {up:,.0f} m, {relief:,.5g} m from the "
+            f"lowest to the highest{source}; seen {subject.seen}{frames}.{several}"
+        ),
+        Text(
+            f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
+            f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
+            f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
+        ),
+    ]
+    current = next((row for row in rows if row.setting == subject.current), None)
+    if current is not None:
+        blocks.append(Figures(current_figures(current)))
+    blocks += [Text(sentence) for sentence in sentences(subject)]
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        blocks += plots(subject, unit, current, prefix)
+    blocks += [Heading(f"Every row of {subject.name}"), overview(rows, subject.current)]
+    blocks += [Heading(f"What the errors of {subject.name} are made of"), *error_tables(rows)]
+    blocks += [Heading(f"Where the time goes on {subject.name}"), steps_table(rows)]
+    return blocks + [Text(note) for note in subject.notes]
+
+
+def other_interpolation(heights) -> str:
+    """The one that only some rows have."""
+    return next(name for name in INTERPOLATIONS if name != heights.interpolation)
+
+
+def imported_text(heights) -> str:
+    """What importing moved and what the source had rounded, where they did."""
+    text = ""
+    if heights.resample_max:
+        text += (
+            f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
+            f"({heights.resample_rms:.3g} m rms) from the bilinear surface; a bicubic one misses them by more."
+        )
+    if heights.source_max:
+        text += f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
+    return text
+
+
+def curves(subject) -> list:
+    """The cost curve of each unit that was swept."""
+    units = dict.fromkeys(row.setting.unit for row in subject.rows)
+    of_unit = [[row for row in subject.rows if row.setting.unit == unit] for unit in units]
+    return [curve_of(rows) for rows in of_unit if sum(row.setting.plain for row in rows) > 1]
+
+
+def sentences(subject) -> list[str]:
+    """What half and twice the error cost, at the current setting or else in the middle of the sweep."""
+    said = []
+    for curve in curves(subject):
+        unit, error = curve.unit, curve.error[len(curve.error) // 2]
+        if subject.current is not None and subject.current.unit == unit:
+            error = subject.current.error
+        (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
+        said.append(
+            f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
+            f"{time_text(slower - ms, ms)} and {more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} and {triangles - less:,.0f} triangles."
+        )
+        if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
+            said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
+    return said
+
+
+def time_text(difference_ms: float, whole_ms: float) -> str:
+    """A difference of times; one within the noise of a measurement is not given as a figure."""
+    return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
+
+
+def current_figures(row: Row) -> list[tuple[str, str]]:
+    unit = row.setting.unit
+    return [
+        (label(row.setting), "asked, the current setting"),
+        (bound_text(row.bound, unit), "bound"),
+        (f"{row.error:.3g} {unit}", "measured"),
+        (f"{row.triangles:,}", "triangles"),
+        (f"{row.whole_ms:.3g} ms", "to the finished mesh"),
+    ]
+
+
+def overview(rows: list[Row], current: Setting | None) -> Table:
+    """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
+    fronts = {}
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        for cost in ("ms", "triangles"):
+            front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
+            fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
+    head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
+    lines = []
+    for row in rows:
+        unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
+        least = ", ".join(cost for cost, kept in fronts.items() if row.setting in kept)
+        numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
+        numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
+        lines.append([name, *numbers, limit_text(row.limited), least])
+    return Table([*head, "held back by", "Pareto front"], lines)
+
+
+def error_tables(rows: list[Row]) -> list[Table]:
+    """Parts of the bound; then everything that was measured: height, screen, silhouette, popping, normals, rounding."""
+    blocks = [bound_table(rows)]
+    on_screen = [row for row in rows if row.measured.screen_px is not None]
+    if on_screen:
+        names = ("screen_px", "hidden_px", "silhouette_px", "popping_px")
+        head = ["pixels", "visible: max", "p95", "mean", "hidden: max", "silhouette: max", "p95", "popping: max", "p95"]
+        lines = []
+        for row in on_screen:
+            seen, hidden, outline, popped = (getattr(row if n == "popping_px" else row.measured, n) for n in names)
+            cells = [seen.max, seen.p95, seen.mean, *(part and part.max for part in (hidden, outline))]
+            cells += [outline and outline.p95, popped and popped.max, popped and popped.p95]
+            lines.append([label(row.setting), *map(number, cells)])
+        blocks.append(Table(head, lines))
+    head = ["metres, degrees", "height: max", "p95", "rms", "rounding: max", "faces: p95", "max", "shading: p95", "max"]
+    lines = []
+    for row in rows:
+        m = row.measured
+        cells = [m.vertical_max_m, m.vertical_m.p95, m.vertical_m.rms, m.rounding_m]
+        cells += [m.facet_deg.p95, m.facet_deg.max, m.shading_deg.p95, m.shading_deg.max]
+        lines.append([label(row.setting), *map(number, cells)])
+    return [*blocks, Table(head, lines)]
+
+
+def bound_table(rows: list[Row]) -> Table:
+    """What the bound is made of at the leaf that decides it."""
+    head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
+    lines = []
+    for row in rows:
+        bounded = row.bound < LARGEST
+        parts = [getattr(row.terms, part, None) if bounded else None for part in TERMS]
+        used = f"{row.error / row.bound:.0%}" if row.bound and bounded else ""
+        lines.append([label(row.setting), bound_text(row.bound, row.setting.unit), *map(number, parts), used])
+    return Table(head, lines)
+
+
+def steps_table(rows: list[Row]) -> Table:
+    steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
+    lines = [
+        [label(row.setting), number(row.whole_ms), number(row.ms["total"]), *(number(row.ms.get(s)) for s in steps)]
+        for row in rows
+    ]
+    return Table(["ms", "finished mesh", "engine", *steps], lines)
+
+
+def row_line(row: Row) -> str:
+    """One row as the terminal shows it."""
+    unit = row.setting.unit
+    return (
+        f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
+        f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
+    )
+
+
+def number(value: float | None) -> str:
+    """Three digits that count, and none beyond the point from 100 on; nothing for what was not measured."""
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plots of a report about accuracy: error against time and against triangles, and which settings nothing beats."""
+
+import math
+
+from ...cbt_terrain.accuracy.sweep import Row, pareto
+from ...cbt_terrain.accuracy.sweep_settings import Setting
+from ...cbt_terrain.ask.criterion import LARGEST
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..text.log_plot import CROSS, RING, Curve, draw
+from ..text.page_blocks import Plot
+
+GREY, TEAL, RED, GREEN, BLUE, BROWN, PURPLE, INK = (
+    *("#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#8a4f9e", "#1c1f26"),
+)
+UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
+
+
+def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
+    """Error against time and against triangles; a fit is made once, so its time is in no plot."""
+    rows = [row for row in subject.rows if row.setting.unit == unit]
+    found = []
+    for cost, axis in (("ms", "ms to the finished mesh"), ("triangles", "triangles")):
+        shown = [row for row in rows if cost == "triangles" or not row.setting.fitted]
+        drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
+        caption = f"{subject.name}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
+        found.append(Plot(f"{prefix}{subject.name}_{unit}_{cost}.svg", caption, drawing))
+    return found
+
+
+def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
+    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles". The first row has the interpolation that
+    most have."""
+
+    def points(kept: list[Row], error) -> list[tuple[float, float]]:
+        coarse_first = sorted(kept, key=lambda row: -row.setting.error)
+        return [(cost_of(row, cost), error(row)) for row in coarse_first]
+
+    def measured(row: Row) -> float:
+        return row.error
+
+    def bound(row: Row) -> float:
+        return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
+
+    own = rows[0].setting.interpolation
+    plain, other = ([r for r in rows if r.setting.plain and (r.setting.interpolation == own) == is_] for is_ in (1, 0))
+    fitted = [row for row in rows if row.setting.fitted]
+    other_name = other[0].setting.interpolation if other else ""
+    front = pareto_rows(rows, cost)
+    found = [
+        Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
+        Curve("bound", TEAL, points(plain, bound)),
+        Curve("measured", RED, points(plain, measured)),
+        Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
+        Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
+        Curve("fitted, measured", GREEN, points(fitted, measured)),
+        Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
+        Curve("less depth, measured", BROWN, points([r for r in rows if r.setting.max_depth], measured), "", False),
+        Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
+    ]
+    if current in rows:
+        found.append(Curve(f"current, {label(current.setting)}", INK, points([current], measured), "", False, CROSS))
+    return found
+
+
+def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
+    """The rows of one unit that no other of their interpolation beats in error and cost: each interpolation is another
+    surface, whose errors do not compare. A fit is made once, so its time is no cost of a frame."""
+    found = []
+    for name in dict.fromkeys(row.setting.interpolation for row in rows):
+        kept = [r for r in rows if r.setting.interpolation == name and (cost == "triangles" or not r.setting.fitted)]
+        found += [kept[i] for i in pareto([(row.error, cost_of(row, cost)) for row in kept])]
+    return found
+
+
+def cost_of(row: Row, cost: str) -> float:
+    return row.whole_ms if cost == "ms" else float(row.triangles)
+
+
+def label(setting: Setting) -> str:
+    """`1 px, depth 15` or `4 m, fitted`."""
+    parts = [f"{setting.error:g} {setting.unit}"]
+    parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
+    parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []
+    parts += [setting.interpolation] if setting.interpolation != INTERPOLATIONS[0] else []
+    return ", ".join([*parts, "fitted"] if setting.fitted else parts)

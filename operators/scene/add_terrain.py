@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add > Mesh > Adaptive Terrain: a terrain with the built-in island."""
+
+import bpy
+from bpy_extras.object_utils import AddObjectHelper, object_data_add
+
+from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
+from . import session
+from .properties import ISLAND
+
+
+class AddTerrain(bpy.types.Operator, AddObjectHelper):
+    """Add a terrain with the built-in island"""
+
+    bl_idname = "mesh.adaptive_terrain_add"
+    bl_label = "Adaptive Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+
+    size: bpy.props.FloatProperty(
+        name="Size",
+        description="Metres from one side of the island to the other; small by default, as all that Blender adds",
+        default=20.0, min=0.001, soft_max=100_000.0, unit="LENGTH",
+    )  # fmt: skip
+    seed: bpy.props.IntProperty(name="Seed", description="Another seed is another island", default=DEFAULT_SEED, min=0)
+
+    def execute(self, context):
+        obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
+        settings = obj.adaptive_terrain
+        settings.enabled = True
+        settings.source, settings.seed = ISLAND, self.seed
+        settings.use_extent, settings.extent = True, (self.size, self.size)
+        settings.height_scale = self.size / SIDE  # the island keeps its shape
+        # With a window the import runs beside it and the mesh appears when it is done; without, now.
+        try:
+            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        except RuntimeError as error:  # what the nested operator reports as an error
+            mesh = obj.data
+            bpy.data.objects.remove(obj)
+            bpy.data.meshes.remove(mesh)
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+            return {"CANCELLED"}
+        if session.terrains_of(context.scene) == [obj]:
+            self._lock_interface(context.scene)
+        return {"FINISHED"}
+
+    def _lock_interface(self, scene):
+        """A viewport that draws a mesh that a render rewrites meanwhile would crash Blender."""
+        if not scene.render.use_lock_interface:
+            scene.render.use_lock_interface = True
+            self.report(
+                {"INFO"}, "Switched on Render > Lock Interface: the viewport must not draw while a render updates"
+            )
+
+
+def _menu_entry(self, context):
+    self.layout.operator(AddTerrain.bl_idname, icon="RNDCURVE")
+
+
+def register() -> None:
+    bpy.utils.register_class(AddTerrain)
+    bpy.types.VIEW3D_MT_mesh_add.append(_menu_entry)
+
+
+def unregister() -> None:
+    bpy.types.VIEW3D_MT_mesh_add.remove(_menu_entry)
+    bpy.utils.unregister_class(AddTerrain)

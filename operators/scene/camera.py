@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place where a Blender camera, or a 3D viewport, becomes a View."""
+
+import math
+
+import numpy as np
+
+from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View, inverse
+from ...cbt_terrain.errors import TerrainError
+
+KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}
+
+
+def render_resolution(scene) -> tuple[int, int]:
+    """Pixels across and up of the whole frame; a render border changes what is drawn, not the size of a pixel."""
+    render = scene.render
+    percent = render.resolution_percentage
+    return max(1, render.resolution_x * percent // 100), max(1, render.resolution_y * percent // 100)
+
+
+def active_camera(scene):
+    """The camera of the current frame: the one that a marker binds, else the scene's; None where there is none.
+
+    Blender applies markers before it renders, but only after the handlers of a frame change outside of a render.
+    """
+    bound = [marker for marker in scene.timeline_markers if marker.camera and not marker.camera.hide_render]
+    if not bound:
+        return scene.camera
+    past = [marker for marker in bound if marker.frame <= scene.frame_current]
+    return (max(past, key=lambda marker: marker.frame) if past else min(bound, key=lambda marker: marker.frame)).camera
+
+
+def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | None = None) -> list[View]:
+    """The views that a render of `scene` through `camera` shows: one, or one for each eye or camera of a stereo render.
+
+    `camera` is the object or None; its evaluated copy is looked up, because the original is stale during a render.
+    """
+    if camera is None:
+        raise TerrainError(
+            f"The scene {scene.name!r} has no camera to refine for; add a camera, or choose one on the terrain's panel."
+        )
+    if camera.type != "CAMERA":
+        raise TerrainError(
+            f"The object {camera.name!r}, which the scene {scene.name!r} is seen through, is not a camera but of type "
+            f"{camera.type}; choose a camera for the scene, or on the terrain's panel."
+        )
+    resolution = resolution or render_resolution(scene)
+    evaluated = camera.evaluated_get(depsgraph)
+    if not scene.render.use_multiview:
+        return [view_from_camera(scene, evaluated, resolution)]
+    if scene.render.views_format == "MULTIVIEW":
+        cameras = [eye.evaluated_get(depsgraph) for eye in _multiview_cameras(scene, camera)]
+        return [view_from_camera(scene, eye, resolution) for eye in cameras]
+    return _stereo(view_from_camera(scene, evaluated, resolution), evaluated.data.stereo)
+
+
+def view_from_camera(scene, camera, resolution: tuple[int, int]) -> View:
+    """One view from the evaluated camera object `camera`, at `resolution` pixels across and up."""
+    data = camera.data
+    kind = KINDS.get(data.type, PANORAMIC)
+    to_camera = _world_to_camera(camera)
+    if kind == PANORAMIC:
+        angle = _radians_per_pixel(data, resolution)
+        return View(to_camera, None, resolution, kind, _clip(data), radians_per_pixel=angle)
+    projection = _projection(data, resolution, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
+    if not np.isfinite(projection).all() or projection[0, 0] == 0:
+        size = f"an orthographic scale of {data.ortho_scale:g} m"
+        if kind == PERSPECTIVE:
+            size = f"{data.lens:g} mm of lens on {data.sensor_width:g} x {data.sensor_height:g} mm of sensor"
+        raise TerrainError(
+            f"The camera {camera.name!r} has {size} and a shift of {data.shift_x:g}, {data.shift_y:g}, which make no "
+            "picture; expected finite numbers above 0."
+        )
+    return View(to_camera, projection, resolution, kind, _clip(data))
+
+
+def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> np.ndarray:
+    """float64 [4, 4]: as `Object.calc_matrix_camera`, which gives zeros for some clip ranges, depending on the version.
+
+    `aspect`: width and height of a pixel. Depth is scaled for 0 to infinity: only the frame is of interest here.
+    """
+    width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
+    horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
+    fitted = width if horizontal else height  # the side that spans the sensor, or the orthographic scale
+    perspective = data.type == "PERSP"
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    with np.errstate(all="ignore"):
+        zoom = 2.0 * fitted * (np.float64(data.lens) / sensor if perspective else 1.0 / np.float64(data.ortho_scale))
+        shift = 2.0 * fitted * np.array([data.shift_x / width, data.shift_y / height])
+        matrix = np.diag([zoom / width, zoom / height, -1.0, 0.0 if perspective else 1.0])
+    if perspective:
+        matrix[:2, 2], matrix[3, 2] = shift, -1.0
+    else:
+        matrix[:2, 3] = -shift
+    return matrix
+
+
+def view_from_region(space, region, region_3d) -> View:
+    """What one 3D viewport shows now, camera view and its zoom included."""
+    kind = PERSPECTIVE if region_3d.is_perspective else ORTHOGRAPHIC
+    projection = np.array(region_3d.window_matrix, np.float64)
+    seen_through = space.camera if region_3d.view_perspective == "CAMERA" else None
+    if seen_through is not None and seen_through.type == "CAMERA":  # Blender also looks through lights and empties
+        clip = _clip(seen_through.data)
+    elif kind == PERSPECTIVE:
+        clip = _clip(space)
+    else:
+        clip = -float(space.clip_end), float(space.clip_end)
+    return View(np.array(region_3d.view_matrix, np.float64), projection, (region.width, region.height), kind, clip)
+
+
+def viewports(window_manager) -> list[tuple]:
+    """Window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown; viewports too
+    small to show anything are left out."""
+    found = []
+    for window in window_manager.windows:
+        for area in window.screen.areas:
+            if area.type != "VIEW_3D":
+                continue
+            space = area.spaces.active
+            regions = [region for region in area.regions if region.type == "WINDOW"]
+            # A viewport split in four has four window regions and keeps their views in a list of its own.
+            parts = list(space.region_quadviews) or [space.region_3d]
+            pairs = zip(regions[-len(parts) :], parts, strict=False)
+            found += [(window, area, region, part) for region, part in pairs if min(region.width, region.height) > 1]
+    return found
+
+
+def views_from_windows(window_manager) -> list[View]:
+    """What every 3D viewport of every window shows now."""
+    return [view_from_region(area.spaces.active, region, part) for _, area, region, part in viewports(window_manager)]
+
+
+def _clip(data) -> tuple[float, float]:
+    """Start and end of what the camera sees, metres; of a range that is upside down, the one that culls nothing."""
+    start, end = float(data.clip_start), float(data.clip_end)
+    return (start, end) if start < end else (0.0, 0.0)
+
+
+def _world_to_camera(camera) -> np.ndarray:
+    """float64 [4, 4]. As in a render, the camera's scale has no effect; a shear has."""
+    matrix = np.array(camera.matrix_world, np.float64)
+    if not np.isfinite(matrix).all():
+        raise TerrainError(
+            f"The camera {camera.name!r} has a matrix with values that are not finite; check its location and parents."
+        )
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not (lengths > 0).all():
+        raise TerrainError(f"The camera {camera.name!r} has a scale of 0; expected another scale on each axis.")
+    matrix[:3, :3] /= lengths
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-6:
+        raise TerrainError(f"The camera {camera.name!r} is sheared flat; expected three different axes.")
+    return inverse(matrix)
+
+
+def _radians_per_pixel(data, resolution: tuple[int, int]) -> float:
+    """The smallest angle that a pixel of a panorama spans; of an unknown lens, half of a full sphere's."""
+    width, height = resolution
+    # Panorama settings moved from Cycles to the camera in Blender 5.0.
+    lens = data if hasattr(data, "panorama_type") else getattr(data, "cycles", data)
+    panorama = getattr(lens, "panorama_type", "")
+    if panorama == "EQUIRECTANGULAR":
+        across = lens.longitude_max - lens.longitude_min
+        up = lens.latitude_max - lens.latitude_min
+        return min(abs(across) / width, abs(up) / height)
+    if panorama == "FISHEYE_EQUIDISTANT":
+        return lens.fisheye_fov / max(width, height)
+    if panorama == "FISHEYE_EQUISOLID":
+        return data.sensor_width / lens.fisheye_lens / max(width, height)
+    return min(2 * math.pi / width, math.pi / height) / 2
+
+
+def _multiview_cameras(scene, camera) -> list:
+    """The cameras of a render with one camera a view: those named as the active one, but for the view's suffix."""
+    suffixes = [view.camera_suffix for view in scene.render.views if view.use]
+    base = next((camera.name[: -len(s)] for s in suffixes if s and camera.name.endswith(s)), camera.name)
+    found = [scene.objects.get(base + suffix) for suffix in suffixes]
+    return [item for item in found if item is not None and item.type == "CAMERA"] or [camera]
+
+
+def _stereo(view: View, stereo) -> list[View]:
+    """The left and the right eye: moved along the camera's x by the interocular distance about the pivot."""
+    distance, convergence = stereo.interocular_distance, stereo.convergence_distance
+    places = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))
+    eyes = []
+    for place in places:
+        move = np.eye(4)
+        move[0, 3] = -place
+        projection = None if view.projection is None else view.projection.copy()
+        if stereo.convergence_mode == "TOE":
+            angle = math.atan2(place, convergence)
+            turn = np.eye(4)
+            turn[0, [0, 2]], turn[2, [0, 2]] = (math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))
+            move = turn @ move
+        elif stereo.convergence_mode == "OFFAXIS" and view.kind == PERSPECTIVE:
+            # The point straight ahead at the convergence distance falls on the same pixel for both eyes.
+            projection[0, 2] -= projection[0, 0] * place / convergence
+        eyes.append(
+            View(move @ view.world_to_camera, projection, view.resolution, view.kind, view.clip, view.radians_per_pixel)
+        )
+    return eyes

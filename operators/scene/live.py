@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The viewport's mesh follows its camera, and the viewport never waits.
+
+Handlers only set a flag. A timer on the main thread reads the properties, hands plain numbers to a worker thread, and
+writes the mesh when the worker is done. A result is stale, and is dropped, when its terrain was updated by other means,
+undone, deleted or replaced in the meantime; a camera that moved on in the meantime gets the next turn.
+"""
+
+import time
+import traceback
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import warmup
+from . import session
+from .properties import VIEWPORT_VIEW
+from .request import RENDER, VIEWPORT, Request, gather
+
+IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
+
+
+@dataclass
+class Job:
+    """An update under way: which terrain (session_uid), as of which generation, and what was asked."""
+
+    uid: int
+    generation: int
+    request: Request
+    future: Future
+
+
+_dirty = False
+_job: Job | None = None
+_worker: ThreadPoolExecutor | None = None
+_draw_handle = None
+_follows_viewport = False
+_started = 0.0  # when the job under way was handed over
+_stage = ""  # what the worker does
+
+
+def mark_dirty() -> None:
+    """Something that a terrain may depend on changed; any thread may say so."""
+    global _dirty
+    _dirty = True
+
+
+def tick() -> float:
+    """One turn of the timer; returns the seconds until the next."""
+    try:
+        return _turn()
+    except Exception:  # Blender would silently take a timer off that raises
+        traceback.print_exc()
+        return IDLE_S
+
+
+def _turn() -> float:
+    global _dirty, _job
+    if warmup.preparing():
+        return IDLE_S
+    if bpy.app.is_job_running("RENDER"):
+        return RENDERING_S
+    if _job is not None:
+        if not _job.future.done():
+            return BUSY_S
+        job, _job = _job, None
+        _finish(job)
+    if not _dirty:
+        return IDLE_S
+    _dirty = False  # before the properties are read, so that no change after that is missed
+    _job = _next_job()
+    if _job is None:
+        return IDLE_S
+    _dirty = True  # another terrain may wait
+    return BUSY_S
+
+
+def seconds_under_way() -> float:
+    """For how long the worker has been busy with an update; 0 when it is idle."""
+    return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
+
+
+def stage() -> str:
+    """What the worker does, for the status bar."""
+    return _stage
+
+
+def _next_job() -> Job | None:
+    """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
+    global _follows_viewport, _started
+    shown = [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
+    _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
+    for depsgraph, obj in shown:
+        record = session.record_of(obj)
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        if depsgraph is None or not wanted or obj.mode != "OBJECT":
+            continue
+        try:
+            request = gather(obj, depsgraph, VIEWPORT)
+        except Exception as error:
+            _report(record, error)
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
+            continue
+        if request.key() != record.live_key:
+            record.live_key, _started = request.key(), time.monotonic()
+            return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
+    return None
+
+
+def _windows():
+    return bpy.context.window_manager.windows
+
+
+def _solve(record: session.Record, request: Request):
+    global _stage
+    _stage = "Refining"
+    with session.engine_lock:
+        update = session.solve(record, request)
+        _stage = "Making the overlay"
+        session.paint(record, request, update)
+        return update, record.serial
+
+
+def _finish(job: Job) -> None:
+    obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
+    if obj is None or obj.mode != "OBJECT":
+        return
+    record = session.record_of(obj)
+    try:
+        update, serial = job.future.result()
+        with session.engine_lock:
+            # The surface's arrays are the engine's own: another update since then has overwritten them.
+            if record.generation == job.generation and record.serial == serial:
+                session.show(obj, record, job.request, update, VIEWPORT)
+    except Exception as error:
+        _report(record, error)
+        if not isinstance(error, TerrainError):
+            raise
+    redraw_panels()
+
+
+def _report(record: session.Record, error: Exception) -> None:
+    if record.status.error != session.explain(error):
+        record.status.error = session.explain(error)
+        redraw_panels()
+
+
+def redraw_panels() -> None:
+    """Show new figures in the sidebar of every 3D viewport."""
+    for window in _windows():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+def _on_draw() -> None:
+    """Turning the view tells no handler: a terrain that follows the viewport looks again whenever one is drawn."""
+    if _follows_viewport:
+        mark_dirty()
+
+
+def register() -> None:
+    global _worker, _draw_handle
+    _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
+    if not bpy.app.background:
+        warmup.start()
+        bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
+        _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    global _worker, _job, _dirty, _draw_handle
+    warmup.stop()
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if _draw_handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_draw_handle, "WINDOW")
+        _draw_handle = None
+    _worker.shutdown(wait=True)
+    _worker, _job, _dirty = None, None, False

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
+
+import hashlib
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..mesh.cleanup import Cleanup, boundary_triangles
+from . import camera as cameras
+from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
+
+VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
+
+    `error_px`: pixels; it replaces a time budget too. `max_triangles`, `meshlet`, `interpolation`: as in the settings.
+    """
+
+    error_px: float | None = None
+    max_triangles: int | None = None
+    meshlet: int | None = None
+    interpolation: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
+
+    `interpolation`: of the height field, by its name in heightfield.py.
+    `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
+    `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
+    """
+
+    store: str
+    interpolation: str
+    criterion: Criterion
+    views: list[View]
+    placement: np.ndarray
+    vertical_scale: float
+    vertical_offset: float
+    smooth: bool
+    cleanup: Cleanup
+    overlay: str
+    max_ms: float | None
+    note: str
+
+    def key(self) -> tuple:
+        """Equal for equal requests."""
+        return self.store, self.interpolation, *self._shape(), self.smooth, self.cleanup.key(), self.overlay, self.note
+
+    def digest(self, field_key: str) -> str:
+        """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
+        height field, the criterion, the views, where the terrain stands."""
+        return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
+
+    def _shape(self) -> tuple:
+        views = tuple(view.key() for view in self.views)
+        return self.criterion, views, self.placement.tobytes(), (self.vertical_scale, self.vertical_offset)
+
+
+def gather(
+    obj,
+    depsgraph,
+    mode: str = VIEWPORT,
+    *,
+    criterion: Criterion | None = None,
+    camera=None,
+    resolution: tuple[int, int] | None = None,
+    overrides: Overrides = Overrides(),
+) -> Request:
+    """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
+
+    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
+    and `overrides` replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
+    if not settings.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+    interpolation = overrides.interpolation or settings.interpolation
+    if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
+        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
+    placement = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(placement).all():
+        raise TerrainError(
+            f"The terrain {obj.name!r} has a matrix that is not finite; check its transform and parents."
+        )
+    if abs(np.linalg.det(placement[:3, :3])) == 0.0:
+        raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
+    max_ms, note = None, ""
+    if criterion is None:
+        detail = settings.render if mode == RENDER else settings.viewport
+        with _named(obj):
+            criterion = criterion_from(detail, overrides)
+        if overrides.error_px is None:
+            criterion, note = within_time(criterion, detail)
+            max_ms = detail.max_ms if detail.limit_time else None
+    views = []
+    if criterion.needs_view:
+        with _named(obj):
+            views = _views(settings, depsgraph, mode, camera, resolution)
+    return Request(
+        store=bpy.path.abspath(settings.store),
+        interpolation=interpolation,
+        criterion=criterion,
+        views=views,
+        placement=placement,
+        vertical_scale=settings.vertical_scale,
+        vertical_offset=settings.vertical_offset,
+        smooth=settings.smooth,
+        cleanup=cleanup_from(settings.cleanup, evaluated, depsgraph),
+        overlay=settings.overlay,
+        max_ms=max_ms,
+        note=note,
+    )
+
+
+@contextmanager
+def _named(obj):
+    """Errors inside say which terrain they are of: a scene may have several."""
+    try:
+        yield
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
+
+
+def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
+    """The criterion that a DetailSettings asks for."""
+    limit = detail.max_triangles if detail.limit_triangles else None
+    return Criterion(
+        error_px=detail.error_px if overrides.error_px is None else overrides.error_px,
+        edge_px=detail.edge_px,
+        area_px=detail.area_px,
+        error_m=detail.error_m,
+        guard_deg=detail.guard_deg,
+        off_screen_factor=detail.off_screen_factor,
+        max_depth=detail.max_depth if detail.limit_depth else None,
+        max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
+        meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,
+    )
+
+
+def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
+    """The criterion with the finest error that fits the time budget of a DetailSettings, which depends on the measured
+    curve and the budget alone; or the criterion as it is, and why."""
+    if not detail.limit_time:
+        return criterion, ""
+    unit = unit_asked(criterion)
+    if not unit:
+        return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
+    if not detail.curve:
+        return criterion, "Time budget needs a measured curve: press Measure Accuracy"
+    try:
+        curve = CostCurve.from_json(detail.curve)
+        error = curve.error_for_ms(detail.max_ms)
+    except TerrainError as damaged:
+        return criterion, str(damaged)
+    if curve.unit != unit:
+        return criterion, f"Time budget needs a curve measured in {unit}: press Measure Accuracy again"
+    return replace(criterion, **{f"error_{unit}": error}), ""
+
+
+def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
+    """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
+    boundary = None
+    if settings.boundary is not None:
+        shape = settings.boundary.original.evaluated_get(depsgraph)
+        boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
+    return Cleanup(settings.below if settings.use_below else None, boundary, settings.remove_loose)
+
+
+def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+    scene = depsgraph.scene
+    if camera is None and settings.camera_source == VIEWPORT_VIEW and mode == VIEWPORT:
+        views = cameras.views_from_windows(bpy.context.window_manager)
+        if views:
+            return views
+    if camera is None and settings.camera_source == CHOSEN_CAMERA:
+        if settings.camera is None:
+            raise TerrainError("No camera is chosen; choose one on the terrain's panel, or take the scene's camera.")
+        camera = settings.camera.original
+    return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)

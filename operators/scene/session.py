@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a running Blender knows of its terrains: height fields, engines, and what each mesh shows.
+
+Nothing here holds a reference to Blender data, which undo and loading invalidate: records are found by the object's
+`session_uid`.
+"""
+
+import dataclasses
+import threading
+import time
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.bicubic import interpolated
+from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.refine.terms import Terms
+from ...cbt_terrain.run import warmup
+from ...cbt_terrain.terrain import Terrain
+from ..mesh import freed_memory
+from ..mesh.writer import write_mesh, write_mesh_bmesh
+from .overlay import Overlay, make_overlay
+from .properties import ERROR_OVERLAY, NO_OVERLAY
+from .request import VIEWPORT, Request, gather
+
+
+@dataclasses.dataclass
+class Status:
+    """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
+    `left`: triangles that the clean-up has left. `request`: what was asked, of the height field with the key
+    `field_key`; None before the first update."""
+
+    mode: str = ""
+    request: Request | None = None
+    field_key: str = ""
+    changed: bool = False
+    leaves: int = 0
+    triangles: int = 0
+    bound_px: float | None = None
+    bound_m: float | None = None
+    bound_edge_px: float | None = None
+    bound_area_px: float | None = None
+    terms_px: Terms | None = None
+    terms_m: Terms | None = None
+    limited: str = ""
+    relaxed: float = 1.0
+    left: int = 0
+    ms: dict[str, float] = dataclasses.field(default_factory=dict)
+    error: str = ""
+
+    @property
+    def digest(self) -> str:
+        """Names the mesh and the views that it was made for."""
+        return self.request.digest(self.field_key) if self.request else ""
+
+
+_OWN = ("mode", "request", "field_key", "left", "ms", "error")
+FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
+
+
+@dataclasses.dataclass
+class Record:
+    """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
+    `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
+    `overlay_key` names what it was made of, in `overlay_ms`."""
+
+    terrain: Terrain | None = None
+    field: object = None
+    serial: int = 0
+    shown: tuple | None = None
+    overlay: Overlay | None = None
+    overlay_key: tuple | None = None
+    overlay_ms: float = 0.0
+    live_key: tuple | None = None
+    generation: int = 0
+    status: Status = dataclasses.field(default_factory=Status)
+
+
+# An engine's surface is valid until its next update, and two updates side by side would share the same cores. Who
+# needs a surface longer holds the lock around the update and copies it.
+engine_lock = threading.RLock()
+_records: dict[int, Record] = {}
+_fields: dict[tuple[str, int], object] = {}
+
+
+def is_terrain(obj) -> bool:
+    """Whether the object is a terrain whose mesh may be written: neither it nor its mesh is linked from a library, or
+    overrides something linked (Cycles crashes on an overridden mesh that is written)."""
+    if obj.type != "MESH" or not obj.adaptive_terrain.enabled:
+        return False
+    return all(block.library is None and block.override_library is None for block in (obj, obj.data))
+
+
+def all_terrains() -> list:
+    """Every terrain of the open file; records of objects that are gone are dropped."""
+    found = [obj for obj in bpy.data.objects if is_terrain(obj)]
+    for uid in set(_records) - {obj.session_uid for obj in found}:
+        del _records[uid]
+    return found
+
+
+def terrains_of(scene) -> list:
+    return [obj for obj in all_terrains() if scene.objects.get(obj.name) == obj]
+
+
+def record_of(obj) -> Record:
+    return _records.setdefault(obj.session_uid, Record())
+
+
+def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
+    """Refine the terrain `obj` for its camera and write its mesh where it changed; returns the engine's Update.
+
+    `depsgraph`: the evaluated dependency graph (the context's own by default). `asked`: further arguments of
+    `request.gather`. Raises TerrainError, which the panel shows too; the mesh then stays as it was.
+    """
+    record = record_of(obj)
+    record.generation += 1
+    try:
+        request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **asked)
+        with engine_lock:
+            update = solve(record, request)
+            paint(record, request, update)
+            show(obj, record, request, update, mode)
+        record.live_key = request.key() if mode == VIEWPORT else None
+    except Exception as error:
+        record.status.error = explain(error)
+        raise
+    return update
+
+
+def explain(error: Exception) -> str:
+    """What the panel says of a failed update."""
+    if isinstance(error, TerrainError):
+        return str(error)
+    return f"The update failed unexpectedly ({type(error).__name__}: {error}); the mesh stays as it was."
+
+
+def solve(record: Record, request: Request):
+    """Run the engine; touches nothing of Blender, so that any thread may call it (holding `engine_lock`). Waits for
+    kernels that are being prepared: a render needs its mesh now, the viewport's updates do not begin before."""
+    warmup.wait()
+    heights = field_of(request)
+    if record.terrain is None or record.field is not heights:
+        record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
+    update = record.terrain.update(
+        request.criterion,
+        views=request.views,
+        placement=request.placement,
+        vertical_scale=request.vertical_scale,
+        vertical_offset=request.vertical_offset,
+    )
+    record.serial += bool(update.changed)
+    return update
+
+
+def paint(record: Record, request: Request, update) -> None:
+    """Make the overlay that the request asks for, or drop it; after `solve`, and like it for any thread."""
+    key = None
+    if request.overlay != NO_OVERLAY:
+        # The error is another one in each view, also on the same mesh.
+        key = (record.serial, request.overlay, request.key() if request.overlay == ERROR_OVERLAY else None)
+    if key != record.overlay_key:
+        if key is not None:
+            warmup.wait(overlay=True)
+        start = time.perf_counter()
+        record.overlay = None if key is None else make_overlay(record.field, request, update.surface)
+        record.overlay_key, record.overlay_ms = key, (time.perf_counter() - start) * 1e3
+
+
+def field_of(request: Request):
+    """The height field that a request refines, with its interpolation."""
+    return interpolated(open_field(request.store), request.interpolation)
+
+
+def open_field(store: str):
+    """The height field of a store folder, opened once for as long as the folder is the same."""
+    try:
+        stamp = (Path(store) / "store.json").stat().st_mtime_ns
+    except OSError:
+        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.") from None
+    key = str(Path(store).resolve()), stamp
+    if key not in _fields:
+        for old in [other for other in _fields if other[0] == key[0]]:
+            del _fields[old]
+        _fields[key] = open_store(store)
+    return _fields[key]
+
+
+def show(obj, record: Record, request: Request, update, mode: str) -> bool:
+    """Write the mesh, unless it shows this surface already; returns whether it was written."""
+    _own_mesh(obj)
+    written = record.shown != _what_is_shown(obj.data, record, request)
+    ms = dict(update.ms)
+    if written:
+        start = time.perf_counter()
+        if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
+            freed_memory.hold()
+        record.shown = None
+        how = {"smooth": request.smooth, "overlay": record.overlay}
+        if request.cleanup.active:
+            write_mesh_bmesh(obj.data, update.surface, request.cleanup, **how)
+        else:
+            write_mesh(obj.data, update.surface, **how)
+        record.shown = _what_is_shown(obj.data, record, request)
+        ms["mesh"] = (time.perf_counter() - start) * 1e3
+        if record.overlay is not None:
+            ms["overlay"] = record.overlay_ms
+    record.status = Status(
+        mode=mode,
+        request=request,
+        field_key=record.field.key,
+        left=len(obj.data.polygons),
+        ms=ms,
+        **{name: getattr(update, name) for name in FIGURES},
+    )
+    return written
+
+
+def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
+    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
+    return mesh.session_uid, counts, record.serial, request.smooth, request.cleanup.key(), record.overlay_key
+
+
+def _own_mesh(obj) -> None:
+    """A terrain that shares its mesh gets one of its own: another place is another refinement, and the mesh of an
+    object that is no terrain is not ours to write."""
+    if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects):
+        obj.data = obj.data.copy()
+
+
+def forget_shown() -> None:
+    """Undo may have put back any mesh: write each again at its next update, and drop what is under way."""
+    for record in _records.values():
+        record.shown = record.live_key = None
+        record.generation += 1
+
+
+def clear() -> None:
+    """Forget every terrain and height field (another file is opened, or the extension goes)."""
+    with engine_lock:
+        for record in _records.values():
+            record.generation += 1
+        _records.clear()
+        _fields.clear()

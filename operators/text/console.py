@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the command line shows: a progress bar with the time left, and silence from programs that talk."""
+
+import ctypes
+import os
+import sys
+import time
+from contextlib import contextmanager
+
+from ...cbt_terrain.run import stopping
+
+BAR_WIDTH = 28
+
+
+class Progress:
+    """A bar on stderr, redrawn in place; it shows only where someone looks at a terminal, or where it is asked for.
+
+    `total` is the number of steps; a step that had nothing to do is not counted in the estimate of the time left.
+    """
+
+    def __init__(self, total: float, label: str, show: bool | None = None):
+        self.total, self.label = total, label
+        self.show = sys.stderr.isatty() if show is None else show
+        self.done = self._worked = 0.0
+        self._drawn = ""
+        self._start = time.monotonic()
+        self._draw()
+
+    def to(self, done: float, worked: bool = True) -> None:
+        """Move the bar to `done` steps; `worked` is False if getting there was free. Raises Stopped."""
+        if worked:
+            self._worked += done - self.done
+        self.done = done
+        self._draw()
+        stopping.check()
+
+    def say(self, line: str) -> None:
+        """Print a line to stdout, above the bar."""
+        self._clear()
+        print(line, flush=True)
+        self._draw()
+
+    def close(self) -> None:
+        """Take the bar off the terminal."""
+        self._clear()
+        self.show = False
+
+    def left_s(self) -> float | None:
+        """Seconds left at the speed so far; None while nothing is known."""
+        if not self._worked > 0:
+            return None
+        return (time.monotonic() - self._start) / self._worked * (self.total - self.done)
+
+    def _draw(self) -> None:
+        if not self.show:
+            return
+        part = self.done / self.total if self.total else 1.0
+        filled = int(BAR_WIDTH * part)
+        left = self.left_s()
+        remaining = "" if left is None else f"  {duration(left)} left"
+        bar = f"{self.label} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {part:4.0%}{remaining}"
+        if bar != self._drawn:
+            self._drawn = bar
+            sys.stderr.write(f"\r\x1b[K{bar}")
+            sys.stderr.flush()
+
+    def _clear(self) -> None:
+        if self.show:
+            self._drawn = ""
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+
+def duration(seconds: float) -> str:
+    """`8 s`, `2:05 min`, `1:02 h`."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole // 60 % 60:02d} h"
+
+
+@contextmanager
+def quiet(*streams: int):
+    """Send what native code prints nowhere: Blender reports every file that it reads and writes. `streams`: file
+    descriptors, stdout by default."""
+    streams = streams or (1,)
+    _flush()
+    kept, nowhere = [os.dup(stream) for stream in streams], os.open(os.devnull, os.O_WRONLY)
+    try:
+        for stream in streams:
+            os.dup2(nowhere, stream)
+        yield
+    finally:
+        _flush()
+        for stream, copy in zip(streams, kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(nowhere)
+
+
+def _flush() -> None:
+    """Write out what Python and the C library still hold back."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    library = ctypes.cdll.ucrtbase if sys.platform == "win32" else ctypes.CDLL(None)
+    library.fflush(None)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels of the height map: what to import and how, what was imported, and how its surface stands in the scene."""
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ..scene import import_terrain
+from ..scene.imported import changed_settings, imported_of, lines_of
+from ..scene.properties import FILE
+from .panel_parts import TerrainSubpanel, figures, switched
+
+
+class SourcePanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_source"
+    bl_label = "Height Map"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        settings = obj.adaptive_terrain
+        column.prop(settings, "source")
+        if settings.source == FILE:
+            _draw_file(column, settings)
+        else:
+            column.prop(settings, "island_size")
+            column.prop(settings, "seed")
+        switched(column, settings, "use_extent", "extent")
+        column.prop(settings, "height_scale")
+        column.prop(settings, "height_offset")
+        progress = import_terrain.progress_of(obj)
+        if progress is not None:
+            row = column.row(align=True)
+            row.progress(factor=progress[0], text=progress[1])
+            row.operator("adaptive_terrain.cancel_import", text="", icon="CANCEL")
+            return
+        again = is_stale(obj)
+        text = "Import Again: settings changed" if again else "Import"
+        column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
+
+
+def is_stale(obj) -> bool:
+    """Whether another import would be another terrain."""
+    imported = imported_of(obj.adaptive_terrain)
+    try:
+        return imported is not None and bool(changed_settings(import_terrain.settings_of(obj), imported))
+    except TerrainError:  # no file is chosen yet
+        return True
+
+
+def _draw_file(column, settings) -> None:
+    column.prop(settings, "source_path")
+    if import_terrain.is_raw(settings.source_path):
+        column.prop(settings, "raw_size")
+        column.prop(settings, "raw_dtype")
+        column.prop(settings, "raw_little_endian")
+    elif settings.source_path.lower().endswith(".exr"):
+        column.prop(settings, "channel")
+    else:
+        column.prop(settings, "band")
+    column.prop(settings, "first_row_south")
+    if import_terrain.placed(settings.source_path):
+        column.prop(settings, "project")
+    switched(column, settings, "use_no_data", "no_data")
+
+
+class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_imported"
+    bl_label = "Imported"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_source"
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        figures(column, lines_of(imported_of(settings)), factor=0.28)
+        column.separator()
+        column.prop(settings, "store")
+        column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
+
+
+class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
+    """What acts at once, without another import."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_surface"
+    bl_label = "Surface"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        column.prop(settings, "vertical_scale")
+        column.prop(settings, "vertical_offset")
+        column.prop(settings, "interpolation")
+
+
+CLASSES = (SourcePanel, ImportedPanel, SurfacePanel)

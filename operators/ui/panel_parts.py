@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels of the tab "Terrain" share."""
+
+from ..scene import session
+
+LINE_LENGTH = 36
+
+
+class TerrainSubpanel:
+    """Base of the panels below the first: shown for a terrain only."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Terrain"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object)
+
+    def _columns(self):
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        return self.layout.column()
+
+
+def switched(column, settings, switch: str, name: str) -> None:
+    """A value and the check box that switches it on."""
+    column.prop(settings, switch)
+    if getattr(settings, switch):
+        column.prop(settings, name)
+
+
+def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
+    """Names in the left part, of `factor` of the width, one or more figures in the right."""
+    for name, *values in lines:
+        row = column.split(factor=factor)
+        row.label(text=name)
+        right = row.row()
+        for value in values:
+            right.label(text=value)
+
+
+def message(layout, text: str, icon: str) -> None:
+    """A sentence in a box, cut into lines; red if `icon` is "ERROR"."""
+    box = layout.box()
+    box.alert = icon == "ERROR"
+    for number, line in enumerate(wrapped(text, LINE_LENGTH)):
+        box.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def fixed_lines(column, text: str, count: int) -> None:
+    """A sentence in `count` lines, however short it is; one that is longer is cut."""
+    lines = wrapped(text, LINE_LENGTH)
+    if len(lines) > count:
+        lines[count - 1] += " ..."
+    for line in (lines + [""] * count)[:count]:
+        column.label(text=line)
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """The text in lines of at most `width` characters, cut between words."""
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return lines

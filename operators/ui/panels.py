@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab "Terrain" in the sidebar of the 3D viewport."""
+
+import bpy
+
+from ...cbt_terrain.run import warmup
+from ..scene import session
+from ..scene.properties import CHOSEN_CAMERA
+from . import detail_panel, height_map_panel, overlay_panel, statistics_panel
+from .panel_parts import TerrainSubpanel, figures, switched
+from .status_row import draw_preparation, draw_status
+
+
+class TerrainPanel(bpy.types.Panel):
+    """What a terrain gives now. It has as many rows whatever they say, so that the settings below never move."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_main"
+    bl_label = "Adaptive Terrain"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Terrain"
+
+    def draw(self, context):
+        layout = self.layout
+        obj = context.object
+        if obj is not None and session.is_terrain(obj):
+            row = layout.row(align=True)
+            row.operator("adaptive_terrain.update", icon="FILE_REFRESH")
+            row.operator("adaptive_terrain.frame", text="Frame", icon="ZOOM_SELECTED")
+            layout.prop(obj.adaptive_terrain, "live")
+            box = layout.box().column(align=True)
+            figures(box, statistics_panel.summary_lines(session.record_of(obj).status))
+            draw_status(box, context, obj)
+            return
+        if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
+            layout.label(text="Linked from a library: left alone", icon="LINKED")
+        layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
+        draw_preparation(layout)
+
+
+def _waiting_row(layout):
+    """A row for what needs the kernels now: greyed out while they are prepared, because it would hold up the window."""
+    row = layout.row()
+    row.enabled = not warmup.preparing()
+    return row
+
+
+class CameraPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_camera"
+    bl_label = "Camera"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        column.prop(settings, "camera_source")
+        if settings.camera_source == CHOSEN_CAMERA:
+            column.prop(settings, "camera")
+
+
+class MeshPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_mesh"
+    bl_label = "Mesh"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        column.prop(settings, "smooth")
+        cleanup = settings.cleanup
+        switched(column, cleanup, "use_below", "below")
+        column.prop(cleanup, "boundary")
+        if cleanup.use_below or cleanup.boundary is not None:
+            column.prop(cleanup, "remove_loose")
+
+
+class OutputPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_output"
+    bl_label = "Bake and Export"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        column.prop(context.object.adaptive_terrain, "bake_error_m")
+        column.prop(context.object.adaptive_terrain, "bake_fit")
+        _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
+        column.separator()
+        _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
+
+
+CLASSES = (
+    TerrainPanel,
+    *height_map_panel.CLASSES,
+    CameraPanel,
+    *detail_panel.CLASSES,
+    overlay_panel.OverlayPanel,
+    MeshPanel,
+    OutputPanel,
+    *statistics_panel.CLASSES,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

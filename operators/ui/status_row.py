@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one row of the panel that says how the terrain is: work under way, what went wrong, what is out of sight.
+
+It is always one row, so that nothing below it moves while someone aims at it.
+"""
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import warmup
+from ..scene import camera as cameras
+from ..scene import import_terrain, pack_store, session, sight
+from .panel_parts import wrapped
+
+POPUP_LINE = 80
+NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
+FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
+
+
+def draw_status(layout, context, obj) -> None:
+    """The row: the first of these that there is."""
+    row = layout.row(align=True)
+    error = session.record_of(obj).status.error
+    if _draw_progress(row, obj):
+        return
+    if error:
+        row.alert = True
+        row.operator("adaptive_terrain.show_message", text="Not up to date: read why", icon="ERROR")
+    elif obj.mode != "OBJECT":
+        row.label(text="Stands still in Edit Mode", icon="PAUSE")
+    elif not obj.adaptive_terrain.store:
+        row.label(text="No height map yet: import one", icon="INFO")
+    else:
+        text, operator, button = sight_notice(context, obj)
+        row = row.split(factor=NOTICE_WIDTH) if text else row
+        row.label(text=text or "In sight", icon="ERROR" if text else "CHECKMARK")
+        if operator:
+            row.operator(operator, text=button)
+
+
+def draw_preparation(layout) -> None:
+    """A row that shows how far the kernels are, while they are prepared; an empty one otherwise."""
+    fraction = warmup.progress()
+    if fraction is not None and warmup.preparing():
+        layout.progress(factor=fraction, text="Preparing kernels (first start)")
+    else:
+        layout.label(text="")
+
+
+def _draw_progress(row, obj) -> bool:
+    if warmup.preparing() and warmup.progress() is not None:
+        draw_preparation(row)
+        return True
+    imported, packed = import_terrain.progress_of(obj), pack_store.progress()
+    if imported is not None:
+        row.progress(factor=imported[0], text=f"Importing: {imported[1]}")
+        row.operator("adaptive_terrain.cancel_import", text="", icon="CANCEL")
+    elif packed is not None:
+        row.progress(factor=packed, text="Packing")
+        row.operator("adaptive_terrain.cancel_pack", text="", icon="CANCEL")
+    return imported is not None or packed is not None
+
+
+def sight_notice(context, obj) -> tuple[str, str, str]:
+    """What keeps the terrain out of sight, the operator that mends it, and its button's text; "" where nothing does."""
+    try:
+        box = sight.box_of(obj)
+        if _viewport_cuts(context, box):
+            return "View cuts it off", FRAME, "Frame"
+        camera = sight.camera_of(obj, context.scene)
+        if camera is None:
+            return "", "", ""
+        view = sight.view_of_camera(context.scene, camera)
+        if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
+            return "Camera underground", CAMERA_TO_VIEW, "To View"
+        if not sight.is_in_sight(box, view):
+            return "Camera sees nothing", CAMERA_TO_VIEW, "To View"
+        if sight.is_cut_off(box, view):
+            return "Camera cuts it off", FRAME, "Frame"
+    except TerrainError:
+        pass  # the update says what is wrong
+    return "", "", ""
+
+
+def _viewport_cuts(context, box: np.ndarray) -> bool:
+    """Whether the viewport that the panel is beside ends before the terrain; of one in camera view, the camera's end
+    counts, which has a notice of its own."""
+    space = context.space_data
+    if space is None or space.type != "VIEW_3D" or space.region_3d.view_perspective == "CAMERA":
+        return False
+    region = next(region for region in context.area.regions if region.type == "WINDOW")
+    return sight.is_cut_off(box, cameras.view_from_region(space, region, space.region_3d))
+
+
+class ShowMessage(bpy.types.Operator):
+    """Show what went wrong, and what to do"""
+
+    bl_idname = "adaptive_terrain.show_message"
+    bl_label = "Show Message"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object)
+
+    def execute(self, context):
+        lines = wrapped(session.record_of(context.object).status.error, POPUP_LINE)
+
+        def draw(popup, _context):
+            for line in lines:
+                popup.layout.label(text=line)
+
+        context.window_manager.popup_menu(draw, title=context.object.name, icon="ERROR")
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((ShowMessage,))

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fixtures of the tests that need the bpy module: a surface, a store, an empty file, a scene, terrains in it."""
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+
+def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
+    """Two triangles a cell, 1 m cells, with the arrays of a Surface."""
+    y, x = np.mgrid[0 : rows + 1, 0 : columns + 1].astype(np.float32)
+    positions = np.stack([x.ravel(), y.ravel(), np.broadcast_to(height(x, y), x.shape).ravel()], 1).astype(np.float32)
+    corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    a, b, c, d = corner, corner + 1, corner + columns + 2, corner + columns + 1
+    triangles = np.stack([a, b, c, a, c, d], 1).reshape(-1, 3).astype(np.int32)
+    pairs = np.stack([triangles, np.roll(triangles, -1, 1)], 2).reshape(-1, 2)
+    edges, corner_edges = np.unique(np.sort(pairs, 1), axis=0, return_inverse=True)
+    normals = np.zeros_like(positions)
+    normals[:, 0], normals[:, 2] = 0.6, 0.8
+    return SimpleNamespace(
+        positions=positions,
+        normals=normals,
+        uv=(positions[:, :2] / max(columns, rows, 1)).astype(np.float32),
+        corner_verts=triangles.ravel(),
+        corner_edges=corner_edges.ravel().astype(np.int32),
+        edges=edges.astype(np.int32),
+        level=np.arange(len(triangles), dtype=np.int32) % 7,
+    )
+
+
+@pytest.fixture
+def grid_surface():
+    return make_grid_surface
+
+
+@pytest.fixture
+def empty():
+    """An empty file, with the extension registered."""
+    import adaptive_terrain
+    import bpy
+
+    if not hasattr(bpy.types.Object, "adaptive_terrain"):
+        adaptive_terrain.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context.scene
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory):
+    """A small store of rolling hills: 129 x 129 samples, 10 m apart."""
+    from adaptive_terrain.cbt_terrain.field.build import build
+    from adaptive_terrain.cbt_terrain.field.store import Draft
+
+    path = tmp_path_factory.mktemp("stores") / "hills"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (129, 129), np.float32)
+    y, x = np.mgrid[0:129, 0:129]
+    samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 5 * np.sin(x * y / 30)
+    draft.publish(build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate), "hills", {})
+    return str(path)
+
+
+@pytest.fixture
+def scene(empty):
+    """An empty file with a camera that looks at the middle from the south, 640 x 360 pixels."""
+    import bpy
+
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.data.clip_end = 1e5
+    camera.location, camera.rotation_euler = (0.0, -900.0, 400.0), (1.15, 0.0, 0.0)
+    empty.collection.objects.link(camera)
+    empty.camera = camera
+    empty.render.resolution_x, empty.render.resolution_y = 640, 360
+    return empty
+
+
+@pytest.fixture
+def add_terrain(store):
+    """Makes a terrain object in the scene that is open; its mesh is still empty."""
+    import bpy
+
+    def add(name="Terrain"):
+        obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        bpy.context.scene.collection.objects.link(obj)
+        obj.adaptive_terrain.enabled, obj.adaptive_terrain.store = True, store
+        obj.adaptive_terrain.viewport.error_px = 1.0  # the viewport's own default is coarser
+        bpy.context.view_layer.objects.active = obj
+        return obj
+
+    return add
+
+
+@pytest.fixture
+def preparing(monkeypatch):
+    """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
+    from adaptive_terrain.cbt_terrain.run import warmup
+
+    current = SimpleNamespace(
+        fraction=0.25, done=threading.Event(), overlay_done=threading.Event(), stopping=threading.Event()
+    )
+    monkeypatch.setattr(warmup, "_current", current)
+    return current

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Height fields, views and measurements that the tests share."""
+
+import math
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+from matplotlib.tri import Triangulation
+
+
+def rough(height: int, width: int, seed: int = 0, relief: float = 100.0, step: float = 10.0) -> HeightField:
+    """Random terrain with detail at every scale, `height` x `width` samples `step` metres apart."""
+    rng = np.random.default_rng(seed)
+    y, x = np.meshgrid(np.linspace(0, 3, height), np.linspace(0, 3, width), indexing="ij")
+    z = np.zeros((height, width))
+    for octave in range(5):
+        a, b, c, d = rng.uniform(0, 6, 4)
+        f = 2.0**octave
+        z += np.sin(f * x + a) * np.cos(f * y + b) / f + 0.3 * np.sin(f * (x + y) + c) * np.sin(f * (x - y) + d) / f
+    z += 0.02 * rng.standard_normal((height, width))
+    return from_array((relief * z).astype(np.float32), step, step)
+
+
+def random_view(rng: np.random.Generator, field: HeightField) -> View:
+    """A view from anywhere in and about the terrain, also from below it and out of its sight."""
+    size = extent(field)
+    eye = (rng.random(3) * 2 - 1) * size * 10 ** rng.uniform(-1, 0.7)
+    if rng.random() < 0.2:  # on the surface, on a sample
+        j, i = rng.integers(field.lattice.height), rng.integers(field.lattice.width)
+        eye = sample_position(field, i, j)
+    target = eye + rng.standard_normal(3) * size
+    kind = rng.choice([PERSPECTIVE, PERSPECTIVE, PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC])
+    return View.look(
+        eye,
+        target,
+        fov_deg=float(360 if kind == PANORAMIC else 10 ** rng.uniform(0, 2.2)),
+        resolution=(int(rng.integers(1, 4000)), int(rng.integers(1, 4000))),
+        kind=str(kind),
+        ortho_width=float(size[0] * 10 ** rng.uniform(-3, 1)),
+        clip=(0.1, 1e6),
+        roll_deg=float(rng.uniform(0, 360)),
+    )
+
+
+def extent(field: HeightField) -> np.ndarray:
+    """float64 [3]: the terrain's size in metres."""
+    lattice = field.lattice
+    relief = max(field.max_height - field.min_height, 1.0)
+    return np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y, relief])
+
+
+def sample_position(field: HeightField, i: int, j: int) -> np.ndarray:
+    """float64 [3]: sample (column i, row j) in the terrain's own space."""
+    lattice = field.lattice
+    x, y = (i - (lattice.width - 1) / 2) * lattice.step_x, (j - (lattice.height - 1) / 2) * lattice.step_y
+    return np.array([x, y, float(field.samples[j, i])])
+
+
+def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
+    """The reference surface at points [n, 2] of the terrain's own space."""
+    if field.interpolation == "bicubic":
+        return bezier(field, plane)[0]
+    lattice = field.lattice
+    s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
+    t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
+    i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
+    s, t, h = s - i, t - j, np.asarray(field.samples, np.float64)
+    low = h[j, i] * (1 - s) + h[j, i + 1] * s
+    return low * (1 - t) + (h[j + 1, i] * (1 - s) + h[j + 1, i + 1] * s) * t
+
+
+# Four samples in a row to the control heights of the cubic between the middle two.
+TO_BEZIER = np.array([[0, 1, 0, 0], [-1 / 6, 1, 1 / 6, 0], [0, 1 / 6, 1, -1 / 6], [0, 0, 1, 0]])
+
+
+def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The C1 bicubic surface at points [n, 2], as Bezier patches: heights [n], gradients [n, 2] in metres a metre.
+
+    cell: int [n, 2], the columns and rows of the patches to use in place of those in which the points lie.
+    """
+    lattice = field.lattice
+    steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
+    place = np.clip(plane / steps + cells / 2, 0, cells)
+    at = np.minimum(place.astype(int), cells - 1) if cell is None else cell
+    h = np.asarray(field.samples, np.float64)
+    h = np.concatenate([2 * h[:1] - h[1:2], h, 2 * h[-1:] - h[-2:-1]])
+    h = np.concatenate([2 * h[:, :1] - h[:, 1:2], h, 2 * h[:, -1:] - h[:, -2:-1]], axis=1)
+    near = np.arange(4)
+    patch = h[at[:, 1, None, None] + near[:, None], at[:, 0, None, None] + near]
+    control = TO_BEZIER @ patch @ TO_BEZIER.T
+    (u, du), (v, dv) = (_bernstein(place[:, k] - at[:, k]) for k in (0, 1))
+
+    def weigh(across: np.ndarray, up: np.ndarray) -> np.ndarray:
+        return np.einsum("nj,nji,ni->n", up, control, across)
+
+    return weigh(u, v), np.stack([weigh(du, v), weigh(u, dv)], axis=1) / steps
+
+
+def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cubic Bernstein polynomials [n, 4] and their derivatives."""
+    r = 1 - t
+    values = np.stack([r**3, 3 * t * r**2, 3 * t**2 * r, t**3], axis=1)
+    return values, np.stack([-3 * r**2, 3 * r**2 - 6 * t * r, 6 * t * r - 3 * t**2, 3 * t**2], axis=1)
+
+
+def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:
+    """Height of the mesh at points [n, 2]."""
+    corners, p = surface.triangles, surface.positions.astype(np.float64)
+    owner = Triangulation(p[:, 0], p[:, 1], corners).get_trifinder()(plane[:, 0], plane[:, 1])
+    # The finder misses points on the border and on some edges: try every triangle for those.
+    for n in np.flatnonzero(owner < 0):
+        owner[n] = _barycentric(p[corners], plane[n]).min(axis=1).argmax()
+    weights = _barycentric(p[corners[owner]], plane)
+    assert weights.min() > -1e-4
+    return (weights * p[corners[owner], 2]).sum(axis=1)
+
+
+def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """float64 [n, 3] of points [n, 2] or [2] in triangles [n, 3, 2 or 3]."""
+    a, u, v = triangles[:, 0, :2], triangles[:, 1, :2] - triangles[:, 0, :2], triangles[:, 2, :2] - triangles[:, 0, :2]
+    area, d = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], points - a
+    s = (d[:, 0] * v[:, 1] - d[:, 1] * v[:, 0]) / area
+    t = (u[:, 0] * d[:, 1] - u[:, 1] * d[:, 0]) / area
+    return np.stack([1 - s - t, s, t], axis=1)
+
+
+def project(view: View, points: np.ndarray, placement: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [n, 2] (or unit directions [n, 3] of a panorama) of points, and whether each is in the frame."""
+    matrix = view.world_to_camera if placement is None else view.world_to_camera @ placement
+    camera = points @ matrix[:3, :3].T + matrix[:3, 3]
+    if view.kind == PANORAMIC:
+        length = np.maximum(np.linalg.norm(camera, axis=1, keepdims=True), 1e-300)
+        return camera / length, length[:, 0] > view.clip[0]
+    clip = np.c_[camera, np.ones(len(camera))] @ view.projection.T
+    with np.errstate(all="ignore"):
+        device = clip[:, :2] / clip[:, 3:]
+    seen = (np.abs(device) <= 1).all(axis=1) & (-camera[:, 2] > view.clip[0]) & (-camera[:, 2] < view.clip[1])
+    return device * np.array(view.resolution) / 2, seen
+
+
+def screen_error(view: View, field: HeightField, surface: Surface, plane: np.ndarray, placement=None) -> float:
+    """Largest distance in pixels between a seen point of the reference surface and the mesh's point below it."""
+    truth = np.c_[plane, reference_heights(field, plane)]
+    below = np.c_[plane, mesh_heights(surface, plane)]
+    a, seen = project(view, truth, placement)
+    b, _ = project(view, below, placement)
+    if not seen.any():
+        return 0.0
+    if view.kind == PANORAMIC:
+        half = np.linalg.norm(a - b, axis=1)[seen] / 2
+        return float((2 * np.arcsin(np.minimum(half, 1))).max() / view.radians_per_pixel)
+    return float(np.linalg.norm(a[seen] - b[seen], axis=1).max())
+
+
+def scattered(field: HeightField, count: int, seed: int = 0) -> np.ndarray:
+    """Points [n, 2] of the terrain's own space: as many samples as fit into `count`, the rest at random between."""
+    rng = np.random.default_rng(seed)
+    lattice, size = field.lattice, extent(field)[:2]
+    free = (rng.random((count // 2, 2)) - 0.5) * size
+    every = max(1, math.ceil(lattice.width * lattice.height / (count // 2)))
+    index = np.arange(rng.integers(every), lattice.width * lattice.height, every)
+    j, i = np.divmod(index, lattice.width)
+    steps = np.array([lattice.step_x, lattice.step_y])
+    return np.concatenate([free, (np.stack([i, j], 1) - np.array([lattice.width - 1, lattice.height - 1]) / 2) * steps])

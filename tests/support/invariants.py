@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What holds after every update: the invariants I1 to I6 of the hard cases, asserted by one function."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+
+
+def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> None:
+    """Assert I1 .. I6 for the surface of one terrain. `meshlet`: each leaf became 4**meshlet triangles."""
+    positions, corners, edges = surface.positions, surface.triangles, surface.edges
+    sides = surface.corner_edges.reshape(-1, 3)
+    count_v, count_e, count_t = len(positions), len(edges), len(corners)
+
+    # I1 finite; normals of length 1
+    for array in (positions, surface.normals, surface.uv):
+        assert np.isfinite(array).all()
+    assert np.abs(np.linalg.norm(surface.normals.astype(np.float64), axis=1) - 1).max() < 1e-6
+    assert surface.uv.min() >= 0 and surface.uv.max() <= 1
+
+    # indices in range, every vertex used
+    assert corners.min() == 0 and corners.max() == count_v - 1 and np.bincount(corners.ravel()).min() > 0
+    assert sides.min() == 0 and sides.max() == count_e - 1
+
+    # corner edges are the edges between corners, each edge once
+    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1), axis=-1)
+    assert np.array_equal(ends, np.sort(edges, axis=1)[sides])
+    pair = np.array([count_v, 1], np.int64)
+    keys = np.sort(edges, axis=1) @ pair
+    assert len(np.unique(keys)) == count_e
+
+    # I2 interior edges belong to two triangles, border edges to one; and the border is the domain's
+    uses = np.bincount(sides.ravel(), minlength=count_e)
+    assert uses.min() == 1 and uses.max() <= 2
+    plane = positions[:, :2].astype(np.float64)
+    low, high = plane.min(axis=0), plane.max(axis=0)
+    size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y], np.float64)
+    assert np.allclose(high - low, size, rtol=1e-6)
+    border = plane[edges[uses == 1]]
+    assert (((border == low) | (border == high)).all(axis=1)).any(axis=1).all()
+
+    # I3 one sheet; every triangle counter-clockwise seen from above; each interior edge is run in both directions
+    assert count_v - count_e + count_t == 1
+    directed = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2) @ pair
+    assert len(np.unique(directed)) == 3 * count_t
+
+    # I4 the leaves partition the domain: two triangles of depth 1 a root square, in integers
+    levels, counts = np.unique(surface.level, return_counts=True)
+    deepest = int(levels[-1])
+    assert sum(int(n) << (deepest - int(d)) for d, n in zip(levels, counts, strict=True)) == lattice.squares << deepest
+    assert count_t % (1 << 2 * meshlet) == 0
+
+    # I5 no two vertices at one place
+    assert len(np.unique(plane.view(np.complex128))) == count_v
+
+    # I6 positive area in the plane, adding up to the domain
+    p = plane[corners]
+    a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    assert areas.min() > 0
+    assert abs(areas.sum() / 2 / np.prod(size) - 1) < 1e-6
+
+
+def arrays(surface: Surface) -> dict[str, bytes]:
+    """The bytes of every array, to compare meshes that must be the same."""
+    return {name: array.tobytes() for name, array in vars(surface).items()}
+
+
+def assert_blender_invariants(obj, meshlet: int = 0) -> None:
+    """Assert I1 .. I6 for the mesh that a Blender object holds, read back from Blender, and Blender's own check."""
+    from adaptive_terrain.operators.output import frame_sources
+    from adaptive_terrain.operators.scene import session
+
+    assert obj.data.validate(verbose=True) is False
+    assert_invariants(frame_sources._surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)

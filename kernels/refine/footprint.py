@@ -66,6 +66,7 @@ def plan_of(domain: Domain, asked: Asked, max_depth: wp.int32) -> Plan:
     unit2 = larger(larger(p.weight_x, p.weight_y), larger(p.depth_x * p.depth_x, p.depth_y * p.depth_y))
     far = wp.float64(1e-9) * view.depth[3]
     one = asked.view_count == 1 and view.kind != ORTHOGRAPHIC
+    one = one and wp.min(domain.east, domain.north) == 2147483647  # no padding
     p.usable = wp.int32(one and asked.measures_edges == 1 and end2 > unit2 and end2 > far * far)
     return p
 

@@ -12,6 +12,8 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mesh import cut as kernels
+from ...kernels.refine.diamond import Domain
+from ..refine.refinement import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
 
@@ -19,13 +21,15 @@ from ..run.buffers import shared
 TOLERANCE = 2.0**-10
 # Arrays of a surface with one item a vertex, and with one a triangle.
 POINTS, FACES = ("positions", "normals", "uv"), ("level",)
-SHAPE = {
-    **dict.fromkeys(POINTS, (0, 1)),
-    "edges": (1, 1),
-    "corner_verts": (2, 3),
-    "corner_edges": (2, 3),
-    "level": (2, 1),
+# Of every array: what it has items of, and how many of each.
+SHAPE = {name: (int(kernels.VERTEX), 1) for name in POINTS} | {
+    "edges": (int(kernels.EDGE), 1),
+    "corner_verts": (int(kernels.TRIANGLE), 3),
+    "corner_edges": (int(kernels.TRIANGLE), 3),
+    "level": (int(kernels.TRIANGLE), 1),
 }
+
+NONE_SWAPPED = np.empty((2, 0), np.int32)
 
 # Of the array `name` of a surface one with room for so many items that begins with it: the array itself, or a copy.
 Room = Callable[[str, np.ndarray, int], np.ndarray]
@@ -48,11 +52,18 @@ def above(axis: int, at: float) -> Side:
 
 
 def rim(axis: int, at: float) -> Side:
-    """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Every vertex that is not beyond the
-    rim is on it or whole cells away, so that none is moved."""
+    """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Vertices are on the rim or cells
+    away from it, so none is near enough to be taken for one on it."""
     at = float(np.float32(at))
     known = (("positions", axis, at), ("uv", axis, 1.0))
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
+
+
+def rims(domain: Domain) -> list[Side]:
+    """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
+    axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
+    # As the displacement places points.
+    return [rim(axis, start + at * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM]
 
 
 def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
@@ -71,13 +82,15 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
     `copied` the arrays are overwritten; swapping back gives the vertices that there were. The same bytes for any number
     of threads.
     """
+    if not sides:
+        return surface, NONE_SWAPPED
     values = [side.value(surface.positions) for side in sides]
     near = np.zeros(len(surface.positions), bool)
     for side, value in zip(sides, values, strict=True):
         # Of what may come to be on the line, too.
         near |= value <= (2.0 * side.tolerance * max(0.0, -float(value.min(initial=0.0))) if side.tolerance else 0.0)
     if not near.any():
-        return surface, np.empty((2, 0), np.int32)
+        return surface, NONE_SWAPPED
     work = _Work(surface, near, len(sides), room, threads)
     for side, value in zip(sides, values, strict=True):
         work.cut(side, value)
@@ -87,7 +100,7 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
 def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1):
     """The surface without the `triangles`, bool [T]; all else as `cut`."""
     if not triangles.any():
-        return surface, np.empty((2, 0), np.int32)
+        return surface, NONE_SWAPPED
     near = np.zeros(len(surface.positions), bool)
     near[surface.triangles[triangles]] = True
     work = _Work(surface, near, 0, room, threads)

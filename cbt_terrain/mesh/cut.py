@@ -7,6 +7,7 @@ holds. The rim of a padded raster is cut this way, and what a user has cut away.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -112,9 +113,10 @@ class _Work:
     """A surface that is being cut, in arrays with room for what comes."""
 
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
-        self.surface = surface
+        self.surface, self.threads = surface, threads
         self.before = len(surface.positions), len(surface.edges), len(surface.level)
         listed = _listed(near, surface.corner_verts, threads)
+        self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
         more = 2 * len(listed) * ((1 << sides) - 1)
         self.counts = np.zeros(kernels.COUNTS, np.int32)
@@ -132,16 +134,14 @@ class _Work:
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
         m.listed = shared(copied("", listed, len(listed) + more), wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
-        m.gone, m.doomed = (
-            shared(np.zeros((3, most), np.uint8), wp.uint8),
-            shared(np.empty((3, most), np.int32), wp.int32),
-        )
+        m.gone = shared(np.zeros((3, most), np.uint8), wp.uint8)
+        m.doomed = shared(np.empty((3, most), np.int32), wp.int32)
         m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
         """`value`: of the vertices that were there before all cuts."""
         first, first_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
-        self.value[: len(value)] = value
+        self.value[self.corners] = value[self.corners]
         if first > len(value):
             self.value[len(value) : first] = side.value(self.arrays["positions"][len(value) : first])
         if side.tolerance:
@@ -166,8 +166,10 @@ class _Work:
         """Close the gaps."""
         launch.once(kernels.close, [self.m], step="cut")
         ends = self.counts[kernels.END : kernels.END + 3].tolist()
-        everywhere = ends[0] < self.before[0] or ends[1] < self.before[1]
-        launch.once(kernels.renumber, [int(everywhere), self.m], step="cut")
+        self._renumber("corner_verts", kernels.VERTEX, ends)
+        self._renumber("edges", kernels.VERTEX, ends)
+        self._renumber("corner_edges", kernels.EDGE, ends)
+        launch.once(kernels.fill, [self.m], step="cut")
         swapped = self._moves(kernels.VERTEX, ends)
         for name in POINTS:
             swap(self.arrays[name], swapped)
@@ -176,6 +178,15 @@ class _Work:
             self.arrays[name][to] = self.arrays[name][source]
         views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in SHAPE.items()}
         return replace(self.surface, **views), swapped
+
+    def _renumber(self, name: str, kind: int, ends: list[int]) -> None:
+        """Say in one of the arrays where the vertices or edges behind the end have moved."""
+        numbers, moved = shared(self.arrays[name].reshape(-1), wp.int32), shared(self.moved[kind], wp.int32)
+        count = int(self.counts[SHAPE[name][0]]) * (2 if name == "edges" else 3)
+        pieces = self.threads if count >= launch.SLICE_ITEMS else 1
+        cuts = [count * k // pieces for k in range(pieces + 1)]
+        inputs = [[first, stop, numbers, ends[kind], moved] for first, stop in pairwise(cuts)]
+        launch.slices(kernels.renumber, inputs, step="cut")
 
     def _moves(self, kind: int, ends: list[int]) -> np.ndarray:
         """int32 [2, n]: where something moves from, and where to."""

@@ -170,7 +170,7 @@ class Terrain:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or relaxed == math.inf:
+            if over <= 0 or not most:
                 break
             most = max(0, most - math.ceil(over / 4**criterion.meshlet))
         self._shape_key = shape

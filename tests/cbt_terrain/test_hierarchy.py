@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field import heightfield, hierarchy
+from adaptive_terrain.cbt_terrain.field import build, hierarchy
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
@@ -245,7 +245,7 @@ def test_what_resampling_moved_is_nested_local_and_complete():
     rng = np.random.default_rng(4)
     raster = np.zeros((40, 61), np.float32)
     raster[30:, :20] = rng.standard_normal((10, 20)) * 100
-    field = heightfield.from_array(raster, 10.0)
+    field = build.from_array(raster, 10.0)
     lattice = field.lattice
     for depth in range(1, lattice.cell_depth - 1):
         check_nested(field.moved, lattice, depth)
@@ -261,7 +261,7 @@ def test_what_resampling_moved_is_nested_local_and_complete():
     sides = level(field.moved, lattice, lattice.cell_depth - 1)
     for y, x in np.argwhere(np.isfinite(sides)):
         assert sides[y, x] == cells[max(y - 2, 0) : y + 2, max(x - 2, 0) : x + 2].max()
-    assert heightfield.from_array(raster[:33, :33], 10.0).moved is None
+    assert build.from_array(raster[:33, :33], 10.0).moved is None
 
 
 def test_entries_of_no_diamond_are_zero():

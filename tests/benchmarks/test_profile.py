@@ -79,7 +79,9 @@ def test_a_sample_belongs_to_one_part():
 
 
 def test_shares_are_of_the_kernels_that_count():
-    samples = Counter({in_walk("diamond_at"): 60, in_walk(): 39, Sample("sum_reduction.count"): 0, Sample("weld.weld"): 100})
+    samples = Counter(
+        {in_walk("diamond_at"): 60, in_walk(): 39, Sample("sum_reduction.count"): 0, Sample("weld.weld"): 100}
+    )
     samples[Sample("sum_reduction.reduce_changed")] = 1
     count, parts = profile.shares(samples, profile.KERNELS_OF_REFINEMENT)
     assert count == 100 and list(parts)[:2] == [BOX, DESCENT] and parts[BOX] == 0.6

@@ -150,7 +150,7 @@ class Terrain:
             off = max(largest_offset(v, placement, rounded) for v in views)
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
-        unsure = domain.rounding + domain.source + self.field.resample_max * abs(vertical_scale)
+        unsure = domain.rounding + domain.source
         local = [localise(v, placement, box, criterion, s, unsure) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
@@ -197,8 +197,7 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
     Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
     """
-    lattice = field.lattice
-    x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+    _, _, x, y = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
     box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
     largest = float(np.finfo(np.float32).max)
@@ -228,31 +227,27 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 
 def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped: bool, relaxed: float, seen: bool):
     """What leaves that nothing stopped hold: what was asked, times what a triangle limit relaxed."""
-    scale = domain.error_scale
-    moved = field.resample_max * scale
-    within = (field.max_height - field.min_height) * scale + moved + domain.rounding + domain.source
-    free = stopped or not criterion.error_m
-    bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, moved, domain))
+    rest = domain.rounding, domain.source
+    within = (field.max_height - field.min_height) * domain.error_scale + sum(rest)
+    asked = criterion.error_m * relaxed
+    reached = max(asked, 0.25 * asked + sum(rest), 0.8 * asked + domain.source)  # see `metres2_of`
+    bound_m = within if stopped or not asked else min(within, reached)
     bound_px = LARGEST if stopped or not criterion.error_px else criterion.error_px * relaxed
     edge_px = criterion.edge_px or math.sqrt(8 * criterion.area_px)
     area_px = criterion.area_px or 0.5 * criterion.edge_px**2
-    rest = 0.0, moved, domain.rounding, domain.source
-    parts = max(bound_m - sum(rest), 0.0), *rest[1:]
+    parts = max(bound_m - sum(rest), 0.0), 0.0, *rest
+    limited = "max_triangles" if relaxed > 1 else "max_depth" if stopped else ""
+    if not limited and asked and bound_m > asked:
+        limited = "precision" if 0.25 * asked + domain.rounding > asked else "source"
     return {
         "bound_px": bound_px if seen else None,
         "bound_m": bound_m,
         "bound_edge_px": (LARGEST if stopped else edge_px * relaxed) if edge_px else None,
         "bound_area_px": (LARGEST if stopped else area_px * relaxed**2) if edge_px else None,
-        "limited": "max_triangles" if relaxed > 1 else "max_depth" if stopped else "",
+        "limited": limited,
         "terms_px": Terms.shares(bound_px, *parts) if seen else None,
         "terms_m": Terms.shares(bound_m, *parts),
     }
-
-
-def _reached(asked: float, moved: float, domain: Domain) -> float:
-    """Metres of error that an error asked for in metres ends with, by how `metres2_of` weighs it."""
-    rest = moved + domain.rounding + domain.source
-    return max(asked, 0.25 * asked + rest, 0.8 * asked + domain.source) * (1 + MARGIN)
 
 
 def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float, source: float) -> Asked:

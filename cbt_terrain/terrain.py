@@ -150,7 +150,7 @@ class Terrain:
             off = max(largest_offset(v, placement, rounded) for v in views)
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
-        unsure = domain.rounding + domain.source + self.field.resample_max * abs(vertical_scale)
+        unsure = domain.rounding + domain.source
         local = [localise(v, placement, box, criterion, s, unsure) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
@@ -197,8 +197,7 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
     Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
     """
-    lattice = field.lattice
-    x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+    _, _, x, y = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
     box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
     largest = float(np.finfo(np.float32).max)
@@ -229,7 +228,7 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped: bool, relaxed: float, seen: bool):
     """What leaves that nothing stopped hold: what was asked, times what a triangle limit relaxed."""
     scale = domain.error_scale
-    moved = field.resample_max * scale
+    moved = 0.0
     within = (field.max_height - field.min_height) * scale + moved + domain.rounding + domain.source
     free = stopped or not criterion.error_m
     bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, moved, domain))

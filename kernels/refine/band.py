@@ -27,10 +27,12 @@ wp.set_module_options({"enable_backward": False})
 
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
-# Verdicts on a diamond.
+# Verdicts on a triangle, by its diamond.
 LEAF = wp.constant(0)
 SPLIT = wp.constant(1)
 DOUBT = wp.constant(2)  # only measuring can tell
+EVEN_BLOCK = wp.constant(3)  # its leaves are all of one depth
+TAKEN = wp.constant(4)  # its leaves are those of the last frame
 
 
 @wp.struct

@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..unchecked import copy_cells, copy_codes, copy_points
-from .band import Band, Limits, Measured, too_coarse, turning_span
+from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
 from .coherence import CROSSED, Subtree, carried, stand_of
 from .diamond import Asked, coarsest, smaller
@@ -44,15 +44,6 @@ def begin_keeping(w: Walk):
     w.keeper[w.slot] = Keeper()
     w.keeper[w.slot].end = NOWHERE
     seek(w, wp.int64(-1))
-
-
-@wp.func
-def end_keeping(w: Walk):
-    """How much was kept and taken, for the tree and the displacement."""
-    w.kept_counts[w.slot] = w.keeper[w.slot].count
-    w.taken[w.slot] = w.keeper[w.slot].taken
-    w.run_counts[w.slot] = w.keeper[w.slot].runs
-    w.point_run_counts[w.slot] = w.keeper[w.slot].point_runs
 
 
 @wp.func
@@ -103,32 +94,31 @@ def narrow(w: Walk, fall: wp.float64, rise: wp.float64):
 
 
 @wp.func
-def take(asked: Asked, w: Walk, q: Square, c: Cursor, n: Written):
-    """Take a triangle's leaves from the last frame if that has kept them and they hold; whether they were taken."""
+def take(asked: Asked, w: Walk, q: Square, c: Cursor, n: Written) -> wp.int32:
+    """Copy a triangle's leaves from the last frame if that has kept them and they hold: TAKEN; else DOUBT."""
     k = w.slot
     at = q.base + c.cell
-    taken = wp.bool(False)
-    while w.keeper[k].cell < at or (w.keeper[k].cell == at and w.keeper[k].depth < c.depth):
-        seek(w, w.keeper[k].next)
-    if w.keeper[k].cell == at and w.keeper[k].depth == c.depth:
-        subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].clear)
-        if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
-            taken = wp.bool(True)
-            copy_taken(w, subtree, n)
-            if w.keeper[k].end != NOWHERE:
-                narrow(w, subtree.fall, subtree.rise)
-            elif w.keeper[k].count < w.room:
-                subtree.first_leaf = w.leaf_base + n.leaves
-                subtree.first_vertex = w.leaf_base + n.vertices
-                w.kept[wp.int64(k) * w.room + w.keeper[k].count] = subtree
-                w.keeper[k].count = w.keeper[k].count + wp.int64(1)
-            w.keeper[k].taken = w.keeper[k].taken + wp.int64(subtree.leaves)
-            n.leaves = n.leaves + wp.int64(subtree.leaves)
-            n.vertices = n.vertices + wp.int64(subtree.vertices)
-            n.edges = n.edges + wp.int64(subtree.edges)
-            w.keeper[k].stopped = w.keeper[k].stopped | subtree.stopped
-        seek(w, w.keeper[k].next)
-    return taken, n
+    verdict = wp.int32(DOUBT)
+    if w.keeper[k].cell <= at:
+        while w.keeper[k].cell < at or (w.keeper[k].cell == at and w.keeper[k].depth < c.depth):
+            seek(w, w.keeper[k].next)
+        if w.keeper[k].cell == at and w.keeper[k].depth == c.depth:
+            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].clear)
+            if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
+                verdict = TAKEN
+                copy_taken(w, subtree, n)
+                if w.keeper[k].end != NOWHERE:
+                    narrow(w, subtree.fall, subtree.rise)
+                elif w.keeper[k].count < w.room:
+                    subtree.first_leaf = w.leaf_base + n.leaves
+                    subtree.first_vertex = w.leaf_base + n.vertices
+                    w.kept[wp.int64(k) * w.room + w.keeper[k].count] = subtree
+                    w.keeper[k].count = w.keeper[k].count + wp.int64(1)
+                w.keeper[k].stopped = w.keeper[k].stopped | subtree.stopped
+                w.keeper[k].taken = w.keeper[k].taken + wp.int64(subtree.leaves)
+                w.keeper[k].sizes = wp.vec3i(subtree.leaves, subtree.vertices, subtree.edges)
+            seek(w, w.keeper[k].next)
+    return verdict
 
 
 @wp.func

@@ -3,11 +3,11 @@
 
 import warp as wp
 
+from ..field.domain import Domain
 from ..unchecked import corners_at, number_at, put, put_corners
-from .band import nothing_certain
+from .band import SPLIT, nothing_certain
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
-from .diamond import Domain
-from .walk_state import STACK, Cursor, Square, Walk
+from .walk_state import STACK, Cursor, Square, Walk, Written
 
 wp.set_module_options({"enable_backward": False})
 
@@ -60,13 +60,13 @@ def middle_of(c: Cursor) -> wp.vec2i:
 
 
 @wp.func
-def step(w: Walk, q: Square, c: Cursor, splits: wp.int32) -> Cursor:
-    """Where the curve goes on: if the triangle is split to its first child, the second put aside (on the way to the
+def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
+    """On along the curve: of a triangle that is split to its first child, the second put aside (on the way to the
     slice's first cell perhaps to the second); else to the next triangle that was put aside.
 
-    Fields are assigned one by one: what is assigned whole in a branch, Warp copies on either side of it.
+    Fields are assigned one by one: what is assigned whole in a branch, Warp copies after it, taken or not.
     """
-    if splits == 1:
+    if verdict == SPLIT:
         middle = middle_of(c)
         c.depth = c.depth + 1
         half = size_of(w, c.depth)
@@ -96,3 +96,16 @@ def step(w: Walk, q: Square, c: Cursor, splits: wp.int32) -> Cursor:
             c.depth = (put_aside >> 3) & 63
             c.held = put_aside >> 9
     return c
+
+
+@wp.func
+def put_results(w: Walk, n: Written):
+    """How much the slice has written, kept and taken, and whether a leaf was stopped."""
+    w.counts[4 * w.slot] = n.leaves
+    w.counts[4 * w.slot + 1] = n.vertices
+    w.counts[4 * w.slot + 2] = n.edges
+    w.counts[4 * w.slot + 3] = wp.int64(w.keeper[w.slot].stopped)
+    w.kept_counts[w.slot] = w.keeper[w.slot].count
+    w.taken[w.slot] = w.keeper[w.slot].taken
+    w.run_counts[w.slot] = w.keeper[w.slot].runs
+    w.point_run_counts[w.slot] = w.keeper[w.slot].point_runs

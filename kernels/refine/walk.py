@@ -5,26 +5,32 @@ plain.py is the same method without its short cuts. Here a triangle's leaves may
 (kept.py); else its diamond is *judged*. Below a diamond that is split, a *band* says what is certain (band.py), so most
 are judged by a look at their error, or at nothing but their depth. Only one that is in doubt is measured, and makes a
 narrower band for what is below it. Leaves of one depth are written as an even block.
-
-The walk writes a word of 16 bits a leaf (curve.py) and one point a new vertex, all that the welding needs, and the
-leaves' cells, the tree.
 """
 
 import warp as wp
 
-from .band import DOUBT, LEAF, SPLIT, Limits, band_below, foretold, limits_of, measured_at, too_coarse
+from .band import (
+    DOUBT,
+    EVEN_BLOCK,
+    LEAF,
+    SPLIT,
+    TAKEN,
+    Limits,
+    band_below,
+    foretold,
+    limits_of,
+    measured_at,
+    too_coarse,
+)
 from .block import MAX_BISECTIONS
 from .diamond import Asked, Domain, error_at, fetch_ahead, leaves_tile
-from .emit import emit_block, emit_leaf, stands_alone
-from .kept import begin_keeping, close_subtree, end_keeping, looks_for_subtree, note_turning, open_subtree, take
-from .steps import enter, middle_of, square_at, step
+from .emit import emit, stands_alone
+from .kept import begin_keeping, close_subtree, looks_for_subtree, note_turning, open_subtree, take
+from .steps import advance, enter, middle_of, put_results, square_at
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
 wp.set_module_options({"enable_backward": False})
 
-# Verdicts on a triangle, beside those of kernels/refine/band.py on its diamond.
-EVEN_BLOCK = wp.constant(3)
-TAKEN = wp.constant(4)
 # A diamond that is surely split is measured if depths alone decide below it, but which ones is in doubt for more than
 # so many bisections: a narrower band may leave none.
 NARROWED = wp.constant(3)
@@ -32,7 +38,7 @@ NARROWED = wp.constant(3)
 
 @wp.func
 def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: Cursor, n: Written):
-    """The verdict on a triangle: SPLIT, LEAF or EVEN_BLOCK; and the band that holds below it."""
+    """The verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the band that holds below it."""
     middle = middle_of(c)
     above = w.bands[c.held]
     held = c.held
@@ -91,26 +97,16 @@ def walk(domain: Domain, asked: Asked, w: Walk):
         q = square_at(domain, w, square)
         c = enter(w, q)
         while c.top >= 0 and n.leaves <= w.leaf_limit:
-            verdict = wp.int32(DOUBT)
-            if w.keeper[w.slot].cell <= q.base + c.cell:
-                taken, n = take(asked, w, q, c, n)
-                if taken:
-                    verdict = TAKEN
+            verdict = take(asked, w, q, c, n)
+            held = c.held
             if verdict != TAKEN:
                 verdict, held = judge(domain, asked, limits, w, q, c, n)
-                c.held = held
+            c.held = held
+            n = emit(domain, w, q, c, n, verdict)
             if verdict == SPLIT:
                 fetch_children(domain, w, c)
-            if verdict == LEAF and c.cell >= q.start:
-                n = emit_leaf(domain, w, q, c, n)
-            if verdict == EVEN_BLOCK:
-                n = emit_block(w, q, c, n)
-            c = step(w, q, c, verdict)
+            c = advance(w, q, c, verdict)
             if verdict != SPLIT:
                 close_subtree(w, q.base + c.cell, n)
         square += 1
-    end_keeping(w)
-    w.counts[4 * w.slot] = n.leaves
-    w.counts[4 * w.slot + 1] = n.vertices
-    w.counts[4 * w.slot + 2] = n.edges
-    w.counts[4 * w.slot + 3] = wp.int64(w.keeper[w.slot].stopped)
+    put_results(w, n)

@@ -38,6 +38,7 @@ class Keeper:
     runs: wp.int64  # of leaves that were taken
     point_runs: wp.int64
     taken: wp.int64  # leaves
+    sizes: wp.vec3i  # leaves, vertices and edges of the subtree that was taken last
 
 
 @wp.struct

@@ -19,7 +19,7 @@ from twins import load
 
 @pytest.fixture(scope="module")
 def kernels():
-    return load("boxes_in_view", Path(__file__).with_name("boxes_in_view.py"))
+    return load("refine.boxes_in_view", Path(__file__).with_name("boxes_in_view.py"))
 
 
 def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):

@@ -87,7 +87,8 @@ class Fitter:
         if not self.scale:
             return None
         field, buffers = self.field, Buffers()
-        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
+        refinement = Refinement(field, buffers, self.threads)
+        builder = SurfaceBuilder(field, buffers, self.threads, whole=True)
         errors = field.error * np.float32(1.0 / START)
         domain = make_domain(replace(field, error=errors, expanded={}), 0, *self.placement)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()

@@ -34,26 +34,17 @@ def _source_chosen(self, _context) -> None:
 
 
 class CleanupSettings(bpy.types.PropertyGroup):
-    """What is cut away from the finished mesh; the mesh then takes the slower way through bmesh."""
+    """What is cut away from the finished mesh."""
 
-    use_below: BoolProperty(
-        name="Delete Below", description="Delete faces that lie wholly below a height", update=changed
-    )
+    use_below: BoolProperty(name="Delete Below", description="Cut away what lies below a height", update=changed)
     below: FloatProperty(
         name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
     )
     boundary: PointerProperty(
         name="Boundary",
-        description="Delete faces whose middle is not above or below a face of this object",
+        description="Cut away what is not above or below a face of this object",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=changed,
     )  # fmt: skip
-    remove_loose: BoolProperty(
-        name="Remove Loose", description="Remove vertices and edges without a face", default=True, update=changed
-    )
-
-    @property
-    def active(self) -> bool:
-        return self.use_below or self.boundary is not None
 
 
 class TerrainSettings(bpy.types.PropertyGroup):

@@ -105,7 +105,10 @@ class TerrainSettings(bpy.types.PropertyGroup):
     use_no_data: BoolProperty(
         name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
     )
-    no_data: FloatProperty(name="No-Data", description="Value of samples that are filled", default=-9999.0)
+    no_data: FloatProperty(name="No-Data", description="Value of samples that are missing", default=-9999.0)
+    holes: BoolProperty(
+        name="Cut Out No-Data", description="Make holes where samples are missing instead of filling them"
+    )
     island_size: IntProperty(
         name="Samples", description="Samples on each side of the island", default=1025, min=3, max=16385
     )

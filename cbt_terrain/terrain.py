@@ -147,7 +147,7 @@ class Terrain:
             relaxed=relaxed,
             stopped=leaves.stopped,
             max_depth=depth,
-            deepest=int(surface.level.max()) - 2 * criterion.meshlet,
+            deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
             relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
             buffers=self._buffers,
         )

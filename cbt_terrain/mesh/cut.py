@@ -13,8 +13,6 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mesh import cut as kernels
-from ...kernels.refine.diamond import Domain
-from ..refine.refinement import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
 
@@ -58,13 +56,6 @@ def rim(axis: int, at: float) -> Side:
     at = float(np.float32(at))
     known = (("positions", axis, at), ("uv", axis, 1.0))
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
-
-
-def rims(domain: Domain) -> list[Side]:
-    """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
-    axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
-    # As the displacement places points.
-    return [rim(axis, start + at * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM]
 
 
 def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:

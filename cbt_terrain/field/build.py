@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import launch
-from . import hierarchy, resample
+from . import codes, hierarchy, resample
 from .heightfield import HeightField
 from .lattice import Lattice
 
@@ -45,8 +45,8 @@ def build(
 
     raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
     filled in place. step_x, step_y: metres between samples. source_max: as in HeightField. allocate(name, shape, dtype)
-    provides the arrays that stay; where the raster fits its lattice, `raster` itself stays. name: what errors call the
-    raster.
+    provides the arrays, of which "errors" is of no use afterwards; where the raster fits its lattice, `raster` itself
+    stays. name: what errors call the raster.
     """
     threads = threads or launch.default_threads()
     height, width = raster.shape
@@ -69,12 +69,15 @@ def build(
     ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     on_progress(0.4)
-    error = allocate("error", (lattice.node_count,), np.dtype(np.float32))
-    hierarchy.build_errors(samples, lattice, error, threads, lambda done: on_progress(0.4 + 0.6 * done))
+    errors = allocate("errors", (lattice.node_count,), np.dtype(np.float32))
+    hierarchy.build_errors(samples, lattice, errors, threads, lambda done: on_progress(0.4 + 0.58 * done))
+    error = allocate("error", (lattice.node_count,), np.dtype(np.uint8))
+    exponents = codes.encode(lattice, errors, error, threads)
     return HeightField(
         samples=samples,
         lattice=lattice,
         error=error,
+        exponents=exponents,
         ranges=ranges,
         range_base=base,
         range_step=step,

@@ -78,10 +78,18 @@ class Lattice:
 
         The last of the first entries is the total. Inside a group the order is that of `kernels/field/layout.py`.
         """
+        return self._images(self.levels)
+
+    def range_layout(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the ranges of heights: of every other sample, since the two finest depths have none."""
+        return self._images(self.levels - 1)
+
+    def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the groups of depths lie in squares of 2**levels samples a side, and behind them the raster's cells."""
         sizes, pages = [0], []
-        for group in range(self.groups + 1):
-            cells = group == self.groups
-            wide, high = (count - 1 if cells else ((count - 1) >> 2 * group) + 1 for count in (self.width, self.height))
+        for group in range((levels + 1) // 2 + 1):
+            cells, shift = group == (levels + 1) // 2, self.levels - levels + 2 * group
+            wide, high = (count - 1 if cells else (count - 1 >> shift) + 1 for count in (self.width, self.height))
             pages.append(-(-wide // PAGE))
             sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
         return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
@@ -91,12 +99,14 @@ class Lattice:
 
         i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
         """
-        base, pages = self.layout()
         group = self.group(depth)
-        shift = 0 if depth == self.cell_depth else 2 * group
-        x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
-        page = (y >> 5) * pages[group] + (x >> 5)
-        return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
+        return _index(*self.layout(), group, 0 if depth == self.cell_depth else 2 * group, i, j)
+
+    def range_index(self, depth: int, i, j) -> np.ndarray:
+        """The same in the ranges of heights (depths 1 .. range_depth, and cell_depth)."""
+        group = (self.levels - 2 - (depth - 1) // 2) // 2
+        cells = (self.levels // 2, 0)
+        return _index(*self.range_layout(), *(cells if depth == self.cell_depth else (group, 1 + 2 * group)), i, j)
 
     @property
     def root_entries(self) -> np.ndarray:
@@ -109,17 +119,33 @@ class Lattice:
     @property
     def can_be_numbered(self) -> bool:
         """Whether indices of 31 bits can number it."""
-        return max(self.width, self.height) <= MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
+        return max(self.width, self.height) <= MAX_SIDE and self.node_count < MAX_ENTRIES
+
+    @property
+    def cell_base(self) -> int:
+        """Entries of an error hierarchy above the raster's cells, which follow."""
+        return int(self.layout()[0][-2])
+
+    @property
+    def range_depth(self) -> int:
+        """The deepest bisection whose ranges of heights are stored: a cell of 4 x 4 samples and its sides, if any."""
+        return max(2 * self.levels - 2, 0)
 
     @property
     def range_count(self) -> int:
-        """Entries of the array of height ranges: the groups, without the raster's cells."""
-        return int(self.layout()[0][-2])
+        """Entries of the ranges of heights, without the raster's cells, which follow for a bicubic surface."""
+        return int(self.range_layout()[0][-2])
 
     @property
     def node_count(self) -> int:
         """Entries of an error hierarchy."""
         return int(self.layout()[0][-1])
+
+
+def _index(base: np.ndarray, pages: np.ndarray, group: int, shift: int, i, j) -> np.ndarray:
+    x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
+    page = (y >> 5) * pages[group] + (x >> 5)
+    return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
 
 
 def fit(width: int, height: int) -> tuple[int, int, int]:

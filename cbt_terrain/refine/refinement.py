@@ -14,6 +14,7 @@ from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Walk
+from ..field import codes
 from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET
 from ..field.meshlet_errors import error_for
@@ -29,8 +30,6 @@ from .drift import MOST_DRIFT, Walked, move
 PLANE_BITS = 23
 # Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
 MAX_TREE_DEPTH = curve.DEEPEST
-# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
-LARGEST_ERROR = 1000.0
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
@@ -103,7 +102,6 @@ def make_domain(
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale, domain.rounding = abs(height_scale), rounding
-    domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
     domain.resampled = int(field.moved is not None)
     domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
@@ -111,17 +109,18 @@ def make_domain(
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
-    domain.bend_base = base[-1] if domain.bicubic else base[-2]
-    domain.error = shared(error_for(field, meshlet), wp.float32)
+    domain.cell_group = lattice.groups
+    domain.bend_group = lattice.groups + domain.bicubic
+    domain.error, domain.table = (
+        shared(error_for(field, meshlet), wp.uint8),
+        shared(field.table.reshape(-1), wp.float32),
+    )
+    base, pages = lattice.range_layout()
+    domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.range_cells = base[-2]
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
-    domain.samples = shared(field.samples.reshape(-1), wp.float32)
+    domain.samples = codes.packed(field.samples, field.steps)
     return domain
-
-
-def _largest_error(field: HeightField) -> float:
-    """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
-    rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
-    return min(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, 1e38)
 
 
 class Refinement:

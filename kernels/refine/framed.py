@@ -7,6 +7,7 @@ the camera into the frame is seen no nearer than where it enters.
 
 import warp as wp
 
+from ..field.codes import sample_at
 from .diamond import PERSPECTIVE, Asked, Diamond, Domain, LocalView, finest_in, larger, smaller
 
 wp.set_module_options({"enable_backward": False})
@@ -23,7 +24,12 @@ def patch_at(domain: Domain, i: wp.int32, j: wp.int32) -> wp.vec4f:
     north = south + wp.int64(domain.width)
     one = wp.int64(1)
     samples = domain.samples
-    return wp.vec4f(samples[south], samples[south + one], samples[north], samples[north + one])
+    return wp.vec4f(
+        sample_at(samples, south),
+        sample_at(samples, south + one),
+        sample_at(samples, north),
+        sample_at(samples, north + one),
+    )
 
 
 @wp.func

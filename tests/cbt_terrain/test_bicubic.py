@@ -95,7 +95,7 @@ def test_no_triangle_of_any_depth_leaves_its_diamonds_error_and_range(kind, shap
     if kind == "constant":
         assert not field.error.any()
     elif kind != "plane":  # of which only what float32 makes of it bends
-        assert min(ratios[lattice.cell_depth + 2 :]) > 0.4 and max(ratios[lattice.cell_depth + 2 :]) > 0.6
+        assert min(ratios[lattice.cell_depth + 2 :]) > 0.38 and max(ratios[lattice.cell_depth + 2 :]) > 0.58
 
 
 @pytest.mark.parametrize("kind", ["rough", "cliff"])

@@ -5,7 +5,6 @@
     STORE/data-*/samples.npy    [height, width]: float32, or uint16 where the source has steps that 16 bits can number
     STORE/data-*/error.npy      uint8 [lattice.node_count], codes (codes.py) in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
-    STORE/data-*/moved.npy      float32 [lattice.node_count], where the raster did not fit its lattice
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
     STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
                                 error_c_m1.npy its error hierarchies for meshlets
@@ -29,9 +28,9 @@ from ..errors import TerrainError
 from ..run import partial_files
 from . import codes
 from .heightfield import HeightField
-from .lattice import MAX_MESHLET, Lattice
-from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, present, verify_array
-from .store_entries import check_entries, is_data_name
+from .lattice import MAX_MESHLET, Lattice, fit
+from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
+from .store_entries import LATTICE, check_entries, is_data_name
 
 VERSION = 6
 JSON_NAME = "store.json"
@@ -40,8 +39,8 @@ DATA_PREFIX = "data-"
 MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
-    r"(samples|raster|errors?|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
-    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
+    r"(samples|raster|errors?|ranges|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
 
@@ -49,7 +48,7 @@ _OWN_FILE = re.compile(
 _SCRATCH = ("raster", "errors")
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
-    *("resample_max", "resample_rms", "source_max", "filled", "exponents"),
+    *("source_max", "filled", "exponents"),
 )
 
 
@@ -99,11 +98,10 @@ def open_store(path: str | os.PathLike) -> HeightField:
 
 def _open(path: Path) -> HeightField:
     content = read_json(path)
-    lattice = Lattice(**content["lattice"])
+    lattice = fit(**content["lattice"])
     folder = path / content["data"]
     if folder.is_symlink():
         raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
-    moved = map_array(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
     steps = codes.Steps(*content["steps"]) if content["steps"] else None
     kind = np.uint16 if steps else np.float32
     return HeightField(
@@ -112,7 +110,6 @@ def _open(path: Path) -> HeightField:
         lattice=lattice,
         error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
-        moved=moved,
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),
@@ -129,10 +126,9 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     folder, found = data_folder(field), {}
-    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "moved")}
+    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges")}
     for name, array in shapes.items():
-        if array is not None:
-            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+        found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     for name, (shape, dtype) in kept_arrays(field.lattice).items():
         file = folder / f"{name}.npy"
         if os.path.lexists(file):
@@ -152,7 +148,7 @@ def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
     kept = {f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
     kept |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
     # Six numbers, and the exponents of the groups, the cells and the bends.
-    return kept | {"moved_c": ((plain,), np.float32), "numbers_c": ((6 + lattice.groups + 2,), np.float64)}
+    return kept | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -246,10 +242,9 @@ class Draft:
         self.published = False
         self._arrays: dict[str, np.ndarray] = {}
 
-    def allocate(self, name: str, shape: tuple, dtype, runs: list[tuple[int, int]] | None = None) -> np.ndarray:
+    def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
         """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
 
-        runs: first and one past the last entry of what will be written, if not all; what lies between stays a hole.
         Raises OSError (ENOSPC) now if the disk is full: a mapped page that finds no room later would kill the process.
         """
         file = self.folder / f"{name}.npy"
@@ -260,9 +255,7 @@ class Draft:
         self._arrays[name] = array = np.load(file, mmap_mode="r+").view(np.ndarray)
         if hasattr(os, "posix_fallocate"):
             with file.open("r+b") as handle:
-                for first, end in [(0, array.size)] if runs is None else runs:
-                    place = PAGE_BYTES + first * array.itemsize
-                    os.posix_fallocate(handle.fileno(), place, (end - first) * array.itemsize)
+                os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
         return array
 
     def remove(self, name: str) -> None:
@@ -279,18 +272,15 @@ class Draft:
             self.remove(name)
         for name, array in self._arrays.items():
             with (self.folder / f"{name}.npy").open("r+b") as file:
-                sums = all_checksums(array, present(file.fileno(), array.nbytes))
                 file.seek(PAGE_BYTES + array.nbytes)
-                file.write(sums)
-        lattice = {k: getattr(field.lattice, k) for k in ("columns", "rows", "levels", "step_x", "step_y")}
+                file.write(all_checksums(array))
         content = {
             "version": VERSION,
             "data": self.folder.name,
             "digest": digest,
             "key": field.key,
-            "lattice": lattice,
+            "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             "steps": field.steps and [field.steps.first, field.steps.scale, field.steps.offset],
-            "resampled": field.moved is not None,
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,

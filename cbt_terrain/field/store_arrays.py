@@ -9,7 +9,6 @@ Checksums find what a disk or a copy has damaged. Who writes damage on purpose w
 in a store makes a kernel leave its arrays is seen to in the kernels.
 """
 
-import errno
 import mmap
 import os
 import stat
@@ -46,24 +45,6 @@ def file_bytes(nbytes: int) -> int:
     return PAGE_BYTES + nbytes + 4 * block_count(nbytes)
 
 
-def present(file: int, nbytes: int) -> np.ndarray:
-    """bool [blocks]: whether a block of an array's open file has any bytes on disk; where nobody can tell, all have."""
-    found = np.zeros(block_count(nbytes), bool)
-    at, end = PAGE_BYTES, PAGE_BYTES + nbytes
-    try:
-        while at < end:
-            at = os.lseek(file, at, os.SEEK_DATA)
-            hole = min(os.lseek(file, at, os.SEEK_HOLE), end)
-            found[(at - PAGE_BYTES) // BLOCK_BYTES : block_count(hole - PAGE_BYTES)] = True
-            at = hole
-    except AttributeError:  # not this system
-        found[:] = True
-    except OSError as reason:
-        if reason.errno != errno.ENXIO:  # which says that there is no more
-            found[:] = True
-    return found
-
-
 def checksums(array: np.ndarray, blocks, threads: int = 1) -> np.ndarray:
     """uint32 [len(blocks)]: the checksums of these blocks of a contiguous array."""
     data, found = memoryview(array.reshape(-1).view(np.uint8)), np.zeros(len(blocks), np.uint32)
@@ -76,20 +57,10 @@ def checksums(array: np.ndarray, blocks, threads: int = 1) -> np.ndarray:
     return found
 
 
-def all_checksums(array: np.ndarray, there: np.ndarray | None = None) -> bytes:
-    """What stands behind the data. there: as `present` says; of holes the sum is known, and they are not read."""
-    sums = _sums_of_holes(array.nbytes)
-    blocks = np.arange(len(sums)) if there is None else np.flatnonzero(there)
-    sums[blocks] = checksums(array, blocks, launch.default_threads())
-    return sums.astype("<u4").tobytes()
-
-
-def _sums_of_holes(nbytes: int) -> np.ndarray:
-    """uint32 [blocks]: the checksums of an array of zeros."""
-    sums = np.full(block_count(nbytes), zlib.crc32(bytes(BLOCK_BYTES)), np.uint32)
-    if nbytes % BLOCK_BYTES:
-        sums[-1] = zlib.crc32(bytes(nbytes % BLOCK_BYTES))
-    return sums
+def all_checksums(array: np.ndarray) -> bytes:
+    """What stands behind the data."""
+    threads = launch.default_threads()
+    return checksums(array, range(block_count(array.nbytes)), threads).astype("<u4").tobytes()
 
 
 def open_regular(file: Path):
@@ -110,7 +81,7 @@ def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
     Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. A walk takes single
     pages: what the system would read ahead of them is ten times as much as it needs.
     """
-    array, sums, _ = _mapped(file, shape, dtype)
+    array, sums = _mapped(file, shape, dtype)
     count = len(sums)
     sample = sorted({k * (count - 1) // (SAMPLED - 1) for k in range(SAMPLED)}) if count else []
     _check(file, array, sums, sample)
@@ -120,14 +91,14 @@ def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
 
 
 def verify_array(file: Path, shape: tuple[int, ...], dtype) -> int:
-    """Check every block, holes without reading them; returns how many there are. Raises as `map_array`."""
-    array, sums, there = _mapped(file, shape, dtype)
-    _check(file, array, sums, np.flatnonzero(there | (sums != _sums_of_holes(array.nbytes))))
+    """Check every block; returns how many there are. Raises as `map_array`."""
+    array, sums = _mapped(file, shape, dtype)
+    _check(file, array, sums, range(len(sums)))
     return len(sums)
 
 
-def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The array and its checksums, uint32, as the file has them, and which blocks are `present`."""
+def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.ndarray]:
+    """The array and its checksums, uint32, as the file has them."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
     try:
@@ -138,14 +109,14 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.n
             if size != file_bytes(nbytes):
                 raise ValueError(f"it has {size} bytes, expected {file_bytes(nbytes)}")
             handle.seek(PAGE_BYTES + nbytes)
-            sums, there = np.frombuffer(handle.read(), "<u4"), present(handle.fileno(), nbytes)
+            sums = np.frombuffer(handle.read(), "<u4")
             array = np.memmap(handle, dtype, "c", PAGE_BYTES, shape) if nbytes else np.empty(shape, dtype)
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as reason:
         said = getattr(reason, "strerror", None) or reason
         raise TerrainError(f"{file} is damaged ({said}): import the terrain again.") from reason
-    return array.view(np.ndarray), sums, there
+    return array.view(np.ndarray), sums
 
 
 def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks) -> None:

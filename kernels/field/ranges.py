@@ -40,23 +40,26 @@ def finest_ranges(
     h: wp.array(dtype=wp.float32),
     width: int,
     height: int,
+    columns: int,
     base: wp.float64,
     step: wp.float64,
     own: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `2 * (offset + tid)` of samples: diamonds about the middles of sides of 4 x 4 cells, from all samples that
-    their boxes hold. Those below the raster, which reach over into the next cell, are in there too.
+    """Row `2 * (offset + tid)` of samples, up to `2 * columns`: diamonds about the middles of sides of 4 x 4 cells.
+
+    From all samples that their boxes hold, or the nearest; so those below, which reach over into the next cell, are in.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    south = wp.max(2 * y - REACH, 0)
+    south = wp.clamp(2 * y - REACH, 0, height - 1)
     north = wp.min(2 * y + REACH, height - 1)
-    for x in range(1 - (y & 1), (width + 1) / 2, 2):
-        low = h[south * width + 2 * x]
+    for x in range(1 - (y & 1), columns + 1, 2):
+        west = wp.clamp(2 * x - REACH, 0, width - 1)
+        low = h[south * width + west]
         high = low
         for j in range(south, north + 1):
-            for i in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, width - 1) + 1):
+            for i in range(west, wp.min(2 * x + REACH, width - 1) + 1):
                 z = h[j * width + i]
                 low = wp.where(z < low, z, low)
                 high = wp.where(z > high, z, high)
@@ -73,10 +76,12 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 
 
 @wp.kernel
-def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
+def patches_around(
+    offset: int, last: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
+):
     """Row `2 * (offset + tid)` of samples: the diamonds of `finest_ranges`, from all cells that their boxes hold."""
     y = offset + wp.tid()
-    for x in range(1 - (y & 1), columns / 2 + 1, 2):
+    for x in range(1 - (y & 1), last + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for cy in range(wp.max(2 * y - REACH, 0), wp.min(2 * y + REACH, rows)):
             for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
@@ -87,16 +92,23 @@ def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Dept
 
 
 @wp.kernel
-def centre_ranges(offset: int, columns: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Cell centres: the union of their four children, the middles of the cell's sides."""
+def centre_ranges(
+    offset: int, columns: int, east: int, north: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
+):
+    """Cell centres: the union of their four children, the middles of the cell's sides, up to (`east`, `north`)."""
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
     r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
-    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy))
-    r = unite(r, ranges, entry(finer, 2 * cx, 2 * cy + 1))
-    r = unite(r, ranges, entry(finer, 2 * cx + 2, 2 * cy + 1))
-    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy + 2))
+    for k in range(4):
+        x = 2 * cx + 1
+        y = 2 * cy + 1
+        if k < 2:
+            x += 2 * k - 1
+        else:
+            y += 2 * k - 5
+        if x <= east and y <= north:
+            r = unite(r, ranges, entry(finer, x, y))
     at = wp.int64(2) * entry(own, cx, cy)
     ranges[at] = r[0]
     ranges[at + wp.int64(1)] = r[1]

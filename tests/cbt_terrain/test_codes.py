@@ -20,7 +20,7 @@ from fields import errors_of, extent, random_view, ranges_of, split_points
 from invariants import assert_invariants
 from rasters import imported, write_raster
 
-SHAPES = [(33, 33), (17, 65), (97, 33), (3, 5)]
+SHAPES = [(33, 33), (17, 65), (97, 33), (3, 5), (29, 50)]
 KINDS = ["rough", "spike", "deep spike", "cliffs", "fractal"]
 
 
@@ -41,7 +41,8 @@ def heights_of(kind: str, shape: tuple[int, int]) -> np.ndarray:
 def assert_nested(field, meshlet: int) -> None:
     """No diamond's error is above that of one whose split leads to it, at every depth, those in cells included."""
     lattice, errors = field.lattice, errors_of(field, meshlet)
-    dense = np.zeros((lattice.height, lattice.width))
+    across, up = lattice.span
+    dense = np.zeros((up + 1, across + 1))
     for depth in range(1, lattice.cell_depth):
         i, j = split_points(lattice, depth)
         dense[j, i] = errors[lattice.index(depth, i, j)]
@@ -53,14 +54,15 @@ def assert_nested(field, meshlet: int) -> None:
             steps = [(a * half // 2, b * half // 2) for a in (-1, 1) for b in (-1, 1)]
         for dx, dy in steps:
             x, y = i + dx, j + dy
-            inside = (x >= 0) & (y >= 0) & (x < lattice.width) & (y < lattice.height)
+            inside = (x >= 0) & (y >= 0) & (x <= across) & (y <= up)
             assert (dense[y[inside], x[inside]] <= dense[j[inside], i[inside]]).all(), depth
-    rows, columns = np.indices((lattice.height - 1, lattice.width - 1))
+    wide, high = lattice.extent(lattice.cell_depth)
+    rows, columns = np.indices((high, wide))
     cell = errors[lattice.index(lattice.cell_depth, columns, rows)]
     i, j = split_points(lattice, lattice.cell_depth - 1) if lattice.levels else (np.zeros(0, int),) * 2
     for dx, dy in ((0, 0), (-1, 0), (0, -1), (-1, -1)):
         x, y = i + dx, j + dy
-        inside = (x >= 0) & (y >= 0) & (x < lattice.width - 1) & (y < lattice.height - 1)
+        inside = (x >= 0) & (y >= 0) & (x < wide) & (y < high)
         assert (cell[y[inside], x[inside]] <= dense[j[inside], i[inside]]).all()
     # Below: a side has the larger of two cells' bends, halved (bicubic) or their twists, in quarters.
     below, part = cell, 4
@@ -151,6 +153,8 @@ def test_a_walk_reads_the_ranges_of_every_diamond(shape):
     low, high = ranges_of(field)
     for depth in range(1, lattice.cell_depth):
         i, j = split_points(lattice, depth)
+        inside = (i < lattice.width) & (j < lattice.height)
+        i, j = i[inside], j[inside]
         points = np.stack([i, j, np.full_like(i, depth)], axis=1) << (domain.unit_bits - lattice.levels)
         points[:, 2] = depth
         out = wp.zeros(len(i), dtype=wp.vec2i, device="cpu")

@@ -32,28 +32,32 @@ def errors_of(field: HeightField, meshlet: int = 0) -> np.ndarray:
 
 
 def split_points(lattice, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """Samples (i, j) at which the diamonds of a depth above the raster's cells are split."""
-    half = 1 << (lattice.levels - 1 - (depth - 1) // 2)
-    j, i = np.mgrid[0 : lattice.height : half, 0 : lattice.width : half]
-    here = (i // half) % 2 + (j // half) % 2 == (2 if depth % 2 else 1)
-    return i[here], j[here]
+    """Samples (i, j) at which the diamonds of a depth above the raster's cells are split that have entries."""
+    (columns, rows), side = lattice.extent(depth), 1 << (lattice.levels - depth // 2)
+    if depth % 2:
+        j, i = np.indices((rows, columns)).reshape(2, -1) * side + side // 2
+        return i, j
+    j, i = np.indices((rows + 1, columns + 1))
+    odd = (i + j) % 2 == 1
+    return i[odd] * side, j[odd] * side
 
 
 def ranges_of(field: HeightField) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest code, int [height, width], of the heights of the diamond that is split at each sample.
+    """Lowest and highest code, int [rows, columns], of the heights of the diamond that is split at each sample.
 
     Of the two finest depths, which are not stored: what those have in common from which a split leads there.
     """
     lattice = field.lattice
-    low, high = np.zeros((lattice.height, lattice.width), int), np.full((lattice.height, lattice.width), 65535)
+    (across, up), levels = lattice.span, lattice.levels
+    low, high = np.zeros((up + 1, across + 1), int), np.full((up + 1, across + 1), 65535)
     for depth in range(1, lattice.range_depth + 1):
         i, j = split_points(lattice, depth)
         low[j, i], high[j, i] = field.ranges[lattice.range_index(depth, i, j)].T
-    for depth in range(max(lattice.range_depth, 1), 2 * lattice.levels):
+    for depth in range(max(lattice.range_depth, 1), 2 * levels):
         i, j = split_points(lattice, depth)
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)) if depth % 2 else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
             x, y = i + dx, j + dy
-            inside = (x >= 0) & (y >= 0) & (x < lattice.width) & (y < lattice.height)
+            inside = (x >= 0) & (y >= 0) & (x <= across) & (y <= up)
             np.maximum.at(low, (y[inside], x[inside]), low[j[inside], i[inside]])
             np.minimum.at(high, (y[inside], x[inside]), high[j[inside], i[inside]])
     return low, high

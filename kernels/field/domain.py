@@ -29,9 +29,11 @@ class Domain:
     range_base: wp.float64
     range_step: wp.float64
     error_scale: wp.float64  # magnitude of height_scale
-    rounding: wp.float64  # metres: what float32 positions may be off
+    rounding: wp.float64  # metres: what float32 heights may be off
+    lean: wp.float64  # ... and what plane coordinates add, metres a metre of the range of heights in a diamond's box
+    most_lean: wp.float64  # ... metres, at most
     source: wp.float64  # metres: what the source's own heights may be off
-    resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
+    enough: wp.float64  # metres of own error from which on nothing is gained
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths, the cells and the bends: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
@@ -43,7 +45,6 @@ class Domain:
     bend_group: wp.int32  # of what errors below the cells begin with: of a bilinear surface the cells' own
     table: wp.array(dtype=wp.float32)  # metres: 256 values a group
     error: wp.array(dtype=wp.uint8)
-    moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
     range_first: wp.array(dtype=wp.int64)  # as `base` and `pages`, of the ranges
     range_pages: wp.array(dtype=wp.int32)
     range_cells: wp.int64  # of a bicubic surface: the first of the raster's cells

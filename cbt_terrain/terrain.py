@@ -66,7 +66,7 @@ class Update:
 
     @property
     def triangles(self) -> int:
-        return len(self.surface.level)
+        return len(self.surface.triangles)
 
 
 class Terrain:

@@ -16,6 +16,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.mesh.attributes import NORMALS, POINT, UV, Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
@@ -149,7 +150,8 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = _surface_of(obj.data) if request.cleanup.active else update.surface.copy()
+        surface = session.shown_surface(session.record_of(obj), update)
+        surface = surface_of(obj.data, surface.attributes) if request.cleanup.active else surface.copy()
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
@@ -210,7 +212,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
 
 def counts(surface: Surface) -> dict:
     """What a mesh has of each, as JSON holds it."""
-    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.level)}
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
 
 
 def bounds_of(update: Update) -> dict:
@@ -248,30 +250,27 @@ def import_bpy(what: str):
     return bpy
 
 
-def _surface_of(mesh) -> Surface:
-    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies."""
-    from ..mesh.writer import LEVEL_ATTRIBUTE
+def surface_of(mesh, attributes: dict[str, Attribute]) -> Surface:
+    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies. `attributes`: which ones it has, and
+    in which units."""
+    from ..mesh.attributes import read
 
-    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
-
-    def read(collection, name: str, shape, dtype) -> np.ndarray:
-        array = np.empty(int(np.prod(shape)), dtype)
+    def array(collection, name: str, width: int, dtype) -> np.ndarray:
+        array = np.empty(len(collection) * width, dtype)
         collection.foreach_get(name, array)
-        return array.reshape(shape)
+        return array.reshape(-1, width) if width > 1 else array
 
-    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
-    uv = np.zeros((vertices, 2), np.float32)
-    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
-    normals = np.zeros((vertices, 3), np.float32)
-    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
+    corner_verts = array(mesh.loops, "vertex_index", 1, np.int32)
+    uv, normals = np.zeros((len(mesh.vertices), 2), np.float32), np.zeros((len(mesh.vertices), 3), np.float32)
+    uv[corner_verts] = array(mesh.uv_layers.active.uv, "vector", 2, np.float32)
+    normals[corner_verts] = array(mesh.corner_normals, "vector", 3, np.float32)
     return Surface(
-        read(mesh.vertices, "co", (vertices, 3), np.float32),
-        normals,
-        uv,
+        array(mesh.vertices, "co", 3, np.float32),
         corner_verts,
-        read(mesh.loops, "edge_index", (corners,), np.int32),
-        read(mesh.edges, "vertices", (edges, 2), np.int32),
-        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
+        array(mesh.loops, "edge_index", 1, np.int32),
+        array(mesh.edges, "vertices", 2, np.int32),
+        {NORMALS: Attribute(normals, POINT), UV: Attribute(uv, POINT)}
+        | {name: read(mesh, name, a.unit) for name, a in attributes.items() if name not in (NORMALS, UV)},
     )
 
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL, Attribute
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.operators.mesh import memory as mesh_memory
 from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles
-from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
+from adaptive_terrain.operators.mesh.writer import UV_LAYER, write_mesh, write_mesh_bmesh
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_the_mesh_holds_the_arrays(mesh, grid_surface):
     assert (read(mesh.loops, "edge_index", 1, np.int32) == surface.corner_edges).all()
     assert (read(mesh.edges, "vertices", 2, np.int32) == surface.edges).all()
     assert (read(mesh.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
-    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
+    assert (read(mesh.attributes[LEVEL].data, "value", 1, np.int32) == surface.level).all()
     assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
     assert mesh.uv_layers.active.name == UV_LAYER
 
@@ -97,7 +98,7 @@ def test_bmesh_route_without_clean_up_is_the_same_mesh(mesh, grid_surface):
     write_mesh_bmesh(mesh, surface, Cleanup())
     assert mesh.validate(verbose=True) is False
     assert (read(mesh.vertices, "co", 3) == surface.positions).all()
-    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
+    assert (read(mesh.attributes[LEVEL].data, "value", 1, np.int32) == surface.level).all()
     np.testing.assert_allclose(
         read(mesh.corner_normals, "vector", 3),
         surface.normals[read(mesh.loops, "vertex_index", 1, np.int32)],
@@ -165,12 +166,12 @@ def test_a_blender_whose_memory_differs_gets_the_same_mesh(mesh, grid_surface, m
 def test_two_threads_write_the_same_mesh(mesh, grid_surface, monkeypatch):
     monkeypatch.setattr(launch, "default_threads", lambda: 2)
     surface = grid_surface(170, 150)
-    assert len(surface.level) > 2 * launch.SLICE_ITEMS
+    assert len(surface.triangles) > 2 * launch.SLICE_ITEMS
     for in_place in (True, False):
         monkeypatch.setattr(mesh_memory, "writable_in_place", lambda in_place=in_place: in_place)
         write_mesh(mesh, surface)
         assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
-        assert (read(mesh.polygons, "loop_start", 1, np.int32) == 3 * np.arange(len(surface.level))).all()
+        assert (read(mesh.polygons, "loop_start", 1, np.int32) == 3 * np.arange(len(surface.triangles))).all()
         assert mesh.validate(verbose=True) is False
 
 
@@ -183,7 +184,7 @@ def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
     bpy.context.view_layer.update()
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     before = read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2)
-    surface.uv = surface.uv + 1
+    surface = surface.with_attributes({"uv": Attribute(surface.uv + 1, "POINT")})
     write_mesh(mesh, surface)
     assert (read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2) == before).all()
     assert (read(evaluated.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
@@ -217,6 +218,6 @@ def test_a_warm_write_makes_no_array_as_large_as_the_mesh(mesh, grid_surface):
     tracemalloc.start()
     try:
         write_mesh(mesh, surface)
-        assert tracemalloc.get_traced_memory()[1] < len(surface.level)
+        assert tracemalloc.get_traced_memory()[1] < len(surface.triangles)
     finally:
         tracemalloc.stop()

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What holds after every update: the invariants I1 to I6 of the hard cases, asserted by one function."""
 
+from dataclasses import replace
+
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 
 
@@ -61,9 +64,16 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert abs(areas.sum() / 2 / np.prod(size) - 1) < 1e-6
 
 
+def with_arrays(surface: Surface, **arrays) -> Surface:
+    """The same surface with other arrays of some names, topology or attributes; they need not fit together."""
+    old = surface.attributes
+    attributes = {name: replace(old[name], array=arrays.pop(name)) for name in [*arrays] if name in old}
+    return replace(surface, **arrays, attributes=old | attributes)
+
+
 def arrays(surface: Surface) -> dict[str, bytes]:
     """The bytes of every array, to compare meshes that must be the same."""
-    return {name: array.tobytes() for name, array in vars(surface).items()}
+    return {name: array.tobytes() for name, array in surface.arrays().items()}
 
 
 def assert_blender_invariants(obj, meshlet: int = 0) -> None:
@@ -72,4 +82,5 @@ def assert_blender_invariants(obj, meshlet: int = 0) -> None:
     from adaptive_terrain.operators.scene import session
 
     assert obj.data.validate(verbose=True) is False
-    assert_invariants(frame_sources._surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)
+    surface = frame_sources.surface_of(obj.data, {"terrain_level": Attribute(np.empty(0, np.int32), "FACE")})
+    assert_invariants(surface, session.record_of(obj).terrain.field.lattice, meshlet)

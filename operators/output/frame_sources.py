@@ -172,18 +172,15 @@ def baked_piece(
     `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
     says so, and the measured maximum.
     """
-    from ...cbt_terrain.fit.fit import check_interpolation, fit
+    from ...cbt_terrain.fit.bake import bake
+    from ...cbt_terrain.fit.fit import check_interpolation
 
     if fitted:
         check_interpolation(interpolation)
     field = interpolated(open_store(store), interpolation)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
-    more = {}
-    if fitted:
-        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress)
-        more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
-    else:
-        update = Terrain(field).update(criterion)
+    update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
+    more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
         from ..mesh.writer import write_mesh

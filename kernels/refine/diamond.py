@@ -263,8 +263,8 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 
 
 @wp.func
-def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
-    """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
+def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32) -> wp.float64:
+    """Squared metres of height that an error stands for, as the criterion weighs it.
 
     All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
     rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
@@ -274,9 +274,8 @@ def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
     e = wp.float64(error)
     rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
     own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
-    total = rest + domain.source
     weighed = smaller(own + domain.source, wp.float64(1.25) * own)
-    return weighed * weighed, total * total
+    return weighed * weighed
 
 
 @wp.func
@@ -385,13 +384,7 @@ def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
 def too_coarse_at(
     asked: Asked, limit: wp.float64, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64
 ):
-    """As `too_coarse`, of `limit` times what is asked."""
+    """Whether a diamond is to be split at `limit` times what is asked, where a pixel spans sqrt(pixel2)."""
     px2 = limit * pixel2
     coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
     return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
-
-
-@wp.func
-def too_coarse(asked: Asked, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64):
-    """Whether a diamond is to be split, where a pixel spans sqrt(pixel2): criteria combine by or."""
-    return too_coarse_at(asked, asked.limit, pixel2, metres2, long2, legs2)

@@ -64,7 +64,6 @@ def walked(module) -> list[bytes]:
         (wp.float32, np.float32, ()),
         (wp.vec2i, np.int32, (2,)),
         (wp.vec4i, np.int32, (4,)),
-        (wp.vec3d, np.float64, (3,)),
     ):
         values = rng.integers(0, 1000, (6 * count, *columns)).astype(scalar)
         made.append(wp.array(values, dtype=dtype, device="cpu"))

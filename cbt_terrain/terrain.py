@@ -69,14 +69,17 @@ class Update:
 
 
 class Terrain:
-    """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes."""
+    """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes.
 
-    def __init__(self, field: HeightField, threads: int | None = None):
+    `whole`: with what of the triangles reaches beyond the raster's rim, where the mesh is cut otherwise.
+    """
+
+    def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
         self.field = field
         self.threads = launch.default_threads() if threads is None else max(1, threads)
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
-        self._builder = SurfaceBuilder(field, self._buffers, self.threads)
+        self._builder = SurfaceBuilder(field, self._buffers, self.threads, whole)
         self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None
@@ -150,21 +153,26 @@ class Terrain:
             off = max(largest_offset(v, placement, rounded) for v in views)
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
-        unsure = domain.rounding + domain.source + self.field.resample_max * abs(vertical_scale)
+        unsure = domain.rounding + domain.source
         local = [localise(v, placement, box, criterion, s, unsure) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         edited = self._edited()
-        leaves, relaxed = self._refinement.run(
-            domain, asked, depth, _max_leaves(criterion), criterion.max_triangles is not None
-        )
-        # The same leaves displaced the same way are the same mesh.
-        changed = bool(leaves.changed_cells) or shape != shape_key or edited
-        surface = self._last.surface if self._last else None
-        if changed:
-            surface = self._builder.build(leaves, domain, criterion.meshlet)
+        surface, changed = self._last.surface if self._last else None, shape != shape_key or edited
+        most = _max_leaves(criterion)
+        while True:
+            leaves, relaxed = self._refinement.run(domain, asked, depth, most, criterion.max_triangles is not None)
+            # The same leaves displaced the same way are the same mesh.
+            changed |= bool(leaves.changed_cells)
+            if changed:
+                surface = self._builder.build(leaves, domain, criterion.meshlet)
+            # The cut at the rim makes two of some triangles.
+            over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
+            if over <= 0 or relaxed == math.inf:
+                break
+            most = max(0, most - math.ceil(over / 4**criterion.meshlet))
         self._shape_key = shape
         return Update(
             surface=surface,
@@ -197,8 +205,7 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
     Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
     """
-    lattice = field.lattice
-    x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+    _, _, x, y = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
     box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
     largest = float(np.finfo(np.float32).max)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
-from .lattice import MAX_SHORT_SIDE_SQUARES, Lattice
+from .lattice import fit
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
-LATTICE = ("columns", "rows", "levels", "step_x", "step_y")
 # More cells than any raster that can be imported has; keeps the arithmetic of sizes far from overflow.
 MAX_CELLS = 2**31
 
@@ -27,21 +26,18 @@ def _is_count(value, least: int) -> bool:
     return type(value) is int and least <= value <= MAX_CELLS
 
 
-def _is_extent(cells: int, step) -> bool:
-    return _is_number(step) and SMALLEST_EXTENT < step * cells < LARGEST_EXTENT
+def _is_pair(value) -> bool:
+    return isinstance(value, list) and len(value) == 2
 
 
-def _is_lattice(value) -> bool:
-    if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
+def _is_raster(value) -> bool:
+    if not _is_pair(value) or not all(_is_count(v, 2) for v in value):
         return False
-    columns, rows, levels = (value[name] for name in LATTICE[:3])
-    if not (_is_count(columns, 1) and _is_count(rows, 1) and _is_count(levels, 0) and levels < 32):
-        return False
-    wide, high = columns << levels, rows << levels
-    if wide * high >= MAX_CELLS or min(columns, rows) > MAX_SHORT_SIDE_SQUARES:
-        return False
-    known = _is_extent(wide, value["step_x"]) and _is_extent(high, value["step_y"])
-    return known and Lattice(columns, rows, levels).can_be_numbered
+    return value[0] * value[1] < MAX_CELLS and fit(*value).can_be_numbered
+
+
+def _is_step(value) -> bool:
+    return _is_pair(value) and all(_is_number(v) and 0.0 < v < LARGEST_EXTENT for v in value)
 
 
 def _is_provenance(value) -> bool:
@@ -76,16 +72,14 @@ _ENTRIES = {
     "digest": (_is_text, "a text"),
     "key": (_is_text, "a text"),
     "crs": (_is_text, "a text"),
-    "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
+    "raster": (_is_raster, "samples in a row and in a column of a raster"),
+    "step": (_is_step, "metres between samples of a row and of a column"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,
     "max_height": _HEIGHT,
     "steepest_x": _SLOPE,
     "steepest_y": _SLOPE,
-    "resampled": (lambda value: type(value) is bool, "true or false"),
-    "resample_max": _DISTANCE,
-    "resample_rms": _DISTANCE,
     "source_max": _DISTANCE,
     "filled": (lambda value: _is_count(value, 0), "a count"),
     "origin": (
@@ -110,6 +104,12 @@ def check_entries(file: Path, content: dict) -> None:
             raise TerrainError(
                 f"The store {file} is damaged: its {name!r} is {shown}, expected {expected}; import it again."
             )
+    extents = [step * (count - 1) for step, count in zip(content["step"], content["raster"], strict=True)]
+    if not all(SMALLEST_EXTENT < extent < LARGEST_EXTENT for extent in extents):
+        raise TerrainError(
+            f"The store {file} is damaged: by its 'raster' and 'step' it is {extents[0]:g} x {extents[1]:g} m large, "
+            f"expected lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; import it again."
+        )
     if content["min_height"] > content["max_height"]:
         raise TerrainError(
             f"The store {file} is damaged: its 'min_height' {content['min_height']} is above its 'max_height' "

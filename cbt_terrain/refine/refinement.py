@@ -15,7 +15,7 @@ from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField
-from ..field.lattice import MAX_MESHLET
+from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared
@@ -31,6 +31,8 @@ PLANE_BITS = 23
 MAX_TREE_DEPTH = curve.DEEPEST
 # No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
 LARGEST_ERROR = 1000.0
+# Beyond all coordinates.
+NO_RIM = 2**31 - 1
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
@@ -81,6 +83,12 @@ def depth_limit(field: HeightField) -> int:
     return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
 
 
+def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
+    """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
+    bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
+    return tuple(NO_RIM if cells == span else cells << bits for cells, span in sides)
+
+
 def make_domain(
     field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: float = 0.0
 ) -> Domain:
@@ -95,19 +103,19 @@ def make_domain(
     domain.width, domain.height = lattice.width, lattice.height
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
-    domain.west = -0.5 * (lattice.width - 1) * lattice.step_x
-    domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
+    domain.west, domain.south, _, _ = lattice.rectangle()
+    domain.east, domain.north = rim(lattice, domain.unit_bits)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale, domain.rounding = abs(height_scale), rounding
     domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
-    domain.resampled = int(field.moved is not None)
-    domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
+    domain.moved = shared(np.zeros(1, np.float32), wp.float32)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
     domain.bend_base = base[-1] if domain.bicubic else base[-2]
     domain.error = shared(error_for(field, meshlet), wp.float32)
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)

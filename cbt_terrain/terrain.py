@@ -236,7 +236,7 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped: bool, relaxed: float, seen: bool):
     """What leaves that nothing stopped hold: what was asked, times what a triangle limit relaxed."""
     scale = domain.error_scale
-    moved = field.resample_max * scale
+    moved = 0.0
     within = (field.max_height - field.min_height) * scale + moved + domain.rounding + domain.source
     free = stopped or not criterion.error_m
     bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, moved, domain))

@@ -29,7 +29,7 @@ from ..run import partial_files
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
-from .store_entries import check_entries, is_data_name
+from .store_entries import LATTICE, check_entries, is_data_name
 
 VERSION = 5
 JSON_NAME = "store.json"
@@ -95,7 +95,7 @@ def open_store(path: str | os.PathLike) -> HeightField:
 
 def _open(path: Path) -> HeightField:
     content = read_json(path)
-    lattice = fit(*content["raster"], *content["step"])
+    lattice = fit(**content["lattice"])
     folder = path / content["data"]
     if folder.is_symlink():
         raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
@@ -262,8 +262,7 @@ class Draft:
             "data": self.folder.name,
             "digest": digest,
             "key": field.key,
-            "raster": [field.lattice.width, field.lattice.height],
-            "step": [field.lattice.step_x, field.lattice.step_y],
+            "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,

@@ -9,6 +9,8 @@ from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
+# What a raster has by which `fit` finds its lattice.
+LATTICE = ("width", "height", "step_x", "step_y")
 # More cells than any raster that can be imported has; keeps the arithmetic of sizes far from overflow.
 MAX_CELLS = 2**31
 
@@ -26,18 +28,18 @@ def _is_count(value, least: int) -> bool:
     return type(value) is int and least <= value <= MAX_CELLS
 
 
-def _is_pair(value) -> bool:
-    return isinstance(value, list) and len(value) == 2
+def _is_extent(cells: int, step) -> bool:
+    return _is_number(step) and SMALLEST_EXTENT < step * cells < LARGEST_EXTENT
 
 
-def _is_raster(value) -> bool:
-    if not _is_pair(value) or not all(_is_count(v, 2) for v in value):
+def _is_lattice(value) -> bool:
+    if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
         return False
-    return value[0] * value[1] < MAX_CELLS and fit(*value).can_be_numbered
-
-
-def _is_step(value) -> bool:
-    return _is_pair(value) and all(_is_number(v) and 0.0 < v < LARGEST_EXTENT for v in value)
+    width, height = value["width"], value["height"]
+    if not (_is_count(width, 2) and _is_count(height, 2) and width * height < MAX_CELLS):
+        return False
+    known = _is_extent(width - 1, value["step_x"]) and _is_extent(height - 1, value["step_y"])
+    return known and fit(**value).can_be_numbered
 
 
 def _is_provenance(value) -> bool:
@@ -72,8 +74,7 @@ _ENTRIES = {
     "digest": (_is_text, "a text"),
     "key": (_is_text, "a text"),
     "crs": (_is_text, "a text"),
-    "raster": (_is_raster, "samples in a row and in a column of a raster"),
-    "step": (_is_step, "metres between samples of a row and of a column"),
+    "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,
@@ -104,12 +105,6 @@ def check_entries(file: Path, content: dict) -> None:
             raise TerrainError(
                 f"The store {file} is damaged: its {name!r} is {shown}, expected {expected}; import it again."
             )
-    extents = [step * (count - 1) for step, count in zip(content["step"], content["raster"], strict=True)]
-    if not all(SMALLEST_EXTENT < extent < LARGEST_EXTENT for extent in extents):
-        raise TerrainError(
-            f"The store {file} is damaged: by its 'raster' and 'step' it is {extents[0]:g} x {extents[1]:g} m large, "
-            f"expected lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; import it again."
-        )
     if content["min_height"] > content["max_height"]:
         raise TerrainError(
             f"The store {file} is damaged: its 'min_height' {content['min_height']} is above its 'max_height' "

@@ -50,9 +50,9 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         content = stores.read_json(Path(folder))
     except TerrainError:
         return None
-    report, samples, step = content["report"], content["raster"], content["step"]
-    raster = _pair(report, "raster") or tuple(samples)
-    size = step[0] * (samples[0] - 1), step[1] * (samples[1] - 1)
+    lattice, report = stores.fit(**content["lattice"]), content["report"]
+    raster = _pair(report, "raster") or (lattice.width, lattice.height)
+    size = lattice.step_x * lattice.cells_x, lattice.step_y * lattice.cells_y
     extent = _pair(report, "extent_m") or size
     return Imported(
         settings=content["provenance"].get("settings", {}),

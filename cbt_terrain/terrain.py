@@ -22,11 +22,13 @@ from .ask.criterion import (
 from .ask.view import View
 from .errors import TerrainError
 from .field.heightfield import HeightField
+from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface, SurfaceBuilder
 from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from .refine.terms import Terms, left_of, position_rounding, rounding
 from .run import launch
 from .run.buffers import Buffers
+from .tree.location import locate
 
 # Relative; above what rounding does to a sum of metres.
 MARGIN = 1e-12
@@ -85,6 +87,7 @@ class Terrain:
         self._shape_key = None
         self._last: Update | None = None
         self._stamp: object = None
+        self._pieces: Pieces | None = None  # of the surface that was last asked for a place
 
     @property
     def tree(self):
@@ -117,6 +120,23 @@ class Terrain:
             update = self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
         self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
         return update
+
+    def triangles_at(self, places: np.ndarray) -> np.ndarray:
+        """Which triangle of the last update's surface is at each place: int64 [n], -1 beyond the raster.
+
+        places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where a rim has
+        cut triangles, their pieces are looked through too, which are listed once for a surface.
+        """
+        if self._last is None:
+            raise TerrainError("The terrain has no triangles yet, so none is at a place; update it first.")
+        surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
+        places = np.asarray(places, np.float64).reshape(-1, 2)
+        found = locate(self.tree, lattice, places, meshlet)
+        if not lattice.is_padded:
+            return found
+        if self._pieces is None or self._pieces.surface is not surface:
+            self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
+        return self._pieces.at(found, places)
 
     def _edited(self) -> bool:
         """Whether the tree is another one than the last update left."""

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
 from adaptive_terrain import Criterion, ImportSettings, Terrain, View, import_source, open_store
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")

@@ -34,6 +34,10 @@ DISPLACED = ("positions", "normals", "uv")
 BUFFERS = {LEVEL: "level"}
 
 
+class TornMesh(TerrainError):
+    """Leaves do not fit together."""
+
+
 @dataclass(frozen=True)
 class Surface:
     """A welded triangle mesh; views of buffers that the next update overwrites.
@@ -217,13 +221,13 @@ class SurfaceBuilder:
         torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
         # What a single slice would ask of earlier ones nobody has.
         if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
-            raise self._field.damage(NOT_NESTED)
+            raise TornMesh(str(self._field.damage(NOT_NESTED)))
 
     def _check_sides(self, sides: np.ndarray) -> None:
         """Every square takes as many edges of a side as its neighbour gives; sides int32 [rows, columns, 4]."""
         left, below, right, above = np.moveaxis(sides, 2, 0)
         if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
-            raise self._field.damage(NOT_NESTED)
+            raise TornMesh(str(self._field.damage(NOT_NESTED)))
 
     def _expand(
         self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, t: meshlet_kernels.Template

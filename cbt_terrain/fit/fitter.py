@@ -164,7 +164,7 @@ class Fitter:
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         shift = self._sideways(float(steeper.max())) + self._rounded()
-        parts = float(worst.max()), 0.0, shift, self.source
+        parts = float(worst.max()), shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
         if sum(parts) <= self.within(error_m):
             bound = min(bound, self.within(error_m))

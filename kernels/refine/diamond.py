@@ -259,48 +259,32 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Metres, before scaling, that resampling moved the raster's samples below the diamond split at (x, y).
-
-    Below the raster's cells: in the cells that the diamond's box touches; boxes are nested, and so is this.
-    """
-    moved = wp.float32(0.0)
-    if domain.resampled == 1:
-        if depth <= 2 * domain.levels:
-            moved = sound(height_at(domain.moved, place(domain, x, y, depth)), LARGEST)
-        else:
-            reach = reach_of(domain.unit_bits, depth)
-            bits = domain.unit_bits - domain.levels
-            i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
-            j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
-            for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
-                for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
-                    cell = height_at(domain.moved, domain.cell_base + tile_index(i, j, domain.cell_pages))
-                    moved = wp.where(cell > moved, sound(cell, LARGEST), moved)
-    return moved
+def rest_of(domain: Domain, d: Diamond) -> wp.float64:
+    """Metres by which float32 positions may be off in a diamond's box, see `rounding` in cbt_terrain/refine/terms.py.
+    Boxes are nested, and so is this."""
+    return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.most_lean)
 
 
 @wp.func
-def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32) -> wp.float64:
+def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float64:
     """Squared metres of height that an error stands for, as the criterion weighs it.
 
-    All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
-    rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
-    there, the weighed error asks for a quarter of that from the first, and no more; where the source's rounding does,
-    which is the same everywhere, for four fifths.
+    All error is the diamond's own, what rounding to float32 adds, and what the source had rounded. Only the first can
+    be refined away. Where the second comes near what was asked, the weighed error asks for a quarter of that from the
+    first, and no more; where the source's rounding does, for four fifths. Where the first is a quarter of what both
+    take everywhere, nothing is gained any more: it weighs nothing.
     """
-    e = wp.float64(error)
-    rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
-    own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
+    e = wp.float64(error) * domain.error_scale
+    own = smaller(e + rest, wp.float64(4.0) * e)
     weighed = smaller(own + domain.source, wp.float64(1.25) * own)
-    return weighed * weighed
+    return wp.where(e > domain.enough, weighed * weighed, wp.float64(0.0))
 
 
 @wp.func
-def own_for(metres: wp.float64, rest: wp.float64, source: wp.float64) -> wp.float64:
-    """The own error, metres, that `metres2_of` weighs as so many metres; `rest`: what moved and what rounding adds."""
-    left = larger(metres - source, wp.float64(0.8) * metres)
-    return larger(left - rest, wp.float64(0.25) * left)
+def own_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
+    """The own error, metres, up to which `metres2_of` weighs no more than `metres`."""
+    left = larger(metres - domain.source, wp.float64(0.8) * metres)
+    return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)
 
 
 @wp.func

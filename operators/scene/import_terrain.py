@@ -88,7 +88,7 @@ def folder_beside(obj, source: str) -> str:
 
 def user_folder() -> str:
     """The folder for stores of unsaved files."""
-    package = __package__.rpartition(".")[0]
+    package = __package__.rsplit(".", 2)[0]
     if package.startswith("bl_ext."):
         return bpy.utils.extension_path_user(package, path="stores", create=True)
     return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)

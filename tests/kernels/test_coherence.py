@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.local_view import localise
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -160,7 +161,7 @@ def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
 
 @pytest.fixture
 def spans_kernel():
-    return load("spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
+    return load("refine.spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
 
 
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from .unchecked import (
+from ..unchecked import (
     code_at,
     copy_cells,
     copy_codes,

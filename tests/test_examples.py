@@ -27,6 +27,12 @@ def check_01_first_mesh(said, folder):
     assert "attribute terrain_level: int32" in said
 
 
+def check_02_flight(said, folder):
+    frames = numbers(said, r"frame \d: ([\d,]+) triangles")
+    assert len(frames) == 8 and len(set(frames)) > 1 and "the same mesh alone: True" in said
+    assert all(wide < 100 for wide in numbers(said, r"is in triangle \d+, ([\d.]+) m wide"))
+
+
 def check_03_bake_and_fit(said, folder):
     baked, fitted = numbers(said, r"([\d,]+) triangles")
     assert fitted < 0.8 * baked and max(numbers(said, r"at most ([\d.]+) m")) <= 2.0
@@ -34,12 +40,10 @@ def check_03_bake_and_fit(said, folder):
 
 
 def check_04_measure(said, folder):
-    rows = re.findall(r"bound ([\d.]+) px, measured ([\d.]+) px; bound ([\d.]+) m of height, measured ([\d.]+) m", said)
-    assert len(rows) == 2
-    for row in rows:
-        bound_px, measured_px, bound_m, measured_m = map(float, row)
-        assert 0 < measured_px <= bound_px and 0 < measured_m <= bound_m
-    assert numbers(said, r"too high: measured ([\d.]+) m")[0] > 50
+    rows = re.findall(r"asked ([\d.]+) (\w+): bound ([\d.]+) \w+, measured ([\d.]+)", said)
+    assert [unit for _, unit, *_ in rows] == ["px", "px", "m", "m"]
+    assert all(0 < float(measured) <= float(bound) <= float(asked) for asked, _, bound, measured in rows)
+    assert 100 <= numbers(said, r"too high: measured ([\d.]+) m")[0] <= 101
 
 
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}

@@ -7,6 +7,7 @@ holds. The rim of a padded raster is cut this way, and what a user has cut away.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -16,7 +17,7 @@ from ...kernels.refine.diamond import Domain
 from ..refine.refinement import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
-from .attributes import FACE, NORMALS, POINT, UV
+from .attributes import CORNER, FACE, NORMALS, POINT, UV
 
 # A vertex that is nearer to the line than this part of an edge is on it: no sliver, and no two vertices at one place.
 TOLERANCE = 2.0**-10
@@ -27,8 +28,9 @@ TOPOLOGY = {
     "corner_verts": (int(kernels.TRIANGLE), 3),
     "corner_edges": (int(kernels.TRIANGLE), 3),
 }
-# Of attributes, by their domains; those of edges and corners are made after all cuts.
-DOMAINS = {POINT: (int(kernels.VERTEX), 1), FACE: (int(kernels.TRIANGLE), 1)}
+# Of attributes, by their domains. A triangle's parts have what it has at its corners, which is the same at all three;
+# of edges nobody has any yet.
+DOMAINS = {POINT: (int(kernels.VERTEX), 1), FACE: (int(kernels.TRIANGLE), 1), CORNER: (int(kernels.TRIANGLE), 3)}
 
 NONE_SWAPPED = np.empty((2, 0), np.int32)
 
@@ -113,12 +115,11 @@ class _Work:
     """A surface that is being cut, in arrays with room for what comes."""
 
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
-        self.surface = surface
+        self.surface, self.threads = surface, threads
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
         self.shape = TOPOLOGY | {name: DOMAINS[a.domain] for name, a in surface.attributes.items()}
-        self.points = ["positions", *(name for name, a in surface.attributes.items() if a.domain == POINT)]
-        self.faces = [name for name, a in surface.attributes.items() if a.domain == FACE]
         listed = _listed(near, surface.corner_verts, threads)
+        self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
         more = 2 * len(listed) * ((1 << sides) - 1)
         self.counts = np.zeros(kernels.COUNTS, np.int32)
@@ -127,6 +128,11 @@ class _Work:
             name: room(name, array, self.shape[name][1] * (self.before[self.shape[name][0]] + more))
             for name, array in surface.arrays().items()
         }
+        # One row a vertex, and one a triangle.
+        rows = {name: a.reshape(len(a) // self.shape[name][1], -1) for name, a in self.arrays.items()}
+        domains = {"positions": POINT} | {name: a.domain for name, a in surface.attributes.items()}
+        self.points = {name: rows[name] for name, domain in domains.items() if domain == POINT}
+        self.faces = [rows[name] for name, domain in domains.items() if domain != POINT]
         most = max(self.before) + more
         self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
         self.parent, self.moved = np.empty(more, np.int32), np.empty((3, most), np.int32)
@@ -136,16 +142,14 @@ class _Work:
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
         m.listed = shared(copied("", listed, len(listed) + more), wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
-        m.gone, m.doomed = (
-            shared(np.zeros((3, most), np.uint8), wp.uint8),
-            shared(np.empty((3, most), np.int32), wp.int32),
-        )
+        m.gone = shared(np.zeros((3, most), np.uint8), wp.uint8)
+        m.doomed = shared(np.empty((3, most), np.int32), wp.int32)
         m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
         """`value`: of the vertices that were there before all cuts."""
         first, first_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
-        self.value[: len(value)] = value
+        self.value[self.corners] = value[self.corners]
         if first > len(value):
             self.value[len(value) : first] = side.value(self.arrays["positions"][len(value) : first])
         if side.tolerance:
@@ -154,8 +158,7 @@ class _Work:
         end, end_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
         p, q = self.ends[: end - first].T
         part = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
-        for name in self.points:
-            array = self.arrays[name]
+        for name, array in self.points.items():
             at_p, at_q = array[p].astype(np.float64), array[q].astype(np.float64)
             new = at_p + part * (at_q - at_p)
             if name == NORMALS:
@@ -163,24 +166,35 @@ class _Work:
             array[first:end] = new
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
-        for name in self.faces:
-            self.arrays[name][first_face:end_face] = self.arrays[name][self.parent[: end_face - first_face]]
+        for rows in self.faces:
+            rows[first_face:end_face] = rows[self.parent[: end_face - first_face]]
 
     def close(self):
         """Close the gaps."""
         launch.once(kernels.close, [self.m], step="cut")
         ends = self.counts[kernels.END : kernels.END + 3].tolist()
-        everywhere = ends[0] < self.before[0] or ends[1] < self.before[1]
-        launch.once(kernels.renumber, [int(everywhere), self.m], step="cut")
+        self._renumber("corner_verts", kernels.VERTEX, ends)
+        self._renumber("edges", kernels.VERTEX, ends)
+        self._renumber("corner_edges", kernels.EDGE, ends)
+        launch.once(kernels.fill, [self.m], step="cut")
         swapped = self._moves(kernels.VERTEX, ends)
-        for name in self.points:
-            swap(self.arrays[name], swapped)
+        for array in self.points.values():
+            swap(array, swapped)
         source, to = self._moves(kernels.TRIANGLE, ends)
-        for name in self.faces:
-            self.arrays[name][to] = self.arrays[name][source]
+        for rows in self.faces:
+            rows[to] = rows[source]
         views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in self.shape.items()}
         attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
         return replace(self.surface, **views, attributes=attributes), swapped
+
+    def _renumber(self, name: str, kind: int, ends: list[int]) -> None:
+        """Say in one of the arrays where the vertices or edges behind the end have moved."""
+        numbers, moved = shared(self.arrays[name].reshape(-1), wp.int32), shared(self.moved[kind], wp.int32)
+        count = int(self.counts[TOPOLOGY[name][0]]) * (2 if name == "edges" else 3)
+        pieces = self.threads if count >= launch.SLICE_ITEMS else 1
+        cuts = [count * k // pieces for k in range(pieces + 1)]
+        inputs = [[first, stop, numbers, ends[kind], moved] for first, stop in pairwise(cuts)]
+        launch.slices(kernels.renumber, inputs, step="cut")
 
     def _moves(self, kind: int, ends: list[int]) -> np.ndarray:
         """int32 [2, n]: where something moves from, and where to."""

@@ -16,6 +16,7 @@ from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField
+from ..field.holes import longest_edge
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
@@ -133,7 +134,8 @@ def make_domain(
 def _largest_error(field: HeightField) -> float:
     """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
     rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
-    return min(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, 1e38)
+    at_holes = 0.0 if field.valid is None else longest_edge(field.lattice, 1)
+    return min(max(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, at_holes), 1e38)
 
 
 class Refinement:

@@ -7,6 +7,8 @@ number, but for the last ones, which fill the gaps: only what a cut touches cost
 
 import warp as wp
 
+from ..unchecked import has_near_corner, renumber_row
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -47,8 +49,7 @@ def list_near(
     """Triangles from `first` to `end` that have a vertex in `near`, to listed[first ..]; found[slot] is how many."""
     n = first
     for t in range(first, end):
-        o = 3 * t
-        if (near[corner_verts[o]] | near[corner_verts[o + 1]] | near[corner_verts[o + 2]]) != wp.uint8(0):
+        if has_near_corner(near, corner_verts, t):
             listed[n] = t
             n += 1
     found[slot] = n - first
@@ -240,34 +241,21 @@ def close(m: Cut):
         fill_gaps(m, kind)
 
 
-@wp.func
-def renumbered(m: Cut, kind: wp.int32, number: wp.int32) -> wp.int32:
-    at = number - m.counts[END + kind]
-    if at >= 0:
-        return m.moved[kind, at]
-    return number
-
-
-@wp.func
-def renumber_triangle(m: Cut, t: wp.int32):
-    if m.gone[TRIANGLE, t] == wp.uint8(0):
-        for c in range(3):
-            e = m.corner_edges[3 * t + c]
-            ends = m.edges[e]
-            m.edges[e] = wp.vec2i(renumbered(m, VERTEX, ends[0]), renumbered(m, VERTEX, ends[1]))
-            m.corner_edges[3 * t + c] = renumbered(m, EDGE, e)
-            m.corner_verts[3 * t + c] = renumbered(m, VERTEX, m.corner_verts[3 * t + c])
+@wp.kernel
+def renumber(
+    first: wp.int32,
+    stop: wp.int32,
+    numbers: wp.array(dtype=wp.int32),
+    end: wp.int32,
+    moved: wp.array(dtype=wp.int32),
+):
+    """Say in a row of numbers where those from `end` on have moved."""
+    renumber_row(numbers, first, stop, end, moved)
 
 
 @wp.kernel
-def renumber(everywhere: wp.int32, m: Cut):
-    """Say where things have moved, in the listed triangles or in all, and move edges and triangles."""
-    if everywhere != 0:
-        for t in range(m.counts[TRIANGLE]):
-            renumber_triangle(m, t)
-    else:
-        for i in range(m.counts[LISTED]):
-            renumber_triangle(m, m.listed[i])
+def fill(m: Cut):
+    """Move edges and triangles into the gaps."""
     end = m.counts[END + EDGE]
     for i in range(m.counts[EDGE] - end):
         to = m.moved[EDGE, i]

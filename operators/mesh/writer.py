@@ -5,23 +5,19 @@ Every array goes in as it is, in Blender's own dtypes. The edges come with it, s
 `mesh.validate()` finds nothing to change. Materials and the mesh's other settings are the user's and stay.
 """
 
-import bmesh
 import numpy as np
 import warp as wp
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.mesh.attributes import NORMALS, UV
+from ...cbt_terrain.mesh.attributes import NORMALS, TYPES, UV
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.buffers import shared
 from ...kernels.mesh import ingest
-from . import attributes
 from . import memory as mesh_memory
-from .cleanup import clean_up
 
 UV_LAYER = "UVMap"
 COLOUR_ATTRIBUTE = "terrain_overlay"  # of the corners; where a surface has it, Solid shading and materials show it
-NUMBER_ATTRIBUTE = "terrain_vertex"  # of a vertex in the surface, while a bmesh holds it
 NORMAL_ATTRIBUTE = "custom_normal"  # a free normal per vertex, since Blender 4.5
 
 
@@ -34,27 +30,6 @@ def write_mesh(mesh, surface: Surface, *, smooth: bool = True) -> None:
     _check_writable(mesh)
     _write_geometry(mesh, surface)
     _write_shading(mesh, surface.normals, smooth)
-    _show_colours(mesh)
-    mesh.update()
-
-
-def write_mesh_bmesh(mesh, surface: Surface, cleanup, *, smooth: bool = True) -> None:
-    """As `write_mesh`, by way of a bmesh from which `cleanup` (a cleanup.Cleanup) cuts what the user chose."""
-    _check_writable(mesh)
-    _write_geometry(mesh, surface)
-    numbers = mesh.attributes.new(NUMBER_ATTRIBUTE, "INT", "POINT")
-    numbers.data.foreach_set("value", np.arange(len(surface.positions), dtype=np.int32))
-    built = bmesh.new()
-    try:
-        built.from_mesh(mesh)
-        clean_up(built, cleanup)
-        number = built.verts.layers.int[NUMBER_ATTRIBUTE]
-        kept = np.fromiter((vertex[number] for vertex in built.verts), np.int64, len(built.verts))
-        built.verts.layers.int.remove(number)
-        built.to_mesh(mesh)
-    finally:
-        built.free()
-    _write_shading(mesh, surface.normals[kept], smooth)
     _show_colours(mesh)
     mesh.update()
 
@@ -76,8 +51,9 @@ def _write_geometry(mesh, surface: Surface) -> None:
     mesh.loops.add(3 * triangles)  # before the polygons, which take their last offset from it
     mesh.polygons.add(triangles)
     mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    for name, attribute in named.items():
-        attributes.add(mesh, name, attribute)
+    for name, attribute in named.items():  # all before one is written: Blender may move what it has
+        if mesh.attributes.new(name, TYPES[attribute.kind][0], attribute.domain).name != name:
+            raise TerrainError(f"Blender has no room for an attribute of the name {name!r}: give it another name.")
     if not triangles:
         mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
         return
@@ -92,7 +68,7 @@ def _write_geometry(mesh, surface: Surface) -> None:
         _write_offsets(mesh, triangles, offsets)
         _copy_arrays(mesh.attributes, surface)
         for name, attribute in named.items():
-            attributes.write(mesh, name, attribute)
+            mesh.attributes[name].data.foreach_set(TYPES[attribute.kind][1], attribute.array.ravel())
 
     def gather() -> None:
         inputs = [shared(surface.uv, wp.vec2f), shared(surface.corner_verts, wp.int32), corner_uv]

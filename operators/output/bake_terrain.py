@@ -8,7 +8,8 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.bake import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
-from ..mesh.writer import write_mesh, write_mesh_bmesh
+from ..mesh.cleanup import clean_up
+from ..mesh.writer import write_mesh
 from ..scene import session
 from ..scene.request import gather
 from ..text.shown_bounds import bound_text, limit_text
@@ -42,10 +43,7 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
             vertical_offset=request.vertical_offset,
         )
         mesh = bpy.data.meshes.new(f"{obj.name} baked")
-        if request.cleanup.active:
-            write_mesh_bmesh(mesh, update.surface, request.cleanup, smooth=request.smooth)
-        else:
-            write_mesh(mesh, update.surface, smooth=request.smooth)
+        write_mesh(mesh, clean_up(update.surface, request.cleanup), smooth=request.smooth)
     for material in obj.data.materials:
         mesh.materials.append(material)
     baked = bpy.data.objects.new(mesh.name, mesh)

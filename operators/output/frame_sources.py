@@ -16,7 +16,6 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.store import open_store
-from ...cbt_terrain.mesh.attributes import NORMALS, POINT, UV, Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
@@ -144,14 +143,14 @@ class SceneFrames:
 
 def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
+    from ..mesh.cleanup import clean_up
     from ..scene import session
     from ..scene.request import RENDER, gather
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = session.shown_surface(session.record_of(obj), update)
-        surface = surface_of(obj.data, surface.attributes) if request.cleanup.active else surface.copy()
+        surface = clean_up(session.shown_surface(session.record_of(obj), update), request.cleanup).copy()
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
@@ -217,8 +216,8 @@ def bounds_of(update: Update) -> dict:
     return {
         "bound_px": update.bound_px,
         "bound_m": update.bound_m,
-        "terms_px": None if update.terms_px is None else asdict(update.terms_px),
-        "terms_m": asdict(update.terms_m),
+        "terms_px": update.terms_px and asdict(update.terms_px),
+        "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,
         "limited": update.limited,
     }
@@ -245,30 +244,6 @@ def import_bpy(what: str):
             "or run `blender --command adaptive_terrain` instead."
         ) from None
     return bpy
-
-
-def surface_of(mesh, attributes: dict[str, Attribute]) -> Surface:
-    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies. `attributes`: which ones it has, and
-    in which units."""
-    from ..mesh.attributes import read
-
-    def array(collection, name: str, width: int, dtype) -> np.ndarray:
-        array = np.empty(len(collection) * width, dtype)
-        collection.foreach_get(name, array)
-        return array.reshape(-1, width) if width > 1 else array
-
-    corner_verts = array(mesh.loops, "vertex_index", 1, np.int32)
-    uv, normals = np.zeros((len(mesh.vertices), 2), np.float32), np.zeros((len(mesh.vertices), 3), np.float32)
-    uv[corner_verts] = array(mesh.uv_layers.active.uv, "vector", 2, np.float32)
-    normals[corner_verts] = array(mesh.corner_normals, "vector", 3, np.float32)
-    return Surface(
-        array(mesh.vertices, "co", 3, np.float32),
-        corner_verts,
-        array(mesh.loops, "edge_index", 1, np.int32),
-        array(mesh.edges, "vertices", 2, np.int32),
-        {NORMALS: Attribute(normals, POINT), UV: Attribute(uv, POINT)}
-        | {name: read(mesh, name, a.unit) for name, a in attributes.items() if name not in (NORMALS, UV)},
-    )
 
 
 def new_object(name: str):

@@ -20,7 +20,8 @@ from ...cbt_terrain.refine.terms import Terms
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
 from ..mesh import freed_memory
-from ..mesh.writer import write_mesh, write_mesh_bmesh
+from ..mesh.cleanup import clean_up
+from ..mesh.writer import write_mesh
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
@@ -198,11 +199,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold()
         record.shown = None
-        surface = shown_surface(record, update)
-        if request.cleanup.active:
-            write_mesh_bmesh(obj.data, surface, request.cleanup, smooth=request.smooth)
-        else:
-            write_mesh(obj.data, surface, smooth=request.smooth)
+        write_mesh(obj.data, clean_up(shown_surface(record, update), request.cleanup), smooth=request.smooth)
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:

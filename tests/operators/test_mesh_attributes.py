@@ -7,11 +7,13 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.mesh.archive import write_npz
 from adaptive_terrain.cbt_terrain.mesh.attributes import DOMAINS, TYPES, Attribute
-from adaptive_terrain.operators.mesh import attributes
-from adaptive_terrain.operators.mesh.cleanup import Cleanup
-from adaptive_terrain.operators.mesh.writer import write_mesh, write_mesh_bmesh
+from adaptive_terrain.operators.mesh.cleanup import Cleanup, clean_up
+from adaptive_terrain.operators.mesh.writer import write_mesh
 from adaptive_terrain.operators.output.blender_exporters import export_selected, only_selected
 from mesh_files import read_ply_fields
+
+# Blender's data type -> which property of its elements has the numbers, of those that are not "value".
+PROPERTY = {"FLOAT2": "vector", "FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}
 
 
 @pytest.fixture
@@ -33,23 +35,39 @@ def every_kind(surface) -> dict[str, Attribute]:
     return made
 
 
-@pytest.mark.parametrize("by_bmesh", [False, True])
-def test_every_type_in_every_domain_comes_back_from_blender(mesh, grid_surface, by_bmesh):
+def test_every_type_in_every_domain_comes_into_blender(mesh, grid_surface):
     plain = grid_surface(5, 3)
     made = every_kind(plain)
-    surface = plain.with_attributes(made)
-    if by_bmesh:
-        write_mesh_bmesh(mesh, surface, Cleanup())
-    else:
-        write_mesh(mesh, surface)
+    write_mesh(mesh, plain.with_attributes(made))
     for name, attribute in made.items():
-        found = attributes.read(mesh, name, "m")
-        assert (found.domain, found.unit) == (attribute.domain, "m")
-        assert mesh.attributes[name].data_type == TYPES[attribute.kind][0]
-        assert np.array_equal(found.array, attribute.array) and found.array.dtype == attribute.array.dtype, name
+        found = mesh.attributes[name]
+        assert (found.data_type, found.domain) == (name.removesuffix(f"_{found.domain}"), attribute.domain)
+        values = np.empty(attribute.array.size, attribute.array.dtype)
+        found.data.foreach_get(PROPERTY.get(found.data_type, "value"), values)
+        assert np.array_equal(values, attribute.array.ravel()), name
     assert mesh.validate(verbose=True) is False
     write_mesh(mesh, plain)
     assert not made.keys() & set(mesh.attributes.keys()), "what a surface no longer has goes"
+
+
+def test_a_cut_keeps_attributes_with_their_triangles_and_places(grid_surface):
+    """A slope, cut at a height: values that are a function of the place still are, those of faces are their own."""
+    plain = grid_surface(6, 4, lambda x, y: x + 0.1 * y)
+    middle = plain.positions[plain.triangles].mean(axis=1)
+    of_face = np.floor(middle[:, 0]).astype(np.int32)  # the column of cells that it is in
+    surface = plain.with_attributes(
+        {
+            "x": Attribute(plain.positions[:, 0].copy(), "POINT"),
+            "column": Attribute(of_face, "FACE"),
+            "colour": Attribute(np.repeat(of_face, 3).astype(np.float32)[:, None] * np.ones(4, np.float32), "CORNER"),
+        }
+    )
+    left = clean_up(surface, Cleanup(below=2.5))
+    made = {name: attribute.array for name, attribute in left.attributes.items()}
+    assert 0 < len(left.triangles) < len(plain.triangles) and left.sizes["POINT"] == len(made["x"])
+    np.testing.assert_allclose(made["x"], left.positions[:, 0], atol=1e-5)
+    assert (made["column"] == np.floor(left.positions[left.triangles].mean(axis=1)[:, 0])).all()
+    assert (made["colour"].reshape(-1, 3, 4) == made["column"][:, None, None]).all()
 
 
 def test_a_ply_and_an_npz_carry_attributes(empty, grid_surface, tmp_path):

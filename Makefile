@@ -7,7 +7,7 @@ TESTS ?= tests
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test fuzz hard-cases bench profile accuracy lint format extension clean help
+.PHONY: demo test fuzz hard-cases bench profile accuracy figures lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -17,6 +17,7 @@ help:
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
+	@echo "make figures    the figures of docs/method"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 
@@ -44,6 +45,9 @@ profile: $(READY)
 
 accuracy: $(READY)
 	$(PY) tools/write_accuracy.py
+
+figures: $(READY)
+	$(PY) tools/draw_figures.py
 
 lint: $(READY)
 	$(PY) -m ruff check .

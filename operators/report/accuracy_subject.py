@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...cbt_terrain.accuracy.crops import Crop
 from ...cbt_terrain.accuracy.sweep import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import Frame
@@ -29,7 +30,8 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 @dataclass
 class Subject:
     """One terrain that is measured. `numbers`: of the frames. `seen`: from where, in words. `current`: the setting that
-    the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from."""
+    the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from.
+    `crops`: what some of the errors look like."""
 
     name: str
     heights: HeightField
@@ -40,6 +42,13 @@ class Subject:
     base: Criterion = field(default_factory=Criterion)
     rows: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    crops: list[Crop] = field(default_factory=list)
+
+    @property
+    def title(self) -> str:
+        """The file that the heights are from, as its owner knows it, and the name where that is another."""
+        file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name
+        return self.name if not file else file if slug(Path(file).stem) == slug(self.name) else f"{file}: {self.name}"
 
     @property
     def settings(self) -> list[Setting]:

@@ -186,9 +186,9 @@ def strip(subject, prefix: str) -> list[Strip]:
     shown = [
         Picture(
             f"{prefix}{subject.name}_{crop.error_px:g}px.png",
-            png(crop.pixels),
-            f"{crop.error_px:g} px",
             f"{crop.triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
+            f"{crop.error_px:g} px",
+            png(crop.pixels),
         )
         for crop in subject.crops
     ]

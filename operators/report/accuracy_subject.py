@@ -31,7 +31,7 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 class Subject:
     """One terrain that is measured. `numbers`: of the frames. `seen`: from where, in words. `current`: the setting that
     the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from.
-    `crops`: what some of the errors look like."""
+    `crops`: what some of the errors look like. `called`: the object's name, where there is one."""
 
     name: str
     heights: HeightField
@@ -43,12 +43,13 @@ class Subject:
     rows: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     crops: list[Crop] = field(default_factory=list)
+    called: str = ""
 
     @property
     def title(self) -> str:
-        """The file that the heights are from, as its owner knows it, and the name where that is another."""
-        file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name
-        return self.name if not file else file if slug(Path(file).stem) == slug(self.name) else f"{file}: {self.name}"
+        """The file that the heights are from, as its owner knows it; and the object, where it has a name of its own."""
+        file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
+        return file if slug(self.called or Path(file).stem) == slug(Path(file).stem) else f"{file}: {self.called}"
 
     @property
     def settings(self) -> list[Setting]:
@@ -109,6 +110,7 @@ class Look:
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), current_setting(request)
         found = Subject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
+        found.called = self.name
         found.notes += notes_on(request.criterion)
         return found
 

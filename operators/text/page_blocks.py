@@ -79,19 +79,26 @@ class Words:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG file, what is said below it first and then in smaller letters."""
+    """A PNG file, and what is said below it: `title` in large letters, if it has one. `png`: what is in the file, for a
+    page that needs no other; None where the file stands beside the page."""
 
     name: str
-    png: bytes = field(repr=False)
-    title: str
     caption: str
+    title: str = ""
+    png: bytes | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Pictures side by side."""
+    """Pictures side by side, equally wide; `first_wide`: two, the first of which is wider than high."""
 
     pictures: list[Picture]
+    first_wide: bool = False
+
+
+@dataclass(frozen=True)
+class Code:
+    text: str
 
 
 @dataclass(frozen=True)
@@ -130,6 +137,10 @@ def _markdown(block) -> str:
             return "\n".join(f"* **{word}**: {meaning}" for word, meaning in pairs)
         case Figures(pairs):
             return "\n".join(f"* {what}: {value}" for value, what in pairs)
+        case Picture(name, caption):
+            return f"![{caption}]({name})"
+        case Code(text):
+            return f"```python\n{text}\n```"
         case Strip(pictures):
             rows = ([f"**{p.title}**<br>{p.caption}" for p in pictures], [f"![{p.title}]({p.name})" for p in pictures])
             return _markdown_table(*rows, rule=" :-: ")
@@ -162,12 +173,15 @@ def _html(block) -> str:
         case Figures(pairs):
             cells = (f"<div><b>{html.escape(v)}</b><span>{html.escape(w)}</span></div>" for v, w in pairs)
             return f'<div class="figures">{"".join(cells)}</div>'
-        case Strip(pictures):
-            return f'<div class="strip">{"".join(map(_html, pictures))}</div>'
-        case Picture(_, png, title, caption):
-            source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
-            said = f"<b>{html.escape(title)}</b>{html.escape(caption)}"
-            return f'<figure><img src="{source}" alt="{html.escape(title)}"><figcaption>{said}</figcaption></figure>'
+        case Strip(pictures, first_wide):
+            return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_html, pictures))}</div>'
+        case Picture(name, caption, title, png):
+            source = f"data:image/png;base64,{base64.b64encode(png).decode()}" if png else html.escape(name)
+            said = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)
+            shown = f'<img src="{source}" alt="{html.escape(title or caption)}">'
+            return f"<figure>{shown}<figcaption>{said}</figcaption></figure>"
+        case Code(text):
+            return f"<pre>{html.escape(text)}</pre>"
         case Plot(_, caption, svg):
             return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
     lines = [("th", block.head), *(("td", cells) for cells in block.rows)]

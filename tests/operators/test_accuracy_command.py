@@ -22,6 +22,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.cli import accuracy_command, command_line
 from adaptive_terrain.operators.output.exporting import write_files
 from adaptive_terrain.operators.report import accuracy_plots, accuracy_subject
+from browser import needs_chromium, opened
 from PIL import Image
 
 FLIGHT = {
@@ -139,6 +140,17 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
     assert "<dt>Pareto front</dt>" in page and not re.findall(r"\*[A-Za-z ]+\*", page)
     assert len(columns) == 6 and all(len(counts) == 1 for counts in columns)
     assert page.startswith("<!doctype html>") and "<h1>hills.npy</h1>" in page and text.startswith("# hills.npy\n")
+
+
+@needs_chromium
+def test_a_browser_shows_the_page_with_every_picture(measured, accuracy, tmp_path):
+    code, said, folder = accuracy("--resolution", "320x180")
+    assert code == 0, said.err
+    seen = opened(folder / "index.html", tmp_path / "chromium")
+    assert not seen.errors and seen.wide <= 0
+    assert len(seen.pictures) == 3 + 4 and all(there for _, there in seen.pictures)
+    order = ["hills.npy", "largest error that was measured", "Halving", "Every row", "What the words mean"]
+    assert [seen.text.index(words) for words in order] == sorted(seen.text.index(words) for words in order)
 
 
 def test_the_strip_shows_the_same_part_at_four_errors(measured, accuracy):

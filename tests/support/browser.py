@@ -16,10 +16,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 NAMES = ("chromium-headless-shell", "chromium", "google-chrome")
 CHROMIUM = next((path for path in map(shutil.which, NAMES) if path), None)
 OPTIONS = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe"]
 PATIENCE_S = 30.0
+needs_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="there is no Chromium here; on Debian: apt-get install chromium-headless-shell"
+)
 # Pictures (files and drawings) with what the page says of them, and whether they have a size.
 PICTURES = """JSON.stringify([
   ...[...document.images].map(i => [i.alt, i.complete && i.naturalWidth > 1 && i.getBoundingClientRect().width > 1]),
@@ -52,14 +57,21 @@ def opened(page: Path, folder: Path, width: int = 1280) -> Opened:
 
         pictures = [tuple(pair) for pair in json.loads(value(PICTURES))]
         wide = value("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-        return Opened(
-            list(map(json.dumps, filter(_is_error, ask.events))), pictures, value("document.body.innerText"), wide
-        )
+        complaints = [said for said in map(_complaint, ask.events) if said]
+        return Opened(complaints, pictures, value("document.body.innerText"), wide)
 
 
-def _is_error(event: dict) -> bool:
-    level = event["params"].get("entry", {}).get("level") or event["params"].get("type")
-    return event["method"] in ("Runtime.exceptionThrown", "Network.loadingFailed") or level in ("error", "assert")
+def _complaint(event: dict) -> str:
+    """What an event complains of; "" of one that does not."""
+    method, params = event["method"], event["params"]
+    if method == "Runtime.exceptionThrown":
+        return params["exceptionDetails"].get("exception", {}).get("description", params["exceptionDetails"]["text"])
+    if method == "Network.loadingFailed":
+        return f"{params['type']}: {params['errorText']}"
+    if method == "Runtime.consoleAPICalled" and params["type"] in ("error", "assert"):
+        return " ".join(str(argument.get("value")) for argument in params["args"])
+    entry = params.get("entry", {})
+    return f"{entry['text']} {entry.get('url', '')}" if entry.get("level") == "error" else ""
 
 
 class _Pipe:

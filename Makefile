@@ -4,14 +4,21 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 VENV ?= .venv
 TESTS ?= tests
+SMOKE := tests/test_layers.py tests/properties tests/regressions tests/faults \
+	$(addprefix tests/cbt_terrain/test_,importing.py refinement.py store.py surface.py terrain.py tree.py warmup.py) \
+	$(addprefix tests/operators/test_,exporting.py handlers.py mesh_writer.py panel.py registration.py session.py) \
+	$(addprefix tests/hard_cases/test_,camera_in_blender.py exports_in_blender.py life_in_blender.py)
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test fuzz hard-cases bench profile accuracy figures lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy figures lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
+	@echo "make smoke      a few tests of everything, two minutes"
+	@echo "make test-all   every test on Python 3.11 and 3.13 and in the real Blender program (Debian, root)"
+	@echo "make kernels    compile all kernels now, so that nothing waits for them later"
 	@echo "make fuzz       10,000 random views, thousands of damaged files and stores, 300 interrupts, more of the random tests"
 	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
@@ -26,6 +33,17 @@ demo: $(READY)
 
 test: $(READY)
 	$(PY) -m pytest $(TESTS)
+
+smoke: $(READY)
+	$(PY) -m pytest $(SMOKE)
+
+test-all: $(READY)
+	tools/get_blender.sh trixie .cache/blender
+	ADAPTIVE_TERRAIN_BLENDER=$(CURDIR)/.cache/blender.run $(PY) -m pytest tests
+	$(MAKE) VENV=.venv-3.13 PYTHON=$$(command -v python3.13 || ls "$$(pyenv root)"/versions/3.13.*/bin/python) test
+
+kernels: $(READY)
+	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup; warmup.start(); warmup.wait(overlay=True)"
 
 fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "random_views_keep or every_format_in_every_order"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cbt_terrain.field import heightfield
+from ..cbt_terrain.field.build import build
+from ..cbt_terrain.field.heightfield import HeightField
 from ..cbt_terrain.field.store import Draft, open_store
 from ..cbt_terrain.importing.import_process import import_source
 from ..cbt_terrain.importing.raster import ImportSettings
@@ -41,7 +42,7 @@ def import_rows(tiff: Path, folder: Path) -> Iterator[Row]:
     yield Row("import_reopen", scenes.SAMPLES**2, ms, "50 ms", REOPEN_LIMIT_MS)
 
 
-def write_tiff(field: heightfield.HeightField, path: Path) -> Path:
+def write_tiff(field: HeightField, path: Path) -> Path:
     """A GeoTIFF of metres in UTM, written by a process of its own: GDAL and Blender do not meet."""
     array = path.with_suffix(".npy")
     np.save(array, field.samples)
@@ -81,7 +82,7 @@ def build_large(store: Path) -> int:
         for row in range(LARGE_SAMPLES):
             samples[row] = tile[row % period][across]
         step = scenes.SIDE / (scenes.SAMPLES - 1)
-        field = heightfield.build(samples, step, step, missing=0, allocate=draft.allocate)
+        field = build(samples, step, step, missing=0, allocate=draft.allocate)
         draft.publish(field, "benchmark", {})
     finally:
         draft.discard_unless_published()

@@ -10,9 +10,8 @@ import warp as wp
 
 from ..kernels.refine.diamond import Asked, Domain, LocalView
 from .ask.criterion import (
-    ROUNDING,
+    LARGEST,
     Criterion,
-    as_seen,
     largest_offset,
     localise,
     secant_of,
@@ -151,7 +150,7 @@ class Terrain:
             off = max(largest_offset(v, placement, rounded) for v in views)
             stretch = min(_stretch(lengths, domain.unit_bits, depth, off), 1 + MOST_STRETCH)
             edge_scale /= stretch
-        unsure = domain.rounding + domain.source + self.field.resample_max * abs(vertical_scale)
+        unsure = domain.rounding + domain.source
         local = [localise(v, placement, box, criterion, s, unsure) for v, s in zip(views, scales, strict=True)]
         asked = _pack(criterion, local, edge_scale, domain.source)
         asked.diagonal2, asked.axis2 = lengths
@@ -167,29 +166,13 @@ class Terrain:
         if changed:
             surface = self._builder.build(leaves, domain, criterion.meshlet)
         self._shape_key = shape
-        total_px2, edge_px2, area_px2 = (float(b) for b in leaves.bounds[1:4])
-        constant = [domain.rounding, domain.source]
-        parts_px, parts_m = ([*(p * abs(vertical_scale)).tolist(), *constant] for p in leaves.parts)
-        spans, bound_m = math.sqrt(total_px2) * (1 + 0.5 * ROUNDING), sum(parts_m) * (1 + MARGIN)
-        seen = [as_seen(v, s, spans / w) for v, s, w in zip(views, slants, widened, strict=True)]
-        bound_px = max(seen, default=0.0)
-        measures_edges = bool(asked.measures_edges)
-        if measures_edges:
-            deepest = int(surface.level.max()) - 2 * criterion.meshlet
-            stretch = max(1.0, _stretch(lengths, domain.unit_bits, deepest, off) / stretch)
         return Update(
-            surface,
-            leaves.total,
-            changed,
-            bound_px if views else None,
-            bound_m,
-            math.sqrt(edge_px2) / edge_scale * stretch if measures_edges else None,
-            area_px2 / edge_scale**2 * stretch**2 if measures_edges else None,
-            relaxed,
-            _limited(asked, criterion.error_m, leaves.bounds.tolist(), relaxed, parts_px, parts_m, stretch),
-            Terms.shares(bound_px, *parts_px) if views else None,
-            Terms.shares(bound_m, *parts_m),
-            ms,
+            surface=surface,
+            leaves=leaves.total,
+            changed=changed,
+            **_contract(criterion, domain, self.field, leaves.stopped, relaxed, bool(views)),
+            relaxed=relaxed,
+            ms=ms,
         )
 
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
@@ -214,8 +197,7 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
     Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
     """
-    lattice = field.lattice
-    x, y = 0.5 * (lattice.width - 1) * lattice.step_x, 0.5 * (lattice.height - 1) * lattice.step_y
+    _, _, x, y = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
     box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
     largest = float(np.finfo(np.float32).max)
@@ -243,37 +225,33 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
     return 1 + 2 * off / shortest
 
 
-def _limited(
-    asked: Asked,
-    error_m: float,
-    bounds: list[float],
-    relaxed: float,
-    parts_px: list[float],
-    parts_m: list[float],
-    stretch: float,
-) -> str:
-    """What kept a bound above what was asked; `parts` are those of Terms, metres.
+def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped: bool, relaxed: float, seen: bool):
+    """What leaves that nothing stopped hold: what was asked, times what a triangle limit relaxed."""
+    scale = domain.error_scale
+    moved = field.resample_max * scale
+    within = (field.max_height - field.min_height) * scale + moved + domain.rounding + domain.source
+    free = stopped or not criterion.error_m
+    bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, moved, domain))
+    bound_px = LARGEST if stopped or not criterion.error_px else criterion.error_px * relaxed
+    edge_px = criterion.edge_px or math.sqrt(8 * criterion.area_px)
+    area_px = criterion.area_px or 0.5 * criterion.edge_px**2
+    rest = 0.0, moved, domain.rounding, domain.source
+    parts = max(bound_m - sum(rest), 0.0), *rest[1:]
+    return {
+        "bound_px": bound_px if seen else None,
+        "bound_m": bound_m,
+        "bound_edge_px": (LARGEST if stopped else edge_px * relaxed) if edge_px else None,
+        "bound_area_px": (LARGEST if stopped else area_px * relaxed**2) if edge_px else None,
+        "limited": "max_triangles" if relaxed > 1 else "max_depth" if stopped else "",
+        "terms_px": Terms.shares(bound_px, *parts) if seen else None,
+        "terms_m": Terms.shares(bound_m, *parts),
+    }
 
-    `stretch`: of the edges' bounds by rounding, beyond what was allowed for.
-    """
-    error_px2, total_px2, edge_px2, area_px2, metres2, total_metres2 = bounds
-    edges = max(edge_px2 / asked.edge_px2, 2 * area_px2 / asked.area_px2)
-    over = [(math.sqrt(total_px2 / asked.error_px2), parts_px)]
-    over += [(math.sqrt(total_metres2) / error_m, parts_m)] if error_m else []
-    over = [(ratio, parts) for ratio, parts in over if ratio > 1]
-    if relaxed > 1:
-        return "max_triangles" if over or edges > 1 else ""
-    # What cannot be refined away may be too much alone: then no depth would do.
-    alone = [(ratio, parts) for ratio, parts in over if ratio * sum(parts[1:]) > sum(parts)]
-    if edges > 1 or not alone and max(error_px2 / asked.error_px2, metres2 / asked.metres2) > 1:
-        return "max_depth"
-    if not over:
-        return "precision" if stretch * stretch * edges > 1 else ""
-    first = 1 if alone else 0
-    for count, reason in enumerate(("resampling", "precision"), 2):
-        if any(ratio * sum(parts[first:count]) > sum(parts) for ratio, parts in alone or over):
-            return reason
-    return "source"
+
+def _reached(asked: float, moved: float, domain: Domain) -> float:
+    """Metres of error that an error asked for in metres ends with, by how `metres2_of` weighs it."""
+    rest = moved + domain.rounding + domain.source
+    return max(asked, 0.25 * asked + rest, 0.8 * asked + domain.source) * (1 + MARGIN)
 
 
 def _pack(criterion: Criterion, views: list[LocalView], edge_scale: float, source: float) -> Asked:

@@ -51,7 +51,7 @@ def put_vec3(a: wp.array(dtype=wp.vec3f), i: wp.int32, value: wp.vec3f): ...
 def put_vec2(a: wp.array(dtype=wp.vec2f), i: wp.int32, value: wp.vec2f): ...
 
 
-# The walk's stacks and leaves, and where the arrays hold a diamond: 3 to 5 % of a walk over level ground.
+# The walk's stacks and leaves, and where the arrays hold a diamond: 3 to 5 % of a walk.
 
 
 @wp.func_native("a.data[i] = value;")
@@ -76,13 +76,6 @@ def put_cell(a: wp.array(dtype=wp.int64), i: wp.int64, value: wp.uint64): ...
 
 @wp.func_native("return a.data[i];")
 def entry_at(a: wp.array(dtype=wp.int64), i: wp.int32) -> wp.int64: ...
-
-
-# As much again.
-
-
-@wp.func_native("return a.data[i];")
-def limits_at(a: wp.array(dtype=wp.vec3d), i: wp.int32) -> wp.vec3d: ...
 
 
 # Vertices in curve order jump over the raster: without this each waits for memory, 17.4 ms instead of 8.3.
@@ -131,8 +124,8 @@ def look_up_pairs(
 ): ...
 
 
-# Rows of an even block (block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for 500,000
-# in a tree of depth 32 1.3 and 4.2.
+# Rows of an even block (kernels/refine/block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for
+# 500,000 in a tree of depth 32 1.3 and 4.2.
 
 
 @wp.func_native(
@@ -172,55 +165,6 @@ def place_legs(
 def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64): ...
 
 
-# A shape (kernels/refine/shape.py): milliseconds for 500,000 leaves of one edge length 2.2, in Warp 2.8.
-
-
-@wp.func_native(
-    "const wp::uint16* from = table.data + first; wp::uint16* __restrict to = out.data + at; "
-    "for (int k = 0; k < 8; ++k) to[k] = (from[k] ^ flip) + more;"
-)
-def put_eight(
-    table: wp.array(dtype=wp.uint16),
-    first: wp.int32,
-    flip: wp.uint16,
-    more: wp.uint16,
-    out: wp.array(dtype=wp.uint16),
-    at: wp.int64,
-): ...
-
-
-# In vectors, since the compiler makes none of the loop.
-@wp.func_native(
-    "typedef int Four __attribute__((vector_size(32), aligned(4))); "
-    "const int* leg = (const int*)(legs.data + first); int* to = (int*)(out.data + at); "
-    "const int ax = apex[0], ay = apex[1], lx = left[0], ly = left[1], rx = right[0], ry = right[1]; "
-    "const Four a = {ax, ay, ax, ay, ax, ay, ax, ay}, l = {lx, ly, lx, ly, lx, ly, lx, ly}, "
-    "r = {rx, ry, rx, ry, rx, ry, rx, ry}; "
-    "for (int k = 0; k < 16; k += 8) { const Four g = *(const Four*)(leg + k); "
-    "const Four g0 = __builtin_shufflevector(g, g, 0, 0, 2, 2, 4, 4, 6, 6); "
-    "const Four g1 = __builtin_shufflevector(g, g, 1, 1, 3, 3, 5, 5, 7, 7); "
-    "*(Four*)(to + k) = a + ((g0 * l + g1 * r) >> 2); }"
-)
-def place_eight(
-    legs: wp.array(dtype=wp.vec2i),
-    first: wp.int32,
-    apex: wp.vec2i,
-    left: wp.vec2i,
-    right: wp.vec2i,
-    out: wp.array(dtype=wp.vec2i),
-    at: wp.int64,
-): ...
-
-
-@wp.func_native(
-    "wp::int64* __restrict to = cells.data + at; int n = 0; "
-    "for (int k = 0; k < 8; ++k) { to[n] = first + ((wp::uint64(k) << size_bits) >> 3); n += starts >> k & 1; }"
-)
-def place_starts(
-    cells: wp.array(dtype=wp.int64), at: wp.int64, first: wp.uint64, size_bits: wp.int32, starts: wp.int32
-): ...
-
-
 # What the last frame has written of a subtree (kernels/refine/coherence.py): a tenth of a flight's walk for one error.
 
 
@@ -243,7 +187,8 @@ def copy_cells(
 ): ...
 
 
-# Two streams of cells (sum_reduction.py), eight at a time: milliseconds for 500,000 0.37, one by one in Warp 0.98.
+# Two streams of cells (kernels/refine/sum_reduction.py), eight at a time: milliseconds for 500,000 0.37, one by one in
+# Warp 0.98.
 
 
 @wp.func_native(

@@ -17,10 +17,9 @@ Anal. 35, 1998). In a cell's own triangles that is N / 4, its *bend*, and it hal
 diamond reaches into the next cell, so a bend is at least half of that of the four neighbours, and a cell's own error at
 least half of the bends of its own and of theirs.
 
-Ranges of heights are those of control heights, of each patch too: a box below the cells touches a few. What resampling
-moved was measured on the bilinear surface; how far the two are apart in the cell is added. Samples that the source has
-rounded move the surface between them by more than themselves: the magnitudes of their weights in a row add up to 1 + t
-(1 - t) at t of the way between two of them, 5/4 at most, and so do the columns'.
+Ranges of heights are those of control heights, of each patch too: a box below the cells touches a few. Samples that the
+source has rounded move the surface between them by more than themselves: the magnitudes of their weights in a row add
+up to 1 + t (1 - t) at t of the way between two of them, 5/4 at most, and so do the columns'.
 """
 
 from dataclasses import replace
@@ -30,7 +29,6 @@ import warp as wp
 
 from ...kernels.bicubic import patches as kernels
 from ...kernels.field import expand as expand_kernels
-from ...kernels.field import hierarchy as hierarchy_kernels
 from ...kernels.field import ranges as range_kernels
 from ..errors import TerrainError
 from ..run import launch
@@ -81,7 +79,6 @@ def bicubic(field: HeightField) -> HeightField:
         interpolation="bicubic",
         error=kept["error_c"],
         ranges=kept["ranges_c"],
-        moved=kept.get("moved_c"),
         source_max=LEVERAGE * field.source_max,
         **dict(zip(NUMBERS, kept["numbers_c"].tolist(), strict=True)),
         key=field.key + BICUBIC_KEY,
@@ -92,9 +89,8 @@ def bicubic(field: HeightField) -> HeightField:
 
 def _arrays(field: HeightField) -> dict[str, tuple]:
     """Names, shapes and dtypes of the arrays of a bicubic surface."""
-    names = ["error_c", "ranges_c", "numbers_c", *([] if field.moved is None else ["moved_c"])]
     arrays = store.kept_arrays(field.lattice)
-    return {name: arrays[name] for name in names}
+    return {name: arrays[name] for name in ("error_c", "ranges_c", "numbers_c")}
 
 
 def _load(field: HeightField) -> dict[str, np.ndarray] | None:
@@ -112,15 +108,10 @@ def _sound(numbers: np.ndarray) -> bool:
 
 def build(field: HeightField, threads: int) -> dict[str, np.ndarray]:
     """The arrays of a bicubic surface, by name; the same bytes for any number of threads."""
-    lattice = field.lattice
     made = {name: np.zeros(shape, dtype) for name, (shape, dtype) in _arrays(field).items()}
     made["numbers_c"][:] = _numbers(field, threads)
     _fill_ranges(field, *made["numbers_c"][:2].tolist(), made["ranges_c"], threads)
-    off = _fill_errors(field, made["error_c"], threads)
-    if field.moved is not None:
-        held, more = (array[lattice.range_count : lattice.node_count] for array in (field.moved, off))
-        held = np.where(more > 0, np.nextafter(held + more, np.float32(np.inf)), held)
-        hierarchy.raise_moved(held, lattice, made["moved_c"], threads)
+    _fill_errors(field, made["error_c"], threads)
     return made
 
 
@@ -136,10 +127,10 @@ def _raster(field: HeightField) -> list:
 def _numbers(field: HeightField, threads: int) -> list[float]:
     """NUMBERS of a bicubic surface; slopes are rounded up."""
     lattice = field.lattice
-    rows, columns = lattice.height - 1, lattice.width - 1
+    rows = lattice.cells_y
     found = np.zeros((rows, 4))
     inputs = [*_raster(field), wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False)]
-    _launch(kernels.extents, rows, inputs, threads, 10.0 * columns)
+    _launch(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
     low, high = float(found[:, 0].min()), float(found[:, 1].max())
     steepest = found[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
     return [*hierarchy.range_scale(low, high), low, high, *steepest.tolist()]
@@ -148,27 +139,28 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
 def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarray, threads: int) -> None:
     """Ranges of the patches, and above them of all that they touch."""
     lattice, out = field.lattice, flat(ranges, wp.uint16)
-    columns, rows = lattice.width - 1, lattice.height - 1
+    columns, rows = lattice.cells_x, lattice.cells_y
     own = stored_at(lattice, lattice.cell_depth)
     inputs = [*_raster(field), wp.float64(base), wp.float64(step), own, out]
     _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.levels:
         finest = stored_at(lattice, lattice.cell_depth - 1)
-        _launch(range_kernels.patches_around, rows + 1, [columns, rows, own, finest, out], threads, 4.0 * columns)
+        east, north = lattice.extent(lattice.cell_depth - 1)
+        inputs = [east, columns, rows, own, finest, out]
+        _launch(range_kernels.patches_around, north + 1, inputs, threads, 4.0 * columns)
         hierarchy.unite_ranges(lattice, ranges, threads)
 
 
-def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.ndarray:
-    """Errors and bends; returns how far the bicubic surface is from the bilinear one, as errors but not with bends."""
+def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> None:
+    """Errors and bends, by way of how far the bicubic surface is from the bilinear one."""
     lattice, off = field.lattice, np.zeros(field.lattice.node_count, np.float32)
-    columns, rows = lattice.width - 1, lattice.height - 1
     out, apart, plain = (flat(array, wp.float32) for array in (errors, off, field.error))
     own, below = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     below.base = lattice.node_count
-    _launch(kernels.patch_errors, rows, [*_raster(field), own, own, below, apart, out], threads, 20.0 * columns)
-    block = hierarchy.COLUMN_BLOCK
-    inputs = [columns, rows, block, wp.float32(0.5), below, out]
-    _launch(hierarchy_kernels.saturate_columns, -(-columns // block), inputs, threads, 0.2 * block * rows)
+    inputs = [*_raster(field), own, own, below, apart, out]
+    _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
+    hierarchy.saturate_cells(lattice, below, 0.5, out, "bicubic hierarchy", threads)
+    columns, rows = lattice.extent(lattice.cell_depth)
     _launch(kernels.cover_sides, columns * rows, [columns, rows, below, own, out], threads)
     for depth in range(lattice.cell_depth - 1, 0, -1):
         wide, high, count = extent_of(lattice, depth)
@@ -177,4 +169,3 @@ def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.nda
             _launch(expand_kernels.add_centres, count, [wide, *inputs], threads)
         else:
             _launch(expand_kernels.add_sides, count, [wide, high, *inputs], threads)
-    return off

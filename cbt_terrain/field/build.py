@@ -10,7 +10,7 @@ from ..errors import TerrainError
 from ..run import launch
 from . import hierarchy, resample
 from .heightfield import HeightField
-from .lattice import Lattice
+from .lattice import Lattice, fit
 
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
@@ -19,18 +19,29 @@ def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
-def content_key(samples: np.ndarray, lattice: Lattice, resample_max: float, source_max: float) -> str:
+def content_key(samples: np.ndarray, lattice: Lattice, source_max: float) -> str:
     """Hex digest of what determines a terrain's shape and its bounds."""
     digest = hashlib.blake2b(digest_size=16)
-    numbers = (lattice.step_x, lattice.step_y, lattice.levels, resample_max, source_max)
+    numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
     for row in range(0, samples.shape[0], 256):
         digest.update(np.ascontiguousarray(samples[row : row + 256]))
     return digest.hexdigest()
 
 
+def lattice_for(width: int, height: int, step_x: float, step_y: float, name: str = "The raster") -> Lattice:
+    """As `fit`; raises TerrainError for a raster that is too large. name: what the error calls it."""
+    lattice = fit(width, height, step_x, step_y)
+    if not lattice.can_be_numbered:
+        raise TerrainError(
+            f"{name} has {width} x {height} samples, more than an index of 31 bits can number (about 31,000 x "
+            "31,000): cut it into tiles or reduce it first."
+        )
+    return lattice
+
+
 def build(
-    raster: np.ndarray,
+    samples: np.ndarray,
     step_x: float,
     step_y: float,
     *,
@@ -41,27 +52,18 @@ def build(
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> HeightField:
-    """Everything that is done to a raster once: fill, bring onto a lattice, error hierarchy, ranges.
+    """Everything that is done to a raster once: fill, error hierarchy, ranges.
 
-    raster: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
+    samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
     filled in place. step_x, step_y: metres between samples. source_max: as in HeightField. allocate(name, shape, dtype)
-    provides the arrays that stay; where the raster fits its lattice, `raster` itself stays. name: what errors call the
-    raster.
+    provides the other arrays that stay. name: what errors call the raster. Raises TerrainError.
     """
     threads = threads or launch.default_threads()
-    height, width = raster.shape
-    lattice = resample.lattice_for(width, height, step_x, step_y, name)
-    if missing == raster.size:
+    lattice = lattice_for(*samples.shape[::-1], step_x, step_y, name)
+    if missing == samples.size:
         raise TerrainError(f"{name} has only missing samples (no-data or not a number): there is no terrain in it.")
     if missing:
-        resample.fill_missing(raster, threads)
-    on_progress(0.1)
-    samples, moved, moved_max, moved_rms = raster, None, 0.0, 0.0
-    if (lattice.height, lattice.width) != raster.shape:
-        samples = allocate("samples", (lattice.height, lattice.width), np.dtype(np.float32))
-        moved_max, moved_rms = resample.onto_lattice(raster, samples, threads)
-        moved = allocate("moved", (lattice.node_count,), np.dtype(np.float32))
-        hierarchy.build_moved(raster, samples, lattice, moved, threads)
+        resample.fill_missing(samples, threads)
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
     climb_x, climb_y = hierarchy.climbs(samples)
@@ -82,10 +84,7 @@ def build(
         max_height=high,
         steepest_x=climb_x / lattice.step_x,
         steepest_y=climb_y / lattice.step_y,
-        key=content_key(samples, lattice, moved_max, source_max),
-        resample_max=moved_max,
-        resample_rms=moved_rms,
-        moved=moved,
+        key=content_key(samples, lattice, source_max),
         source_max=source_max,
         filled=missing,
     )

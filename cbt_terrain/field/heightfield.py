@@ -26,8 +26,6 @@ class HeightField:
     metres. Of a bicubic surface [lattice.node_count, 2]: those of the cells follow.
     min_height, max_height: metres between which the surface lies.
     steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
-    resample_max, resample_rms: metres by which bringing the raster onto the lattice moved its own samples.
-    moved: float32 [lattice.node_count] metres, the most of that below each diamond, nested; None where the raster fits.
     source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     key: identifies the content: equal keys, equal terrains.
@@ -44,9 +42,6 @@ class HeightField:
     steepest_x: float
     steepest_y: float
     key: str
-    resample_max: float = 0.0
-    resample_rms: float = 0.0
-    moved: np.ndarray | None = None
     source_max: float = 0.0
     filled: int = 0
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))

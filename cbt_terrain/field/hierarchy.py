@@ -5,7 +5,8 @@ The reference surface is bilinear between the samples. The error of a diamond is
 the surface and the planes of its two triangles over everything that they cover: at all samples, and along the diagonals
 of cells on the triangles' borders, where the surface is a parabola (nowhere else has it an extremum against a plane).
 It is then saturated, that is raised to the largest error of its children, so that a parent's error is never less: the
-nested criterion of which the refinement lives.
+nested criterion of which the refinement lives. Where a raster does not fill its lattice, only what is inside the rim
+counts: rim lines are lines of samples, and above the cells they cut triangles at samples or along diagonals of cells.
 
 In one cell of the raster the surface is a saddle with the twist T = |h00 + h11 - h10 - h01|: its centre's diamond has
 the error T/4, and each two bisections divide it by four. A side's diamond reaches into the next cell, so twists are
@@ -23,7 +24,6 @@ import warp as wp
 from ...kernels.field import expand as expand_kernels
 from ...kernels.field import hierarchy as kernels
 from ...kernels.field import ranges as range_kernels
-from ...kernels.field import resample as resample_kernels
 from ...kernels.field.layout import Depth
 from ..run import launch
 from .lattice import Lattice
@@ -58,38 +58,54 @@ def stored_at(lattice: Lattice, depth: int) -> Depth:
 
 
 def extent_of(lattice: Lattice, depth: int) -> tuple[int, int, int]:
-    """Columns and rows of the cells whose centres are at a depth or its children, and the items of a launch over it."""
-    columns, rows = lattice.columns << depth // 2, lattice.rows << depth // 2
+    """Columns and rows that have entries at a depth, see `Lattice.extent`, and the items of a launch over them."""
+    columns, rows = lattice.extent(depth)
     return columns, rows, columns * rows if depth % 2 else (columns // 2 + 1) * (rows + 1)
 
 
 def build_errors(
-    samples: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int, on_progress: Progress = _ignore
+    samples: np.ndarray,
+    lattice: Lattice,
+    errors: np.ndarray,
+    threads: int,
+    on_progress: Progress = _ignore,
+    measured: np.ndarray | None = None,
 ) -> None:
-    """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres)."""
+    """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres).
+
+    measured: the samples that count, NaN elsewhere; all by default.
+    """
     h, out = flat(samples, wp.float32), flat(errors, wp.float32)
-    width = lattice.width
+    counted = h if measured is None else flat(measured, wp.float32)
+    size = [h, counted, lattice.width, lattice.height]
 
     def spread(kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
-    cells_x, cells_y = lattice.width - 1, lattice.height - 1
     finer = stored_at(lattice, lattice.cell_depth)
-    spread(kernels.twists, cells_y, [h, width, finer], 0.5 * cells_x)
-    blocks = -(-cells_x // COLUMN_BLOCK)
-    inputs = [cells_x, cells_y, COLUMN_BLOCK, wp.float32(0.25), finer]
-    spread(kernels.saturate_columns, blocks, inputs, 0.2 * COLUMN_BLOCK * cells_y)
+    spread(kernels.twists, lattice.cells_y, [counted, lattice.width, finer], 0.4 * lattice.cells_x)
+    saturate_cells(lattice, finer, 0.25, out, "error hierarchy", threads)
     for depth in range(lattice.cell_depth - 1, 0, -1):
         own = stored_at(lattice, depth)
         columns, rows, count = extent_of(lattice, depth)
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
         if depth % 2:
-            spread(kernels.centre_errors, count, [h, width, columns, side, int(depth == 1), finer, own], 4 * cost)
+            spread(kernels.centre_errors, count, [*size, columns, side, int(depth == 1), finer, own], 4 * cost)
         else:
-            spread(kernels.side_errors, count, [h, width, columns, rows, side // 2, finer, own], 2 * cost)
+            spread(kernels.side_errors, count, [*size, columns, rows, side // 2, finer, own], 2 * cost)
         finer = own
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
+
+
+def saturate_cells(lattice: Lattice, cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
+    """Raise what is stored of each cell to `part` of its four neighbours'."""
+    columns, rows = lattice.extent(lattice.cell_depth)
+    inputs = [columns, wp.float32(part), cells, out]
+    launch.spread(kernels.saturate_rows, rows, inputs, step=step, threads=threads, cost=0.2 * columns)
+    inputs = [columns, rows, COLUMN_BLOCK, wp.float32(part), cells, out]
+    blocks = -(-columns // COLUMN_BLOCK)
+    launch.spread(kernels.saturate_columns, blocks, inputs, step=step, threads=threads, cost=0.2 * COLUMN_BLOCK * rows)
 
 
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
@@ -127,45 +143,6 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
             errors[lattice.range_count :] *= np.float32(0.5)
 
 
-def build_moved(raster: np.ndarray, samples: np.ndarray, lattice: Lattice, moved: np.ndarray, threads: int) -> None:
-    """Fill `moved` (float32 [lattice.node_count], zeroed): metres that resampling moved the raster below a diamond.
-
-    raster, samples: before and after, float32, over the same rectangle. Of the raster's cells what each holds itself;
-    above them saturated over what `moved_at` in kernels/refine/diamond.py finds below.
-    """
-    cells = stored_at(lattice, lattice.cell_depth)
-    cells.base = 0
-    held = np.zeros(lattice.node_count - lattice.range_count, np.float32)
-    inputs = [flat(raster, wp.float32), *raster.shape[::-1], flat(samples, wp.float32), *samples.shape[::-1]]
-    inputs += [cells, flat(held, wp.float32)]
-    cost = 2.0 * lattice.width
-    launch.spread(
-        resample_kernels.moved_in_cells, lattice.height - 1, inputs, step="resample", threads=threads, cost=cost
-    )
-    raise_moved(held, lattice, moved, threads)
-
-
-def raise_moved(held: np.ndarray, lattice: Lattice, moved: np.ndarray, threads: int) -> None:
-    """Fill `moved` with what the raster's cells hold themselves (float32, in the order of the last of the images)."""
-    out = flat(moved, wp.float32)
-    cells, own = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
-    cells.base = 0
-
-    def spread(kernel, count: int, inputs: list) -> None:
-        launch.spread(kernel, count, inputs, step="resample", threads=threads)
-
-    columns, rows, count = extent_of(lattice, lattice.cell_depth)
-    spread(expand_kernels.widen_cells, count, [columns, rows, cells, flat(held, wp.float32), own, out])
-    for depth in range(lattice.cell_depth - 1, 0, -1):
-        columns, rows, count = extent_of(lattice, depth)
-        places = [stored_at(lattice, depth + 1), stored_at(lattice, depth), out]
-        if depth % 2:
-            spread(expand_kernels.raise_centres, count, [columns, *places])
-        else:
-            spread(expand_kernels.raise_sides, count, [columns, rows, *places])
-    moved[lattice.range_count :] = held
-
-
 def range_scale(low: float, high: float) -> tuple[float, float]:
     """Base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535."""
     step = (high - low) / 65535.0
@@ -190,11 +167,11 @@ def build_ranges(
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface."""
     if lattice.levels == 0:
         return
-    h = flat(samples, wp.float32)
-    inputs = [h, lattice.width, lattice.height, wp.float64(base), wp.float64(step)]
+    columns, rows = lattice.extent(lattice.cell_depth - 1)
+    inputs = [flat(samples, wp.float32), lattice.width, lattice.height, columns, wp.float64(base), wp.float64(step)]
     inputs += [stored_at(lattice, lattice.cell_depth - 1), flat(ranges, wp.uint16)]
     cost = 3.0 * lattice.width
-    launch.spread(range_kernels.finest_ranges, lattice.height, inputs, step="height ranges", threads=threads, cost=cost)
+    launch.spread(range_kernels.finest_ranges, rows + 1, inputs, step="height ranges", threads=threads, cost=cost)
     unite_ranges(lattice, ranges, threads)
 
 
@@ -209,7 +186,7 @@ def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
         own = stored_at(lattice, depth)
         columns, rows, count = extent_of(lattice, depth)
         if depth % 2:
-            spread(range_kernels.centre_ranges, count, [columns, finer, own])
+            spread(range_kernels.centre_ranges, count, [columns, *lattice.extent(depth + 1), finer, own])
         else:
             spread(range_kernels.side_ranges, count, [columns, rows, finer, own])
         finer = own

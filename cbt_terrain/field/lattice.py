@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lattice: a grid of root squares whose sides are a power of two of raster cells, and the places of its diamonds.
 
+A raster seldom fits. One corner of the lattice is the raster's south-western one, and what reaches beyond the raster's
+rim in the east and in the north is padding: a vertex there has the height of the nearest sample of the rim. Diamonds
+whose box (see `reach_of` in kernels/criterion.py) is wholly beyond the rim are never split, and have no entry.
+
 A diamond is the pair of triangles that share a longest edge; splitting it makes one vertex, the edge's middle, so one
 entry per diamond is one entry per vertex. Above the raster's cells that vertex is a sample, and every sample is the
 split vertex of at most one diamond. Inside a square of side 2^k samples depth 2q + 1 (q = 0 .. k - 1) holds the centres
@@ -14,14 +18,10 @@ is read as the walk has gone through. The centres of the raster's cells follow a
 diamond (one in sixteen: the vertices of the next group; and what fills the pages at the rim) are 0.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-# A raster that needs more root squares than this along its short side is resampled instead: the coarsest mesh has two
-# triangles a root square.
-MAX_SHORT_SIDE_SQUARES = 16
 # Indices of Warp's arrays and coordinates of the lattice are int32; those have at least 5 bits more than samples.
 MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
@@ -32,23 +32,47 @@ PAGE = 32
 
 @dataclass(frozen=True)
 class Lattice:
-    """`columns` x `rows` root squares of `2**levels` cells a side; a cell is `step_x` by `step_y` metres."""
+    """`columns` x `rows` root squares of `2**levels` cells a side over a raster of `cells_x` x `cells_y` cells.
+
+    A cell is `step_x` by `step_y` metres. `cells_x` and `cells_y` default to all cells of the squares.
+    """
 
     columns: int
     rows: int
     levels: int
     step_x: float = 1.0
     step_y: float = 1.0
+    cells_x: int = 0
+    cells_y: int = 0
+
+    def __post_init__(self):
+        object.__setattr__(self, "cells_x", self.cells_x or self.columns << self.levels)
+        object.__setattr__(self, "cells_y", self.cells_y or self.rows << self.levels)
 
     @property
     def width(self) -> int:
-        """Samples from west to east."""
-        return (self.columns << self.levels) + 1
+        """The raster's samples from west to east."""
+        return self.cells_x + 1
 
     @property
     def height(self) -> int:
-        """Samples from south to north."""
-        return (self.rows << self.levels) + 1
+        """The raster's samples from south to north."""
+        return self.cells_y + 1
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Cells of the squares from west to east and from south to north, padding included."""
+        return self.columns << self.levels, self.rows << self.levels
+
+    @property
+    def is_padded(self) -> bool:
+        """Whether the squares reach beyond the raster."""
+        return self.span != (self.cells_x, self.cells_y)
+
+    def rectangle(self) -> tuple[float, float, float, float]:
+        """West, south, east and north rim of the raster, metres from its middle: as positions of the mesh have it."""
+        x, y = 0.5 * self.cells_x * self.step_x, 0.5 * self.cells_y * self.step_y
+        return -x, -y, x, y
 
     @property
     def squares(self) -> int:
@@ -73,6 +97,16 @@ class Lattice:
         """The group of a depth (1 .. cell_depth); the raster's cells count as one more, the last."""
         return self.groups if depth == self.cell_depth else (self.levels - 1 - (depth - 1) // 2) // 2
 
+    def extent(self, depth: int) -> tuple[int, int]:
+        """Columns and rows that have entries at a depth (1 .. cell_depth): of the cells whose centres are at that depth
+        or, at an even one, at that of its children.
+
+        Where there is padding, one beyond the rim: the boxes of those further out are beyond it.
+        """
+        side = self.levels - depth // 2
+        most = self.columns << depth // 2, self.rows << depth // 2
+        return tuple(min(n, -(-cells >> side) + 1) for n, cells in zip(most, (self.cells_x, self.cells_y), strict=True))
+
     def layout(self) -> tuple[np.ndarray, np.ndarray]:
         """First entries, int64 [groups + 2], and pages in a row, int32 [groups + 1], of the groups and then the cells.
 
@@ -80,8 +114,13 @@ class Lattice:
         """
         sizes, pages = [0], []
         for group in range(self.groups + 1):
-            cells = group == self.groups
-            wide, high = (count - 1 if cells else ((count - 1) >> 2 * group) + 1 for count in (self.width, self.height))
+            if group == self.groups:
+                wide, high = self.extent(self.cell_depth)
+            else:
+                # The coarsest depth with middles of sides has the entries that are furthest out: see `extent`.
+                q = max(self.levels - 2 - 2 * group, 0)
+                side = self.levels - q - 2 * group
+                wide, high = ((n << side) + 1 for n in self.extent(2 * q + 1))
             pages.append(-(-wide // PAGE))
             sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
         return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
@@ -109,7 +148,7 @@ class Lattice:
     @property
     def can_be_numbered(self) -> bool:
         """Whether indices of 31 bits can number it."""
-        return max(self.width, self.height) <= MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
+        return max(self.span) < MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
 
     @property
     def range_count(self) -> int:
@@ -122,19 +161,11 @@ class Lattice:
         return int(self.layout()[0][-1])
 
 
-def fit(width: int, height: int) -> tuple[int, int, int]:
-    """Columns, rows and levels of the lattice for a raster of `width` x `height` samples (each at least 2).
+def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:
+    """The lattice for a raster of `width` x `height` samples, each at least 2, that are so many metres apart.
 
-    Exact where the raster is `m 2^k + 1` by `n 2^k + 1` with few squares, else the smallest lattice that is at least as
-    fine in both directions.
+    Its squares are the smallest that cover the raster's short side once.
     """
     cells_x, cells_y = width - 1, height - 1
-    short = min(cells_x, cells_y)
-    common = math.gcd(cells_x, cells_y)
-    levels = (common & -common).bit_length() - 1
-    if short >> levels <= MAX_SHORT_SIDE_SQUARES:
-        return cells_x >> levels, cells_y >> levels, levels
-    levels = 0
-    while -(-short >> levels) > MAX_SHORT_SIDE_SQUARES:
-        levels += 1
-    return -(-cells_x >> levels), -(-cells_y >> levels), levels
+    levels = (min(cells_x, cells_y) - 1).bit_length()
+    return Lattice(-(-cells_x >> levels), -(-cells_y >> levels), levels, step_x, step_y, cells_x, cells_y)

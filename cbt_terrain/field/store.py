@@ -5,7 +5,6 @@
     STORE/data-*/samples.npy    float32 [height, width]
     STORE/data-*/error.npy      float32 [lattice.node_count], in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
-    STORE/data-*/moved.npy      float32 [lattice.node_count], where the raster did not fit its lattice
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
     STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
                                 error_c_m1.npy its error hierarchies for meshlets
@@ -28,9 +27,9 @@ import numpy as np
 from ..errors import TerrainError
 from ..run import partial_files
 from .heightfield import HeightField
-from .lattice import MAX_MESHLET, Lattice
+from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
-from .store_entries import check_entries, is_data_name
+from .store_entries import LATTICE, check_entries, is_data_name
 
 VERSION = 5
 JSON_NAME = "store.json"
@@ -39,14 +38,14 @@ DATA_PREFIX = "data-"
 MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
-    r"(samples|raster|error|ranges|moved|(error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.npy"
-    r"|((error|ranges|moved|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
+    r"(samples|error|ranges|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
 
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
-    *("resample_max", "resample_rms", "source_max", "filled"),
+    *("source_max", "filled"),
 )
 
 
@@ -96,17 +95,15 @@ def open_store(path: str | os.PathLike) -> HeightField:
 
 def _open(path: Path) -> HeightField:
     content = read_json(path)
-    lattice = Lattice(**content["lattice"])
+    lattice = fit(**content["lattice"])
     folder = path / content["data"]
     if folder.is_symlink():
         raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
-    moved = map_array(folder / "moved.npy", (lattice.node_count,), np.float32) if content["resampled"] else None
     return HeightField(
         samples=map_array(folder / "samples.npy", (lattice.height, lattice.width), np.float32),
         lattice=lattice,
         error=map_array(folder / "error.npy", (lattice.node_count,), np.float32),
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
-        moved=moved,
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),
@@ -123,10 +120,9 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     folder, found = data_folder(field), {}
-    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "moved")}
+    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges")}
     for name, array in shapes.items():
-        if array is not None:
-            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+        found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     for name, (shape, dtype) in kept_arrays(field.lattice).items():
         file = folder / f"{name}.npy"
         if os.path.lexists(file):
@@ -145,7 +141,7 @@ def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
     errors = {"error": plain, "error_c": plain + cells}
     kept = {f"{name}_m{m}": ((n,), np.float32) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
     kept |= {"error_c": ((plain + cells,), np.float32), "ranges_c": ((plain, 2), np.uint16)}
-    return kept | {"moved_c": ((plain,), np.float32), "numbers_c": ((6,), np.float64)}
+    return kept | {"numbers_c": ((6,), np.float64)}
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -255,24 +251,18 @@ class Draft:
                 os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
         return array
 
-    def remove(self, name: str) -> None:
-        del self._arrays[name]
-        (self.folder / f"{name}.npy").unlink()
-
     def publish(self, field: HeightField, digest: str, report: dict) -> None:
         """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
         for name, array in self._arrays.items():
             with (self.folder / f"{name}.npy").open("r+b") as file:
                 file.seek(PAGE_BYTES + array.nbytes)
                 file.write(all_checksums(array))
-        lattice = {k: getattr(field.lattice, k) for k in ("columns", "rows", "levels", "step_x", "step_y")}
         content = {
             "version": VERSION,
             "data": self.folder.name,
             "digest": digest,
             "key": field.key,
-            "lattice": lattice,
-            "resampled": field.moved is not None,
+            "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,

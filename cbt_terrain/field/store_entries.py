@@ -6,10 +6,11 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
-from .lattice import MAX_SHORT_SIDE_SQUARES, Lattice
+from .lattice import fit
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
-LATTICE = ("columns", "rows", "levels", "step_x", "step_y")
+# What a raster has by which `fit` finds its lattice.
+LATTICE = ("width", "height", "step_x", "step_y")
 # More cells than any raster that can be imported has; keeps the arithmetic of sizes far from overflow.
 MAX_CELLS = 2**31
 
@@ -34,14 +35,11 @@ def _is_extent(cells: int, step) -> bool:
 def _is_lattice(value) -> bool:
     if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
         return False
-    columns, rows, levels = (value[name] for name in LATTICE[:3])
-    if not (_is_count(columns, 1) and _is_count(rows, 1) and _is_count(levels, 0) and levels < 32):
+    width, height = value["width"], value["height"]
+    if not (_is_count(width, 2) and _is_count(height, 2) and width * height < MAX_CELLS):
         return False
-    wide, high = columns << levels, rows << levels
-    if wide * high >= MAX_CELLS or min(columns, rows) > MAX_SHORT_SIDE_SQUARES:
-        return False
-    known = _is_extent(wide, value["step_x"]) and _is_extent(high, value["step_y"])
-    return known and Lattice(columns, rows, levels).can_be_numbered
+    known = _is_extent(width - 1, value["step_x"]) and _is_extent(height - 1, value["step_y"])
+    return known and fit(**value).can_be_numbered
 
 
 def _is_provenance(value) -> bool:
@@ -83,9 +81,6 @@ _ENTRIES = {
     "max_height": _HEIGHT,
     "steepest_x": _SLOPE,
     "steepest_y": _SLOPE,
-    "resampled": (lambda value: type(value) is bool, "true or false"),
-    "resample_max": _DISTANCE,
-    "resample_rms": _DISTANCE,
     "source_max": _DISTANCE,
     "filled": (lambda value: _is_count(value, 0), "a count"),
     "origin": (

@@ -28,8 +28,7 @@ class Fitted(Update):
     """What a fit did, as `Update`.
 
     `worst_m`: the exact largest distance of the delivered heights from the surface, metres; `bound_m` is the largest
-    that has with what resampling at import moved in its place, what rounding of plane coordinates adds and what the
-    source had rounded.
+    that has with what rounding of plane coordinates adds and what the source had rounded.
     `rounds`: meshes it took; 0 if the interpolating mesh was best.
     """
 

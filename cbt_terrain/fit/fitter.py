@@ -9,8 +9,8 @@ hierarchy, so that the walk makes that mesh, in its order, and it keeps the heig
 
 A triangle is split only if interpolation would split it too, else its vertices go back to the surface for good: at
 worst the end is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and
-what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, what
-resampling at import moved below that triangle, and what the source had rounded.
+what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, and what the
+source had rounded.
 """
 
 import math
@@ -24,14 +24,13 @@ from ...kernels.fitting import binding
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.diamond import Asked, LocalView
-from ..ask.criterion import Criterion
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface, SurfaceBuilder
 from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
-from ..terrain import Terrain, Update, box_of
+from ..terrain import Update, box_of
 from .sweeps import FEW, Sweeps
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
@@ -84,8 +83,8 @@ class Fitter:
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> Mesh | None:
-        """The fit for one error; None if it was given up, or if interpolation cannot hold it either."""
-        if not self.scale or self._hopeless(error_m):
+        """The fit for one error; None if it was given up."""
+        if not self.scale:
             return None
         field, buffers = self.field, Buffers()
         refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
@@ -125,14 +124,6 @@ class Fitter:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
 
-    def _hopeless(self, error_m: float) -> bool:
-        """Whether what cannot be refined away is so much that the interpolating mesh does not hold the error."""
-        if self.field.resample_max * self.scale <= 0.5 * left_of(error_m, self.source):
-            return False
-        criterion = Criterion(error_px=0.0, error_m=error_m)
-        update = Terrain(self.field, self.threads).update(criterion, (), None, *self.placement)
-        return update.bound_m - update.terms_m.source > left_of(error_m, self.source)
-
     def within(self, error_m: float) -> float:
         """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
         return max(error_m, left_of(error_m, self.source) + self.source)
@@ -146,25 +137,21 @@ class Fitter:
         return m
 
     def _nothing_known(self) -> list[wp.array]:
-        """Of every sample the height of its vertex and what is known of it; memory is committed where it is used."""
-        samples = self.field.samples.size
+        """Of every sample, and of what continues them in the padding, the height of its vertex and what is known of it.
+        Memory is committed where it is used."""
+        across, up = self.field.lattice.span
+        vertices = (across + 1) * (up + 1)
         return [
-            shared(np.zeros(samples, np.float32), wp.float32),
-            shared(np.zeros(samples, np.uint8), wp.uint8),
+            shared(np.zeros(vertices, np.float32), wp.float32),
+            shared(np.zeros(vertices, np.uint8), wp.uint8),
         ]
 
     def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
         triangles = len(surface.level)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
-    def moved(self, buffers: Buffers, triangles: int) -> np.ndarray:
-        """float64 [T]: metres that resampling moved the raster below each triangle. Of a float32 array and a float64
-        number numpy 1 makes float32, numpy 2 float64; the mesh must not depend on it."""
-        return buffers.numpy("fit_moved")[:triangles].astype(np.float64) * self.scale
-
     def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
-        """A mesh and its bound: the largest sum of what was measured and what resampling moved, and what rounding adds,
-        the mesh's and the source's.
+        """A mesh and its bound: the largest of what was measured, and what rounding adds, the mesh's and the source's.
 
         A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
         twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
@@ -172,22 +159,19 @@ class Fitter:
         """
         lattice, triangles = self.field.lattice, len(surface.level)
         worst = buffers.numpy("fit_worst")[:triangles]
-        moved = self.moved(buffers, triangles)
         of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         shift = self._sideways(float(steeper.max())) + self._rounded()
-        decides = int(np.argmax(worst + moved))
-        parts = float(worst[decides]), float(moved[decides]), shift, self.source
+        parts = float(worst.max()), 0.0, shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
         if sum(parts) <= self.within(error_m):
             bound = min(bound, self.within(error_m))
             limited = "source" if bound > error_m else ""
         else:
-            own = parts[0] + shift > left_of(error_m, self.source)
-            limited = "max_depth" if deepest else "precision" if own else "resampling"
+            limited = "max_depth" if deepest else "precision"
         terms = Terms.shares(bound, *parts)
-        return Mesh(surface, bound, float(worst.max()), terms, limited, rounds)
+        return Mesh(surface, bound, parts[0], terms, limited, rounds)
 
     def _rounded(self) -> float:
         """Metres by which a distance may be off that is computed in float64."""
@@ -206,11 +190,11 @@ class Fitter:
         """The same for facets that are `steeper` metres a cell steeper than the surface."""
         lattice, shift = self.field.lattice, 0.0
         axes = (
-            (lattice.width, lattice.step_x, self.field.steepest_x),
-            (lattice.height, lattice.step_y, self.field.steepest_y),
+            (lattice.cells_x, lattice.span[0], lattice.step_x, self.field.steepest_x),
+            (lattice.cells_y, lattice.span[1], lattice.step_y, self.field.steepest_y),
         )
-        for samples, step, slope in axes:
-            places = (np.arange(((samples - 1) << FINEST) + 1) * 0.5**FINEST - 0.5 * (samples - 1)) * step
+        for cells, span, step, slope in axes:
+            places = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
             off = float(np.abs(places.astype(np.float32) - places).max())
             shift += off * (slope * self.scale + steeper / step)
         return shift

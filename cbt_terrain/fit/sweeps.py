@@ -46,7 +46,7 @@ class Sweeps:
         """Make room; what was there is lost."""
         get = self.buffers.get
         for count, arrays in (
-            (triangles, {"level": wp.int32, "moved": wp.float32, "worst": wp.float64, "seen": wp.vec3f}),
+            (triangles, {"level": wp.int32, "worst": wp.float64, "seen": wp.vec3f}),
             (triangles, {"awake": wp.int32, "active": wp.int32}),
             (3 * triangles, {"corner_verts": wp.int32, "beside": wp.int32, "pushes": wp.vec2f}),
             (vertices, {"point": wp.vec2i, "z": wp.float32, "state": wp.uint8, "first": wp.int32, "movers": wp.int32}),
@@ -68,8 +68,7 @@ class Sweeps:
 
     def beyond(self) -> np.ndarray:
         """bool [T]: whether a triangle is farther from the surface than it may be."""
-        moved = self.fitter.moved(self.buffers, self.triangles)
-        return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound - moved
+        return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound
 
     def look_again(self, which: np.ndarray) -> None:
         """Triangles that a sweep is to measure."""

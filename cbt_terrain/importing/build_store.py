@@ -14,9 +14,10 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import resample, store
-from ..field.build import build
+from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
 from .raster import ISLAND, ImportSettings, Raster
 from .sources import check_file, open_source
 
@@ -24,7 +25,7 @@ READING = "Reading"  # the part of an import in which files from outside are rea
 # Rows are read and written in blocks of about this many samples.
 BLOCK_SAMPLES = 1 << 20
 # Changed when the same source would give a different store: the island's shape, the hierarchy.
-METHOD = 1
+METHOD = 2
 # Heights by which files mean that there is none, often without saying so.
 NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
 SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
@@ -54,11 +55,9 @@ def run_import(
             return report
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
-        lattice = resample.lattice_for(width, height, place.step_x, place.step_y, settings.source)
-        fits = (lattice.width, lattice.height) == (width, height)
-        _check_room(path, width, height, lattice, fits)
+        _check_room(path, lattice_for(width, height, place.step_x, place.step_y, settings.source))
         draft = store.Draft(path, folder)
-        heights = draft.allocate("samples" if fits else "raster", (height, width), np.dtype(np.float32))
+        heights = draft.allocate("samples", (height, width), np.dtype(np.float32))
         missing, source_max, lowest = _read_heights(
             raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
         )
@@ -72,9 +71,6 @@ def run_import(
             allocate=draft.allocate,
             on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
         )
-        del heights
-        if not fits:
-            draft.remove("raster")
         field.origin = np.array([*place.middle, 0.0])
         field.crs = place.crs
         field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
@@ -152,16 +148,16 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
     return dataclasses.replace(place, step_x=step_x, step_y=step_y, size_warnings=())
 
 
-def _check_room(path: Path, width: int, height: int, lattice, fits: bool) -> None:
+def _check_room(path: Path, lattice: Lattice) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
     needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * lattice.range_count
-    needed += 0 if fits else 4 * width * height + 4 * lattice.node_count
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
         raise TerrainError(
-            f"A terrain of {width} x {height} samples needs {needed / 1e9:.2f} GB in {path}, where {free / 1e9:.2f} GB "
-            "are free: make room, choose another folder, or check that the file's header tells its true size."
+            f"A terrain of {lattice.width} x {lattice.height} samples needs {needed / 1e9:.2f} GB in {path}, where "
+            f"{free / 1e9:.2f} GB are free: make room, choose another folder, or check that the file's header tells "
+            "its true size."
         )
 
 
@@ -254,8 +250,6 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
         "lowest_m": field.min_height,
         "highest_m": field.max_height,
         "filled": field.filled,
-        "moved_max_m": field.resample_max,
-        "moved_rms_m": field.resample_rms,
         "source_step_m": field.source_max,
         "crs": field.crs,
         "bounds_against": _reference(raster, place),

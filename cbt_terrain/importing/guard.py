@@ -29,10 +29,10 @@ def guard(suffix: str, folder: Path | None) -> dict[str, str]:
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
     """Before an import into the store `path`, whose folder is made. Raises TerrainError."""
-    from ...kernels.field import expand, fill, hierarchy, island, ranges, resample
+    from ...kernels.field import expand, fill, hierarchy, island, ranges
     from ..run.warmup import load
 
-    for module in (expand, fill, hierarchy, island, ranges, resample):
+    for module in (expand, fill, hierarchy, island, ranges):
         load(module)
     store.check_target(path)
     try:

@@ -10,7 +10,6 @@ import warp as wp
 from ...kernels.budget.count import count
 from ...kernels.budget.count_state import CELLS, MARKS, MOST_HALVES, STEPS_PER_OCTAVE, Cell, Count
 from ...kernels.refine.diamond import Asked, Domain
-from ...kernels.refine.walk_state import STACK
 from ..field.lattice import Lattice
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared
@@ -55,7 +54,6 @@ class Budget:
         get, numpy = self._buffers.get, self._buffers.numpy
         arrays = {
             "limits": self._limits,
-            "level_limits": get("count_level_limits", slices * STACK, wp.vec3d),
             "stack": get("count_stack", slices * CELLS, Cell),
             "last_steps": get("count_last_steps", slices * steps, wp.int64),
             "from_step": get("count_from_step", slices, wp.int32),
@@ -72,8 +70,8 @@ class Budget:
             bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
             bind(struct, slot=slot, finest=finest, coarsest=coarsest, **arrays)
             bind(struct, thin_from=thinned[0] if thinned else 0, thin_steps=thinned[1] if thinned else 1)
-            bind(struct, most=most, spacing=spacing)
-        inputs = [[domain, asked, asked, struct] for struct in self._structs[:slices]]
+            bind(struct, most=most, spacing=spacing, has_errors=int(min(asked.error_px2, asked.metres2) < math.inf))
+        inputs = [[domain, asked, struct] for struct in self._structs[:slices]]
         launch.slices(count, inputs, step="budget", recorded=self._recorded)
         noted = np.minimum(numpy("count_measured")[:slices] // spacing, MARKS)
         marks = numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)

@@ -9,19 +9,19 @@ import warp as wp
 
 from ...kernels.refine import curve
 from ...kernels.refine import walk as kernels
-from ...kernels.refine.band import REMEMBERED, Band
+from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
-from ...kernels.refine.walk_state import STACK, Walk
+from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField
-from ..field.lattice import MAX_MESHLET
+from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared
 from ..tree.cell_streams import AHEAD
 from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
-from .block_tables import blocks, shapes
+from .block_tables import blocks
 from .budget import Budget, Found, limit_of
 from .drift import MOST_DRIFT, Walked, move
 
@@ -31,6 +31,8 @@ PLANE_BITS = 23
 MAX_TREE_DEPTH = curve.DEEPEST
 # No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
 LARGEST_ERROR = 1000.0
+# Beyond all coordinates.
+NO_RIM = 2**31 - 1
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
@@ -53,10 +55,8 @@ class Leaves:
     `counts` int64 [slices, 3]: leaves, vertices, edges. `squares` int32 [slices]: where each begins.
     `before` int32 [slices, 4]: edges of that square's sides that earlier slices have passed. `sides` int32 [squares,
     4]. `base` int64 [slices]: first entry in the buffers "code" and "point".
-    `bounds` float64 [6]: the largest of any leaf: squared pixels of weighed error, of all error and of an edge,
-    square pixels of a triangle, squared metres of weighed error and of all error.
-    `parts` float64 [2, 2]: own error and what resampling moved, metres before scaling, of the leaf that has the most
-    error in pixels and of the one that has it in metres. `slots` int64 [slices]: rows of the walk's lists.
+    `stopped`: whether a leaf is still too coarse by the criterion, and as deep as leaves may be.
+    `slots` int64 [slices]: rows of the walk's lists.
     `after`: the leaves of the last frame if points were taken from them, `taken`: the runs of those.
     """
 
@@ -65,8 +65,7 @@ class Leaves:
     before: np.ndarray
     sides: np.ndarray
     base: np.ndarray
-    bounds: np.ndarray
-    parts: np.ndarray
+    stopped: bool
     slots: np.ndarray
     after: "Leaves | None" = None
     taken: "Runs | None" = None
@@ -84,6 +83,12 @@ def depth_limit(field: HeightField) -> int:
     return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
 
 
+def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
+    """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
+    bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
+    return tuple(NO_RIM if cells == span else cells << bits for cells, span in sides)
+
+
 def make_domain(
     field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: float = 0.0
 ) -> Domain:
@@ -98,19 +103,19 @@ def make_domain(
     domain.width, domain.height = lattice.width, lattice.height
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
-    domain.west = -0.5 * (lattice.width - 1) * lattice.step_x
-    domain.south = -0.5 * (lattice.height - 1) * lattice.step_y
+    domain.west, domain.south, _, _ = lattice.rectangle()
+    domain.east, domain.north = rim(lattice, domain.unit_bits)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale, domain.rounding = abs(height_scale), rounding
     domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
-    domain.resampled = int(field.moved is not None)
-    domain.moved = shared(np.zeros(1, np.float32) if field.moved is None else field.moved, wp.float32)
+    domain.moved = shared(np.zeros(1, np.float32), wp.float32)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
     domain.bend_base = base[-1] if domain.bicubic else base[-2]
     domain.error = shared(error_for(field, meshlet), wp.float32)
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
@@ -171,9 +176,6 @@ class Refinement:
             if too_many > MOST_SEARCHES:
                 raise self.field.damage("there are more leaves than its errors allow")
         leaves = self._leaves(walks, counts)
-        if np.isnan(leaves.bounds).any():
-            self._last = None
-            raise self.field.damage("its heights are not finite")
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
             self._last.leaves, self._last.after = leaves, None
@@ -199,12 +201,11 @@ class Refinement:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             for walk in walks:
                 bind(walk, last_slots=last.slots if kept else 0, last_room=last.room if kept else 1)
-                if keeps:
-                    walk.slack = SLACK
+                walk.slack = SLACK if keeps else 0.0
+                walk.room = _room_for(self._capacity) if keeps else 0
                 walk.motion = self._motion
-            kernel = kernels.keeping_walk if keeps else kernels.walk
-            launch.slices(kernel, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
-            counts = self.buffers.numpy("counts")[: 3 * len(walks)].reshape(-1, 3).copy()
+            launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
+            counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()
             if counts[:, 0].sum() > max_leaves:
                 return None, None
             if counts[:, 0].max() <= self._capacity:
@@ -247,13 +248,10 @@ class Refinement:
             "stack": get("walk_stack", stacks, wp.vec4i),
             "aside": get("walk_aside", stacks, wp.int32),
             "bands": get("walk_bands", stacks, Band),
-            "remembered": get("walk_remembered", slices * REMEMBERED, Band),
-            "limits": get("walk_limits", stacks, wp.vec3d),
             "blocks": blocks(),
-            "shapes": shapes(),
             "sides": get("sides", slices * 4 * squares, wp.int32),
-            "counts": get("counts", slices * 3, wp.int64),
-            "bounds": get("bounds", slices * 10, wp.float64),
+            "counts": get("counts", slices * 4, wp.int64),
+            "keeper": get("keeper", slices, Keeper),
             "taken": get("taken", slices, wp.int64),
             "kept": get("kept", slices * _room_for(capacity), Subtree),
             "kept_counts": get("kept_counts", slices, wp.int64),
@@ -284,9 +282,9 @@ class Refinement:
                 slot=k,
                 grid=int(squares > 1),
                 slack=0.0,
+                room=0,
                 last_slots=0,
                 last_room=1,
-                room=_room_for(capacity),
                 **arrays,
             )
         return walks
@@ -303,10 +301,9 @@ class Refinement:
         # A slice whose first cells belong to the last leaf of a square begins with the next square.
         squares_of = (cells >> self._cell_bits) + (starts & (cells & ((1 << self._cell_bits) - 1) > 0))
         before = np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32)
-        bounds = self.buffers.numpy("bounds")[: slices * 10].reshape(slices, 10)[used]
-        parts = np.stack([bounds[bounds[:, 1].argmax(), 6:8], bounds[bounds[:, 5].argmax(), 8:]])
-        bounds = bounds[:, :6].max(axis=0)
-        return Leaves(counts[used], squares_of.astype(np.int32), before, sides.sum(axis=0), base, bounds, parts, used)
+        stopped = bool(counts[:, 3].any())
+        found, squares_of = np.ascontiguousarray(counts[used, :3]), squares_of.astype(np.int32)
+        return Leaves(found, squares_of, before, sides.sum(axis=0), base, stopped, used)
 
     def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
         """Write the leaves into the tree; returns how many of its cells changed."""

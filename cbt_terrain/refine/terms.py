@@ -59,9 +59,10 @@ def position_rounding(
 ) -> tuple[float, float, float]:
     """Metres by which float32 positions of leaves at `depth` or above are off along x, y and z, at most."""
     lattice, plane = field.lattice, []
-    for cells, step in ((lattice.width - 1, lattice.step_x), (lattice.height - 1, lattice.step_y)):
+    sides = (lattice.cells_x, lattice.span[0], lattice.step_x), (lattice.cells_y, lattice.span[1], lattice.step_y)
+    for cells, span, step in sides:
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
-        largest = 0.5 * cells * step
+        largest = (span - 0.5 * cells) * step
         plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))

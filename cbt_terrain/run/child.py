@@ -26,7 +26,7 @@ sys.modules[package] = root = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(root)
 importlib.import_module(package + "." + module).child_main(*sys.argv[4:])
 """
-PACKAGE = __package__.rpartition(".")[0]
+PACKAGE = __package__.rsplit(".", 2)[0]
 # A GDAL or PROJ database of the host does not fit the child's own library.
 FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
 

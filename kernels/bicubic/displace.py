@@ -46,14 +46,16 @@ def displace_bicubic(
             for b in range(-1, 3):
                 prefetch(samples, near + wp.int64(b) * wp.int64(columns))
             p = pair_at(points.point, k)
+            x = wp.min(p[0], domain.east)
+            y = wp.min(p[1], domain.north)
             g = wp.vec3d()
-            if ((p[0] | p[1]) & (cell - 1)) == 0:
-                g = on_sample(samples, columns, rows, p[0] >> bits, p[1] >> bits)
+            if ((x | y) & (cell - 1)) == 0:
+                g = on_sample(samples, columns, rows, x >> bits, y >> bits)
             else:
-                i = wp.min(p[0] >> bits, columns - 2)
-                j = wp.min(p[1] >> bits, rows - 2)
-                s = wp.float64(p[0] - (i << bits)) * part
-                t = wp.float64(p[1] - (j << bits)) * part
+                i = wp.min(x >> bits, columns - 2)
+                j = wp.min(y >> bits, rows - 2)
+                s = wp.float64(x - (i << bits)) * part
+                t = wp.float64(y - (j << bits)) * part
                 g = in_patch(samples, columns, rows, i, j, s, t)
             put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
         v = stop

@@ -224,13 +224,8 @@ def patch_errors(
     off: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Row `offset + tid` of cells: `off` the bilinear patch (at `cells`), own errors, and bends (at `below`).
-
-    Bends are saturated along the row to half of their neighbours'.
-    """
+    """Row `offset + tid` of cells: `off` the bilinear patch (at `cells`), own errors, and bends (at `below`)."""
     cy = offset + wp.tid()
-    half = wp.float32(0.5)
-    last = wp.float32(0.0)
     a = column(h, width, height, -1, cy)
     b = column(h, width, height, 0, cy)
     c = column(h, width, height, 1, cy)
@@ -242,15 +237,10 @@ def patch_errors(
         off[entry(cells, cx, cy)] = apart
         exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
         errors[entry(own, cx, cy)] = wp.min(exact, bend)
-        last = wp.max(bend, last * half)
-        errors[entry(below, cx, cy)] = last
+        errors[entry(below, cx, cy)] = bend
         a = b
         b = c
         c = d
-    for i in range(width - 1):
-        cell = entry(below, width - 2 - i, cy)
-        last = wp.max(errors[cell], last * half)
-        errors[cell] = last
 
 
 @wp.kernel

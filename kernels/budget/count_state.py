@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from ..refine.band import Limits, Measured
-from ..refine.diamond import Asked, larger, sizes, smaller, too_coarse_at
+from ..refine.band import Band, Limits, Measured, too_coarse
+from ..refine.diamond import Asked, larger, sizes, smaller
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,18 +20,38 @@ MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has mea
 
 @wp.struct
 class Cell:
-    """A cell whose diamond is split, and what is certain of the diamonds below it at all steps that are counted."""
+    """A cell whose diamond is split."""
 
     x: wp.int32  # its middle
     y: wp.int32
     depth: wp.int32
-    clear: wp.int32  # the frustum holds the diamond's box
-    split_depth: wp.int32  # above it edges ask for a split
-    leaf_depth: wp.int32  # from it on they do not
     halves: wp.int32  # it stands for 2**halves cells of a sample
     code: wp.uint64  # its first deepest cell, all squares in a row
-    split_above: wp.float64  # metres of own error: above, a diamond is split
-    leaf_up_to: wp.float64  # ... up to these no error asks for a split
+    band: Band  # certain at all steps that are counted
+
+
+@wp.struct
+class Part:
+    """A diamond of a cell."""
+
+    number: wp.int32  # see `part_of`
+    x: wp.int32  # where it is split
+    y: wp.int32
+    depth: wp.int32
+    code: wp.uint64  # its first deepest cell
+    size: wp.uint64  # of a quadrant: deepest cells
+    half: wp.int32  # ... and half its side, lattice units
+    triangles: wp.int32  # that count here
+
+
+@wp.struct
+class Tally:
+    """What a slice has counted."""
+
+    step: wp.int32  # counts hold from here on
+    total: wp.int64  # triangles that are split at it
+    measured: wp.int64  # diamonds, for which a sample stands
+    noted: wp.int32  # places
 
 
 @wp.struct
@@ -42,6 +62,7 @@ class Count:
     end_cell: wp.uint64
     cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
     max_depth: wp.int32
+    has_errors: wp.int32  # 0: what is asked has nothing to do with errors
     slot: wp.int32
     finest: wp.int32  # steps from this one
     coarsest: wp.int32  # ... to this one
@@ -52,7 +73,6 @@ class Count:
     most: wp.int64  # steps at which more triangles than this are split are of no interest
     spacing: wp.int64  # diamonds that are measured from mark to mark
     limits: wp.array(dtype=wp.float64)  # of each step: what is asked is multiplied by it
-    level_limits: wp.array(dtype=wp.vec3d)  # see `footprint.put_limits`; slice after slice
     stack: wp.array(dtype=Cell)
     # Per slice and step: triangles for which it is the last at which they are split.
     last_steps: wp.array(dtype=wp.int64)
@@ -63,10 +83,18 @@ class Count:
 
 
 @wp.func
-def last_split(
-    asked: Asked, limits: Limits, steps: wp.array(dtype=wp.float64), first: wp.int32, last: wp.int32, m: Measured
-):
-    """The last step from `first` to `last` at which a diamond is split that is at `first`.
+def add(w: Count, t: Tally, last: wp.int32, triangles: wp.int64) -> Tally:
+    """Count triangles that are split at step `last` for the last time."""
+    if last >= t.step:
+        entry = w.slot * w.limits.shape[0] + last
+        w.last_steps[entry] = w.last_steps[entry] + triangles
+        t.total = t.total + triangles
+    return t
+
+
+@wp.func
+def last_split(asked: Asked, limits: Limits, w: Count, first: wp.int32, m: Measured) -> wp.int32:
+    """The last step at which a diamond is split that is at step `first`.
 
     limits: those of `first`. A logarithm says which one it is or nearly so; what decides is what the walk does.
     """
@@ -75,10 +103,10 @@ def last_split(
     over = larger(m.metres2 * limits.per_error2, larger(long2 * limits.per_edge2, legs2 * limits.per_area2)) / m.pixel2
     over = larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
     beyond = wp.float64(wp.log2(wp.float32(over))) * STEPS_PER_SQUARE
-    step = first + wp.int32(larger(smaller(beyond, wp.float64(last - first)), wp.float64(0.0)))
-    while step < last and too_coarse_at(asked, steps[step + 1], m.pixel2, m.metres2, long2, legs2):
+    step = first + wp.int32(larger(smaller(beyond, wp.float64(w.coarsest - first)), wp.float64(0.0)))
+    while step < w.coarsest and too_coarse(asked, w.limits[step + 1], m):
         step += 1
-    while step > first and not too_coarse_at(asked, steps[step], m.pixel2, m.metres2, long2, legs2):
+    while step > first and not too_coarse(asked, w.limits[step], m):
         step -= 1
     return step
 
@@ -87,14 +115,13 @@ def last_split(
 def last_of_edges(
     asked: Asked,
     limits: Limits,
-    steps: wp.array(dtype=wp.float64),
+    w: Count,
     first: wp.int32,
-    last: wp.int32,
     unit_bits: wp.int32,
     depth: wp.int32,
     climb2: wp.float64,
     pixel2: wp.float64,
-):
+) -> wp.int32:
     """As `last_split`, of edges alone, where a pixel spans sqrt(pixel2); `first` - 1 if they ask for none at all."""
     m = Measured()
     long2, legs2 = sizes(asked, unit_bits, depth)
@@ -103,8 +130,8 @@ def last_of_edges(
     m.climb2 = climb2
     m.pixel2 = pixel2
     step = first - 1
-    if too_coarse_at(asked, steps[first], pixel2, wp.float64(0.0), long2 + climb2, legs2 + climb2):
-        step = last_split(asked, limits, steps, first, last, m)
+    if too_coarse(asked, w.limits[first], m):
+        step = last_split(asked, limits, w, first, m)
     return step
 
 
@@ -128,10 +155,10 @@ def halves_of(w: Count, last: wp.int32, above: wp.int32) -> wp.int32:
 
 
 @wp.func
-def note(w: Count, code: wp.uint64, measured: wp.int64, noted: wp.int32) -> wp.int32:
-    """Note the place `code` as often as that is due after so many diamonds; returns how many places are noted."""
-    places = noted
-    while measured >= wp.int64(places + 1) * w.spacing and places < MARKS:
-        w.marks[w.slot * MARKS + places] = code
-        places += 1
-    return places
+def note(w: Count, t: Tally, code: wp.uint64, halves: wp.int32) -> Tally:
+    """Count a diamond that is measured, and note its place as often as that is due."""
+    t.measured = t.measured + (wp.int64(1) << wp.int64(halves))
+    while t.measured >= wp.int64(t.noted + 1) * w.spacing and t.noted < MARKS:
+        w.marks[w.slot * MARKS + t.noted] = code
+        t.noted = t.noted + 1
+    return t

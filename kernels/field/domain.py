@@ -16,6 +16,8 @@ class Domain:
     unit_bits: wp.int32  # and 2**unit_bits lattice units
     width: wp.int32  # samples in a row
     height: wp.int32
+    east: wp.int32  # lattice units at which the raster ends before the lattice does, or the largest int32
+    north: wp.int32
     unit_x: wp.float64  # metres of a lattice unit
     unit_y: wp.float64
     west: wp.float64  # metres, x of lattice coordinate 0
@@ -33,6 +35,8 @@ class Domain:
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
     cell_base: wp.int64  # the same of the raster's cells
     cell_pages: wp.int32
+    cell_columns: wp.int32  # ... and how many there are
+    cell_rows: wp.int32
     bend_base: wp.int64  # of what errors below the cells begin with: of a bilinear surface the cells' own
     largest_error: wp.float32  # no error is larger, whatever the store has
     error: wp.array(dtype=wp.float32)

@@ -28,27 +28,6 @@ def raise_sides(offset: int, columns: int, rows: int, finer: Depth, own: Depth, 
 
 
 @wp.kernel
-def widen_cells(
-    offset: int,
-    columns: int,
-    rows: int,
-    before: Depth,
-    old: wp.array(dtype=wp.float32),
-    own: Depth,
-    values: wp.array(dtype=wp.float32),
-):
-    """Cells of the raster take the largest of themselves and the eight around them."""
-    t = offset + wp.tid()
-    cy = t / columns
-    cx = t - cy * columns
-    largest = wp.float32(0.0)
-    for j in range(wp.max(cy - 1, 0), wp.min(cy + 2, rows)):
-        for i in range(wp.max(cx - 1, 0), wp.min(cx + 2, columns)):
-            largest = wp.max(largest, old[entry(before, i, j)])
-    values[entry(own, cx, cy)] = largest
-
-
-@wp.kernel
 def raise_cells(
     offset: int,
     columns: int,

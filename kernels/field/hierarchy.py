@@ -62,11 +62,40 @@ def row_error(
 
 
 @wp.func
-def diagonal_error(
+def corner(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, y: int) -> wp.float64:
+    """Height of a vertex: beyond the rim that of the nearest sample."""
+    return wp.float64(h[wp.min(y, height - 1) * width + wp.min(x, width - 1)])
+
+
+@wp.func
+def row_inside(
     h: wp.array(dtype=wp.float32),
-    first: int,
-    side_x: int,
-    side_y: int,
+    width: int,
+    height: int,
+    x: int,
+    y: int,
+    count: int,
+    plane: wp.float64,
+    slope: wp.float64,
+    known: wp.float64,
+):
+    """`known`, or more where `count` samples from (x, y) on are farther from the plane; beyond the rim none is."""
+    inside = wp.min(count, width - x)
+    largest = known
+    if inside > 0 and y < height:
+        largest = wp.max(largest, row_error(h, y * width + x, inside, plane, slope))
+    return largest
+
+
+@wp.func
+def diagonal_inside(
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    x: int,
+    y: int,
+    right: int,
+    up: int,
     cells: int,
     plane: wp.float64,
     slope: wp.float64,
@@ -74,21 +103,32 @@ def diagonal_error(
 ):
     """`known`, or more where the bilinear surface over `cells` cells along their diagonals is farther from the plane.
 
-    The diagonals start at index `first`; `side_x` and `side_y` lead to the two other corners of a cell, their sum to
-    its far corner. Along a diagonal the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
+    The diagonals start at (x, y) and go east (`right` 1) or west (-1), north (`up` 1) or south (-1); those beyond the
+    rim are none. Along a diagonal the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
     """
+    first = wp.int32(0)
+    end = cells
+    if right > 0:
+        end = wp.min(end, width - 1 - x)
+    else:
+        first = wp.max(first, x - (width - 1))
+    if up > 0:
+        end = wp.min(end, height - 1 - y)
+    else:
+        first = wp.max(first, y - (height - 1))
     largest = known
-    at = first
-    e0 = wp.float64(h[at]) - plane
-    for i in range(cells):
-        far = at + side_x + side_y
-        e1 = wp.float64(h[far]) - (plane + slope * wp.float64(i + 1))
-        twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[at + side_x]) - wp.float64(h[at + side_y])
-        if wp.abs(e1 - e0) < wp.abs(twist):
-            rest = twist - (e1 - e0)
-            largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
-        e0 = e1
-        at = far
+    if first < end:
+        at = (y + up * first) * width + x + right * first
+        e0 = wp.float64(h[at]) - (plane + slope * wp.float64(first))
+        for i in range(first, end):
+            far = at + right + up * width
+            e1 = wp.float64(h[far]) - (plane + slope * wp.float64(i + 1))
+            twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[at + right]) - wp.float64(h[at + up * width])
+            if wp.abs(e1 - e0) < wp.abs(twist):
+                rest = twist - (e1 - e0)
+                largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+            e0 = e1
+            at = far
     return largest
 
 
@@ -105,7 +145,9 @@ def beside(errors: wp.array(dtype=wp.float32), sides: Depth, cx: int, cy: int):
 def centre_errors(
     offset: int,
     h: wp.array(dtype=wp.float32),
+    measured: wp.array(dtype=wp.float32),
     width: int,
+    height: int,
     columns: int,
     side: int,
     root: int,
@@ -115,69 +157,87 @@ def centre_errors(
 ):
     """Diamonds at the centres of cells of `side` samples (at least 2), `columns` cells a row.
 
-    `root` is 1 where these cells are the root squares.
+    `root` is 1 where these cells are the root squares. `measured`: what of `h` counts, NaN elsewhere.
     `finer` holds the diamonds at the middles of the cells' sides: the children.
     """
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
-    south = cy * side * width + cx * side
-    north = south + side * width
-    h00 = wp.float64(h[south])
-    h10 = wp.float64(h[south + side])
-    h01 = wp.float64(h[north])
-    h11 = wp.float64(h[north + side])
+    x = cx * side
+    y = cy * side
+    h00 = corner(h, width, height, x, y)
+    h10 = corner(h, width, height, x + side, y)
+    h01 = corner(h, width, height, x, y + side)
+    h11 = corner(h, width, height, x + side, y + side)
     n = wp.float64(side)
+    rows = wp.min(side + 1, height - y)
     largest = wp.float64(0.0)
     if root == 1 or ((cx + cy) & 1) == 1:
         # Anti-diagonal: triangles at the south-west and at the north-east corner.
-        for j in range(side + 1):
-            row = south + j * width
+        for j in range(rows):
             v = wp.float64(j)
             low = h00 + (h01 - h00) / n * v
-            largest = wp.max(largest, row_error(h, row, side + 1 - j, low, (h10 - h00) / n))
+            slope = (h10 - h00) / n
+            largest = row_inside(measured, width, height, x, y + j, side + 1 - j, low, slope, largest)
             high = h10 + (h11 - h10) / n * v
             slope = (h11 - h01) / n
-            largest = wp.max(largest, row_error(h, row + side - j, j + 1, high - slope * v, slope))
-        largest = diagonal_error(h, north, 1, -width, side, h01, (h10 - h01) / n, largest)
+            largest = row_inside(measured, width, height, x + side - j, y + j, j + 1, high - slope * v, slope, largest)
+        largest = diagonal_inside(measured, width, height, x, y + side, 1, -1, side, h01, (h10 - h01) / n, largest)
     else:
-        for j in range(side + 1):
-            row = south + j * width
+        for j in range(rows):
             v = wp.float64(j)
             left = h00 + (h01 - h00) / n * v
-            largest = wp.max(largest, row_error(h, row, j + 1, left, (h11 - h01) / n))
+            largest = row_inside(measured, width, height, x, y + j, j + 1, left, (h11 - h01) / n, largest)
             slope = (h10 - h00) / n
             middle = h00 + (h11 - h10) / n * v + slope * v
-            largest = wp.max(largest, row_error(h, row + j, side + 1 - j, middle, slope))
-        largest = diagonal_error(h, south, 1, width, side, h00, (h11 - h00) / n, largest)
+            largest = row_inside(measured, width, height, x + j, y + j, side + 1 - j, middle, slope, largest)
+        largest = diagonal_inside(measured, width, height, x, y, 1, 1, side, h00, (h11 - h00) / n, largest)
     errors[entry(own, cx, cy)] = wp.max(round_up(largest), beside(errors, finer, cx, cy))
 
 
 @wp.func
-def flat_base_error(h: wp.array(dtype=wp.float32), width: int, centre: int, half: int, up: int):
-    """Error of the triangle with a west-east longest edge at `centre`, apex `half` rows north (up 1) or south (-1)."""
-    west = wp.float64(h[centre - half])
-    east = wp.float64(h[centre + half])
-    apex = wp.float64(h[centre + up * half * width])
+def flat_base_error(
+    h: wp.array(dtype=wp.float32),
+    measured: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    x: int,
+    y: int,
+    half: int,
+    up: int,
+):
+    """Error of the triangle with a west-east longest edge about (x, y), apex `half` rows north (up 1) or south (-1)."""
+    west = corner(h, width, height, x - half, y)
+    east = corner(h, width, height, x + half, y)
+    apex = corner(h, width, height, x, y + up * half)
     n = wp.float64(half)
     slope = (east - west) / (wp.float64(2.0) * n)
     rise = (apex - wp.float64(0.5) * (west + east)) / n
     largest = wp.float64(0.0)
     for i in range(half + 1):
         plane = west + (slope + rise) * wp.float64(i)
-        first = centre + up * i * width - half + i
-        largest = wp.max(largest, row_error(h, first, 2 * (half - i) + 1, plane, slope))
-    step = up * width
-    largest = diagonal_error(h, centre - half, 1, step, half, west, slope + rise, largest)
-    return diagonal_error(h, centre + half, -1, step, half, east, rise - slope, largest)
+        largest = row_inside(
+            measured, width, height, x - half + i, y + up * i, 2 * (half - i) + 1, plane, slope, largest
+        )
+    largest = diagonal_inside(measured, width, height, x - half, y, 1, up, half, west, slope + rise, largest)
+    return diagonal_inside(measured, width, height, x + half, y, -1, up, half, east, rise - slope, largest)
 
 
 @wp.func
-def upright_base_error(h: wp.array(dtype=wp.float32), width: int, centre: int, half: int, right: int):
-    """Error of the triangle with a south-north longest edge at `centre`, apex `half` columns east (right 1) or west."""
-    south = wp.float64(h[centre - half * width])
-    north = wp.float64(h[centre + half * width])
-    apex = wp.float64(h[centre + right * half])
+def upright_base_error(
+    h: wp.array(dtype=wp.float32),
+    measured: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    x: int,
+    y: int,
+    half: int,
+    right: int,
+):
+    """Error of the triangle with a south-north longest edge about (x, y), apex `half` columns east (1) or west (-1)."""
+    south = corner(h, width, height, x, y - half)
+    north = corner(h, width, height, x, y + half)
+    apex = corner(h, width, height, x + right * half, y)
     n = wp.float64(half)
     middle = wp.float64(0.5) * (south + north)
     slope = (north - south) / (wp.float64(2.0) * n)
@@ -187,14 +247,13 @@ def upright_base_error(h: wp.array(dtype=wp.float32), width: int, centre: int, h
         v = i - half
         reach = half - wp.abs(v)
         plane = middle + slope * wp.float64(v)
-        first = centre + v * width
         if right == 1:
-            largest = wp.max(largest, row_error(h, first, reach + 1, plane, rise))
+            largest = row_inside(measured, width, height, x, y + v, reach + 1, plane, rise, largest)
         else:
             west = plane + rise * wp.float64(reach)
-            largest = wp.max(largest, row_error(h, first - reach, reach + 1, west, -rise))
-    largest = diagonal_error(h, centre - half * width, right, width, half, south, slope + rise, largest)
-    return diagonal_error(h, centre + half * width, right, -width, half, north, rise - slope, largest)
+            largest = row_inside(measured, width, height, x - reach, y + v, reach + 1, west, -rise, largest)
+    largest = diagonal_inside(measured, width, height, x, y - half, right, 1, half, south, slope + rise, largest)
+    return diagonal_inside(measured, width, height, x, y + half, right, -1, half, north, rise - slope, largest)
 
 
 @wp.func
@@ -224,7 +283,9 @@ def side_point(t: int, stride: int):
 def side_errors(
     offset: int,
     h: wp.array(dtype=wp.float32),
+    measured: wp.array(dtype=wp.float32),
     width: int,
+    height: int,
     columns: int,
     rows: int,
     half: int,
@@ -234,50 +295,59 @@ def side_errors(
 ):
     """Diamonds at the middles of cells' sides, `half` samples from the ends of the side.
 
-    `finer` holds the diamonds at the centres of the `columns` x `rows` cells of `half` the side: the children.
+    `measured`: as in `centre_errors`. `finer` holds the diamonds at the centres of the `columns` x `rows` cells of
+    `half` the side: the children.
     """
     t = offset + wp.tid()
     p = side_point(t, columns / 2 + 1)
-    x = p[0]
-    y = p[1]
-    if x > columns:
+    if p[0] > columns:
         return
-    centre = y * half * width + x * half
+    x = p[0] * half
+    y = p[1] * half
+    flat = p[0] & 1
     largest = wp.float64(0.0)
     if half == 1:
         # Only the sample in the middle is not a corner, and along a leg the distance is a quarter of a cell's twist,
         # which the children hold already.
-        reach = wp.where((x & 1) == 1, 1, width)
-        ends = wp.float64(h[centre - reach]) + wp.float64(h[centre + reach])
-        largest = wp.abs(wp.float64(h[centre]) - wp.float64(0.5) * ends)
-    elif (x & 1) == 1:
+        plane = corner(h, width, height, x - flat, y - 1 + flat) + corner(h, width, height, x + flat, y + 1 - flat)
+        largest = row_inside(measured, width, height, x, y, 1, wp.float64(0.5) * plane, wp.float64(0.0), largest)
+    elif flat == 1:
         if y > 0:
-            largest = wp.max(largest, flat_base_error(h, width, centre, half, -1))
-        if y < rows:
-            largest = wp.max(largest, flat_base_error(h, width, centre, half, 1))
+            largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, -1))
+        if p[1] < rows:
+            largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, 1))
     else:
         if x > 0:
-            largest = wp.max(largest, upright_base_error(h, width, centre, half, -1))
-        if x < columns:
-            largest = wp.max(largest, upright_base_error(h, width, centre, half, 1))
-    errors[entry(own, x, y)] = wp.max(round_up(largest), around(errors, finer, x, y, columns, rows))
+            largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, -1))
+        if p[0] < columns:
+            largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, 1))
+    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), around(errors, finer, p[0], p[1], columns, rows))
 
 
 @wp.kernel
 def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of cells: a quarter of each twist, saturated along the row to a quarter of its neighbours'."""
+    """Row `offset + tid` of the raster's cells: a quarter of each twist, 0 where a sample is NaN."""
     cy = offset + wp.tid()
-    columns = width - 1
-    last = wp.float32(0.0)
-    for cx in range(columns):
+    for cx in range(width - 1):
         at = cy * width + cx
         near = wp.float64(h[at]) - wp.float64(h[at + 1])
         far = wp.float64(h[at + width + 1]) - wp.float64(h[at + width])
-        last = wp.max(round_up(wp.abs(near + far) * wp.float64(0.25)), last * wp.float32(0.25))
-        errors[entry(cells, cx, cy)] = last
+        twist = wp.abs(near + far) * wp.float64(0.25)
+        errors[entry(cells, cx, cy)] = wp.where(twist > wp.float64(0.0), round_up(twist), wp.float32(0.0))
+
+
+@wp.kernel
+def saturate_rows(offset: int, columns: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
+    """Row `offset + tid` of cells: each to at least `part` of its western and eastern neighbours."""
+    cy = offset + wp.tid()
+    last = wp.float32(0.0)
+    for cx in range(columns):
+        cell = entry(cells, cx, cy)
+        last = wp.max(errors[cell], last * part)
+        errors[cell] = last
     for i in range(columns):
         cell = entry(cells, columns - 1 - i, cy)
-        last = wp.max(errors[cell], last * wp.float32(0.25))
+        last = wp.max(errors[cell], last * part)
         errors[cell] = last
 
 

@@ -33,12 +33,12 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
 
 @wp.func
 def column_range(h: wp.array(dtype=wp.float32), x: int, width: int, y: int, height: int):
-    """Lowest and highest sample of column x in the rows within two of y."""
-    z = h[y * width + x]
+    """Lowest and highest sample of column x in the rows within two of y, or the nearest to it."""
+    z = h[wp.min(y, height - 1) * width + x]
     low = z
     high = z
     for k in range(1, 3):
-        south = h[wp.max(y - k, 0) * width + x]
+        south = h[wp.clamp(y - k, 0, height - 1) * width + x]
         north = h[wp.min(y + k, height - 1) * width + x]
         low = wp.min(low, wp.min(south, north))
         high = wp.max(high, wp.max(south, north))
@@ -51,25 +51,26 @@ def finest_ranges(
     h: wp.array(dtype=wp.float32),
     width: int,
     height: int,
+    columns: int,
     base: wp.float64,
     step: wp.float64,
     own: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `offset + tid` of samples: diamonds about those with x + y odd, from all samples within two of them.
+    """Row `offset + tid` of vertices 0 .. `columns`: diamonds about those with x + y odd, from all samples within two.
 
     That is one cell more than the cells that meet there, so that it also encloses the diamonds below the raster, which
     reach over into the next cell.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    # A window of five columns moves along the row; beyond an end the last column counts again.
+    # A window of five columns moves along the row; beyond an end of the raster the last column counts again.
     a = column_range(h, 0, width, y, height)
     b = a
     c = a
     d = a
     e = column_range(h, 1, width, y, height)
-    for x in range(width):
+    for x in range(columns + 1):
         a = b
         b = c
         c = d
@@ -92,10 +93,12 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 
 
 @wp.kernel
-def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Row `offset + tid` of samples: diamonds about those with x + y odd, from all cells within two of them."""
+def patches_around(
+    offset: int, last: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
+):
+    """Row `offset + tid` of vertices 0 .. `last`: diamonds about those with x + y odd, from all cells within two."""
     y = offset + wp.tid()
-    for x in range(1 - (y & 1), columns + 1, 2):
+    for x in range(1 - (y & 1), last + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for cy in range(wp.max(y - 2, 0), wp.min(y + 2, rows)):
             for cx in range(wp.max(x - 2, 0), wp.min(x + 2, columns)):
@@ -106,16 +109,23 @@ def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Dept
 
 
 @wp.kernel
-def centre_ranges(offset: int, columns: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Cell centres: the union of their four children, the middles of the cell's sides."""
+def centre_ranges(
+    offset: int, columns: int, east: int, north: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
+):
+    """Cell centres: the union of their four children, the middles of the cell's sides, up to (`east`, `north`)."""
     t = offset + wp.tid()
     cy = t / columns
     cx = t - cy * columns
     r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
-    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy))
-    r = unite(r, ranges, entry(finer, 2 * cx, 2 * cy + 1))
-    r = unite(r, ranges, entry(finer, 2 * cx + 2, 2 * cy + 1))
-    r = unite(r, ranges, entry(finer, 2 * cx + 1, 2 * cy + 2))
+    for k in range(4):
+        x = 2 * cx + 1
+        y = 2 * cy + 1
+        if k < 2:
+            x += 2 * k - 1
+        else:
+            y += 2 * k - 5
+        if x <= east and y <= north:
+            r = unite(r, ranges, entry(finer, x, y))
     at = wp.int64(2) * entry(own, cx, cy)
     ranges[at] = r[0]
     ranges[at + wp.int64(1)] = r[1]

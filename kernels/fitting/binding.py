@@ -3,9 +3,16 @@
 
 import warp as wp
 
-from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh, moved_under
+from ..refine.diamond import Domain
+from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def slot_of(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
+    """Where a vertex on a sample, or on the padding's going on of their grid, is kept."""
+    return wp.int64(j) * wp.int64((d.columns << d.levels) + 1) + wp.int64(i)
 
 
 @wp.kernel
@@ -29,7 +36,7 @@ def gather(
     bits = d.unit_bits - d.levels
     state = PINNED  # inside a raster's cell
     if ((x | y) & ((1 << bits) - 1)) == 0:
-        at = wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)
+        at = slot_of(d, x >> bits, y >> bits)
         state = states[at]
         if (state & KNOWN) != wp.uint8(0):
             p = wp.vec3f(p[0], p[1], heights[at])
@@ -45,7 +52,6 @@ def begin(offset: int, m: Mesh):
     m.active[t] = t
     m.awake[t] = -1
     m.worst[t] = NOT_MEASURED
-    m.moved[t] = moved_under(m, t)
 
 
 @wp.kernel
@@ -71,6 +77,6 @@ def keep(offset: int, m: Mesh, heights: wp.array(dtype=wp.float32), states: wp.a
     bits = d.unit_bits - d.levels
     p = m.point[v]
     if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
-        at = wp.int64(p[1] >> bits) * wp.int64(d.width) + wp.int64(p[0] >> bits)
+        at = slot_of(d, p[0] >> bits, p[1] >> bits)
         heights[at] = m.z[v]
         states[at] = m.state[v] | KNOWN

@@ -8,7 +8,7 @@ heights metres before scaling, in float64: planes through float32 heights at pow
 
 import warp as wp
 
-from ..field.hierarchy import diagonal_error, row_error
+from ..field.hierarchy import diagonal_inside, row_inside
 from ..refine.diamond import Domain
 from ..unchecked import height_at
 
@@ -32,8 +32,10 @@ class Facet:
 
 @wp.func
 def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Height of the surface, metres before scaling."""
+    """Height of the surface, metres before scaling; beyond the rim it goes on level."""
     bits = d.unit_bits - d.levels
+    x = wp.min(x, d.east)
+    y = wp.min(y, d.north)
     i = wp.min(x >> bits, d.width - 2)
     j = wp.min(y >> bits, d.height - 2)
     if ((x | y) & ((1 << bits) - 1)) == 0:
@@ -48,6 +50,14 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
     north = wp.float64(height_at(d.samples, at + wp.int64(d.width))) * (one - u)
     north += wp.float64(height_at(d.samples, at + wp.int64(d.width + 1))) * u
     return south * (one - v) + north * v
+
+
+@wp.func
+def is_beyond_rim(d: Domain, s: Facet) -> wp.bool:
+    """Whether nothing of the raster is below the facet."""
+    west = s.x + wp.min(wp.min(s.left_x, s.right_x), 0)
+    south = s.y + wp.min(wp.min(s.left_y, s.right_y), 0)
+    return west >= d.east or south >= d.north
 
 
 @wp.func
@@ -124,11 +134,12 @@ def farthest_on_diagonal(
     if cells > 0:
         cell_x = wp.where(dx > 0, 1, -1)
         cell_y = wp.where(dy > 0, 1, -1)
-        first = ((s.y + y0) >> bits) * d.width + ((s.x + x0) >> bits)
         start = s.z + s.slope_x * wp.float64(x0) + s.slope_y * wp.float64(y0)
         unit = wp.float64(wp.int32(1) << bits)
         slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
-        most = diagonal_error(d.samples, first, cell_x, cell_y * d.width, cells, start, slope, most)
+        i = (s.x + x0) >> bits
+        j = (s.y + y0) >> bits
+        most = diagonal_inside(d.samples, d.width, d.height, i, j, cell_x, cell_y, cells, start, slope, most)
     else:
         r0 = above(d, s, x0, y0)
         r1 = above(d, s, x1, y1)
@@ -139,7 +150,9 @@ def farthest_on_diagonal(
 
 @wp.func
 def farthest(d: Domain, s: Facet) -> wp.float64:
-    """Largest distance between the facet and the surface over it, metres before scaling."""
+    """Largest distance between the facet and the surface over it, metres before scaling; none beyond the rim."""
+    if is_beyond_rim(d, s):
+        return wp.float64(0.0)
     bits = d.unit_bits - d.levels
     unit = wp.float64(wp.int32(1) << bits)
     i = s.x >> bits
@@ -148,9 +161,9 @@ def farthest(d: Domain, s: Facet) -> wp.float64:
     low, count = rows_of(s, bits)
     for k in range(count):
         first, samples = row_of(s, bits, low + k)
-        at = (j + low + k) * d.width + i + first
         plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
-        most = wp.max(most, row_error(d.samples, at, samples, plane, s.slope_x * unit))
+        slope = s.slope_x * unit
+        most = row_inside(d.samples, d.width, d.height, i + first, j + low + k, samples, plane, slope, most)
     if s.left_x == 0 or s.left_y == 0:
         if count == 0:
             most = wp.abs(above(d, s, 0, 0))

@@ -7,10 +7,8 @@ room for triangles and vertices to come.
 
 import warp as wp
 
-from ..field.layout import tile_index
 from ..refine.diamond import Domain
-from ..unchecked import height_at
-from .facet import Facet, row_of, rows_of, surface
+from .facet import Facet, surface
 from .raising import climb
 
 wp.set_module_options({"enable_backward": False})
@@ -28,7 +26,7 @@ class Mesh:
     domain: Domain
     snap: wp.int32  # mesh vertices lie on multiples of 2**snap units
     asked: wp.float64  # metres of error, as interpolation is asked
-    bound: wp.float64  # metres of distance that a triangle may have where resampling moved nothing
+    bound: wp.float64  # metres of distance that a triangle may have
     aim: wp.float64  # part of what is allowed: points beyond it push
     stretch: wp.float64  # length of a step over the mean push, below 2
     room: wp.int32  # triangles that the arrays have room for
@@ -36,7 +34,6 @@ class Mesh:
     corner_verts: wp.array(dtype=wp.int32)  # [3 T]
     beside: wp.array(dtype=wp.int32)  # [3 T] the triangle across the edge from a corner to the next, -1 at the border
     level: wp.array(dtype=wp.int32)  # [T]
-    moved: wp.array(dtype=wp.float32)  # [T] metres, before scaling, by which resampling moved what is below
     worst: wp.array(dtype=wp.float64)  # [T] metres, largest distance, or NOT_MEASURED
     seen: wp.array(dtype=wp.vec3f)  # [T] heights of the corners when that was measured
     pushes: wp.array(dtype=wp.vec2f)  # [3 T] of each triangle on its corners, and their weights
@@ -49,12 +46,6 @@ class Mesh:
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
     push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
     movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
-
-
-@wp.func
-def allowed(m: Mesh, t: wp.int32) -> wp.float64:
-    """Metres that a triangle may be from the surface, beside what resampling has moved there."""
-    return m.bound - wp.float64(m.moved[t]) * m.domain.error_scale
 
 
 @wp.func
@@ -82,32 +73,6 @@ def facet_of(m: Mesh, t: wp.int32) -> Facet:
     s.slope_x = zl * wp.float64(s.left_x) + zr * wp.float64(s.right_x)
     s.slope_y = zl * wp.float64(s.left_y) + zr * wp.float64(s.right_y)
     return s
-
-
-@wp.func
-def moved_under(m: Mesh, t: wp.int32) -> wp.float32:
-    """Metres, before scaling, by which resampling moved the raster in the cells that a triangle touches."""
-    d = m.domain
-    most = wp.float32(0.0)
-    if d.resampled == 1:
-        bits = d.unit_bits - d.levels
-        s = facet_of(m, t)
-        low, rows = rows_of(s, bits)
-        # In a row of cells the columns between its ends, or of a triangle inside a cell that one.
-        for k in range(wp.max(rows - 1, 1)):
-            j = (s.y + wp.min(wp.min(s.left_y, s.right_y), 0)) >> bits
-            i = (s.x + wp.min(wp.min(s.left_x, s.right_x), 0)) >> bits
-            end = i + 1
-            if rows > 0:
-                j = (s.y >> bits) + low + k
-                first, samples = row_of(s, bits, low + k)
-                above_first, above_samples = row_of(s, bits, low + k + 1)
-                i = (s.x >> bits) + wp.min(first, above_first)
-                end = (s.x >> bits) + wp.max(first + samples, above_first + above_samples) - 1
-            for column in range(i, end):
-                cell = height_at(d.moved, d.cell_base + tile_index(column, j, d.cell_pages))
-                most = wp.max(most, cell)
-    return most
 
 
 @wp.func
@@ -253,11 +218,7 @@ def split(
                 halve(m, a, new, v, b, new + 1)
                 halve(m, b, new + 1, v, a, new)
                 triangles += 1
-                m.moved[b] = moved_under(m, b)
-                m.moved[new + 1] = moved_under(m, new + 1)
             else:
                 halve(m, a, new, v, -1, -1)
-            m.moved[a] = moved_under(m, a)
-            m.moved[new] = moved_under(m, new)
             mark_around(m, v)
     return wp.vec2i(triangles, vertices)

@@ -13,7 +13,7 @@ corners moved by more than it was within the aim.
 import warp as wp
 
 from .facet import farthest
-from .mesh import NOT_MEASURED, PINNED, Mesh, allowed, facet_of, is_marked, list_marked, mark, mark_around
+from .mesh import NOT_MEASURED, PINNED, Mesh, facet_of, is_marked, list_marked, mark, mark_around
 from .push import Pushes, pushes_in_cell, pushes_of
 
 wp.set_module_options({"enable_backward": False})
@@ -54,7 +54,7 @@ def pull(first: int, end: int, m: Mesh):
     for k in range(first, end):
         t = m.active[k]
         z = corners_of(m, t)
-        aim = m.aim * allowed(m, t)
+        aim = m.aim * m.bound
         known = m.worst[t]
         look = known == NOT_MEASURED
         if not look:
@@ -74,7 +74,9 @@ def pull(first: int, end: int, m: Mesh):
                 q = pushes_of(
                     d.samples,
                     d.width,
-                    (apex[1] >> bits) * d.width + (apex[0] >> bits),
+                    d.height,
+                    apex[0] >> bits,
+                    apex[1] >> bits,
                     (left[0] - apex[0]) >> bits,
                     (left[1] - apex[1]) >> bits,
                     (right[0] - apex[0]) >> bits,
@@ -109,7 +111,7 @@ def move(
     pushed = wp.int32(0)
     for k in range(count):
         t = m.active[k]
-        if m.worst[t] > allowed(m, t) and m.awake[t] == m.round:
+        if m.worst[t] > m.bound and m.awake[t] == m.round:
             beyond += 1
             for c in range(3):
                 q = m.pushes[3 * t + c]
@@ -123,7 +125,7 @@ def move(
             mark(m, t)
     for k in range(count):
         t = m.active[k]
-        if m.worst[t] > m.aim * allowed(m, t) and not is_marked(m, t) and m.awake[t] == m.round:
+        if m.worst[t] > m.aim * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
             for c in range(3):
                 q = m.pushes[3 * t + c]
                 v = m.corner_verts[3 * t + c]

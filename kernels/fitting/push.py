@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..refine.diamond import Domain
-from .facet import Facet, above, bulge, twist_over
+from .facet import Facet, above, bulge, is_beyond_rim, twist_over
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,12 +28,15 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
     lanes most = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
-    const int south = wp::min(wp::min(left_y, right_y), 0), north = wp::max(wp::max(left_y, right_y), 0);
+    const int apex = apex_y * width + apex_x;
+    const int right_rim = width - 1 - apex_x, upper_rim = height - 1 - apex_y;  // nothing counts beyond
+    const int south = wp::min(wp::min(left_y, right_y), 0);
+    const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_rim);
     for (int y = south; y <= north; ++y) {
         const int away = wp::abs(y);
         int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
-        const int row = apex + y * width, last = first + samples - 1;
+        const int row = apex + y * width, last = wp::min(first + samples - 1, right_rim);
         const float base = rest + slope_y * (float)y;
         for (int x = first; x <= last; x += 8) {
             int from = row + x;
@@ -73,9 +76,15 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         int x = level ? left_x : 0, y = level ? left_y : 0;
         const int end_x = level || side ? right_x : left_x, end_y = level || side ? right_y : left_y;
         const int dx = end_x > x ? 1 : -1, dy = end_y > y ? 1 : -1;
+        const int skip = wp::max(wp::max(dx < 0 ? x - right_rim : 0, dy < 0 ? y - upper_rim : 0), 0);
+        const int end = wp::min(wp::min(wp::abs(end_x - x), dx > 0 ? right_rim - x : n), dy > 0 ? upper_rim - y : n);
+        if (skip >= end)
+            continue;
+        x += skip * dx;
+        y += skip * dy;
         int at = apex + y * width + x;
         float r0 = (data[at] - high) - (rest + slope_x * (float)x + slope_y * (float)y);
-        while (x != end_x) {
+        for (int k = skip; k < end; ++k) {
             const int across = at + dx, along = at + dy * width, next = along + dx;
             const float r1 = (data[next] - high) - (rest + slope_x * (float)(x + dx) + slope_y * (float)(y + dy));
             const float twist = (data[at] - data[across]) - (data[along] - data[next]);
@@ -113,7 +122,9 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
 def pushes_of(
     h: wp.array(dtype=wp.float32),
     width: int,
-    apex: int,
+    height: int,
+    apex_x: int,
+    apex_y: int,
     left_x: int,
     left_y: int,
     right_x: int,
@@ -125,11 +136,12 @@ def pushes_of(
 ) -> Pushes:
     """A triangle with its corners on samples against the bilinear surface over it.
 
-    h: heights of all samples, `width` in a row. apex: index of the sample at the right angle, `z` the triangle's height
-    there. left, right: from there to the other corners, cells; their heights above it. Returns the largest distance,
-    then of the apex, of the left and of the right corner the weights of the points beyond `aim`, summed, and the sum of
-    what they are beyond it, weighted, positive upwards. Points: samples, and extrema along the diagonals of cells on
-    the triangle's sides. Nearly all time of a sweep passes here, in vectors of eight samples of a row.
+    h: heights of all samples, `width` in each of `height` rows. apex: the sample at the right angle, or a point beyond
+    the raster's rim, where nothing counts; `z` the triangle's height there. left, right: from there to the other
+    corners, cells; their heights above it. Returns the largest distance, then of the apex, of the left and of the right
+    corner the weights of the points beyond `aim`, summed, and the sum of what they are beyond it, weighted, positive
+    upwards. Points: samples, and extrema along the diagonals of cells on the triangle's sides. Nearly all time of a
+    sweep passes here, in vectors of eight samples of a row.
     """
     ...
 
@@ -154,6 +166,8 @@ def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.fl
 @wp.func
 def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
     """As `pushes_of`, of a triangle inside a cell, where the points are its corners and the extrema along diagonals."""
+    if is_beyond_rim(d, s):
+        return Pushes()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     apex = above(d, s, 0, 0)

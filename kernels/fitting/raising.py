@@ -17,8 +17,8 @@ def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
         at = place(d, x, y, depth)
     else:
         bits = d.unit_bits - d.levels
-        i = wp.min(x >> bits, d.width - 2)
-        j = wp.min(y >> bits, d.height - 2)
+        i = wp.min(x >> bits, d.cell_columns - 1)
+        j = wp.min(y >> bits, d.cell_rows - 1)
         at = at + tile_index(i, j, d.cell_pages)
     return at
 
@@ -82,14 +82,14 @@ def raise_cells(
     """Raise cell (i, j) so that triangles after `halvings` of its sides are split.
 
     An error in a cell is a quarter after each halving, and at least a quarter of the next cells': hierarchy.py. One
-    cell more on every side: a quarter of `raised`, with what resampling moved, may split again; a sixteenth never does.
+    cell more on every side: a quarter of `raised` may split again; a sixteenth never does.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1
     for b in range(-reach, reach + 1):
         for a in range(-reach, reach + 1):
             left = reach - wp.abs(a) - wp.abs(b)
-            inside = i + a >= 0 and j + b >= 0 and i + a < d.width - 1 and j + b < d.height - 1
+            inside = i + a >= 0 and j + b >= 0 and i + a < d.cell_columns and j + b < d.cell_rows
             if left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))

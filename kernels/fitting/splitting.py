@@ -3,10 +3,10 @@
 
 import warp as wp
 
-from ..refine.diamond import cell_error, metres2_of, moved_at, place
+from ..refine.diamond import cell_error, metres2_of, place
 from ..unchecked import height_at
 from .facet import surface
-from .mesh import PINNED, Mesh, allowed, list_marked, mark, mark_around, split
+from .mesh import PINNED, Mesh, list_marked, mark, mark_around, split
 from .raising import raise_cells
 
 wp.set_module_options({"enable_backward": False})
@@ -43,7 +43,7 @@ def refine(
     deepest = wp.int32(0)
     for k in range(count):
         t = m.active[k]
-        over = m.worst[t] - allowed(m, t)
+        over = m.worst[t] - m.bound
         if over > wp.float64(0.0):
             for c in range(3):
                 v = m.corner_verts[3 * t + c]
@@ -51,7 +51,7 @@ def refine(
     for k in range(count):
         t = m.active[k]
         worst = m.worst[t]
-        may = allowed(m, t)
+        may = m.bound
         if worst > may:
             m.awake[t] = m.round + 1
             mark(m, t)
@@ -65,7 +65,6 @@ def refine(
                 x = p[0]
                 y = p[1]
                 finer = depth - 2 * d.levels - 1
-                moved = moved_at(d, x, y, depth)
                 error = wp.float32(0.0)
                 if finer < 0:
                     error = height_at(d.error, place(d, x, y, depth))
@@ -75,7 +74,7 @@ def refine(
                     y = (y + m.point[apex][1]) >> 1
                     error = cell_error(d, x >> bits, y >> bits)
                     error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
-                metres2, _total2 = metres2_of(d, error, moved)
+                metres2 = metres2_of(d, error, wp.float32(0.0))
                 too_coarse = metres2 > asked2
                 pinned = m.state[left] & m.state[apex] & m.state[right] & PINNED
                 fresh = m.push[2 * left + 1] + m.push[2 * apex + 1] + m.push[2 * right + 1]

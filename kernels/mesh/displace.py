@@ -195,8 +195,8 @@ def displace(
             prefetch(samples, near - wp.int64(columns))
             prefetch(samples, near + wp.int64(columns))
             p = pair_at(points.point, k)
-            x = p[0]
-            y = p[1]
+            x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
+            y = wp.min(p[1], domain.north)
             g = wp.vec3d()
             if ((x | y) & (cell - 1)) == 0:
                 g = on_sample(samples, columns, rows, x >> bits, y >> bits)

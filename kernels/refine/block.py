@@ -2,7 +2,7 @@
 """A block: a triangle bisected evenly, n times, whose leaves are written from a table instead of walked.
 
 Where only edge lengths ask, bands of equal depth surround the eye: of a million leaves over a plain two in three lie
-in blocks, of fewer nearly all in shapes (kernels/refine/shape.py).
+in blocks.
 """
 
 import warp as wp

@@ -3,13 +3,12 @@
 
 All decisions below a triangle compare the span of a pixel with a number that no camera changes. So a subtree keeps its
 *rooms*: by how much spans may fall or rise before any of them is decided otherwise (a slack, as the deferred priorities
-of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh and its bounds
-are the ones that a walk without memory gives.
+of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh is the one that
+a walk without memory gives.
 """
 
 import warp as wp
 
-from .bounds import Bounds, seen_closer
 from .diamond import ORTHOGRAPHIC, PERSPECTIVE, Asked, LocalView, larger, smaller
 
 wp.set_module_options({"enable_backward": False})
@@ -39,7 +38,7 @@ class Subtree:
     coarse: wp.float64  # to this
     fall: wp.float64  # they may fall by less than this
     rise: wp.float64  # ... and rise
-    most: Bounds
+    stopped: wp.int32  # 1: one of its leaves is too coarse at the deepest level that there may be
 
 
 @wp.struct
@@ -172,10 +171,6 @@ def carried(asked: Asked, motion: Motion, kept: Subtree, clear: wp.int32):
             stands = stand_of(asked.view, kept.low, kept.high)
         holds = wp.where(stands == kept.stands, 1, 0)
     if holds == 1:
-        # Pixels grow as spans fall: by most where spans are finest, by least where they are coarsest.
-        drift = wp.float64(4.0) * motion.drift
-        span = wp.where(least < wp.float64(0.0), kept.fine, kept.coarse)
-        kept.most = seen_closer(kept.most, (span / (span + least)) * (wp.float64(1.0) + ROUNDED + drift))
         kept.fine = kept.fine + least
         kept.coarse = kept.coarse + most
     return kept, holds

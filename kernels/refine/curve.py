@@ -95,12 +95,6 @@ def third_edge(state: wp.int32, left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i)
 
 
 @wp.func
-def hypotenuse_passed(state: wp.int32) -> wp.bool:
-    """Whether the curve has passed the triangle behind the longest edge before it enters this one."""
-    return state > LEG_LEG and state < LEG_HYP
-
-
-@wp.func
 def border_role(
     p: wp.vec2i,
     q: wp.vec2i,

@@ -78,7 +78,7 @@ def sound(value: wp.float32, largest: wp.float32) -> wp.float32:
 def cell_entry(domain: Domain, base: wp.int64, i: wp.int32, j: wp.int32) -> wp.float32:
     """What the errors hold from `base` on for raster cell (i, j)."""
     e = wp.float32(0.0)
-    if i >= 0 and j >= 0 and i < (domain.columns << domain.levels) and j < (domain.rows << domain.levels):
+    if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
         e = sound(height_at(domain.error, base + tile_index(i, j, domain.cell_pages)), domain.largest_error)
     return e
 
@@ -98,11 +98,34 @@ def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64
 
 
 @wp.func
+def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
+    """Lattice units that a diamond's box reaches from its split vertex along each axis.
+
+    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
+    centre and 2 s from an edge's middle.
+    """
+    s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
+    return 2 * s + (depth & 1) * s
+
+
+@wp.func
+def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.bool:
+    """Whether the box of the diamond split at (x, y) is beyond the raster's rim: boxes are nested, and so is this."""
+    beyond = wp.bool(False)
+    if x > domain.east or y > domain.north:
+        reach = reach_of(domain.unit_bits, depth)
+        beyond = x - reach >= domain.east or y - reach >= domain.north
+    return beyond
+
+
+@wp.func
 def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
     """Saturated error of the diamond split at (x, y): metres, before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
-    if finer < 0:
+    if is_beyond(domain, x, y, depth):
+        error = wp.float32(0.0)
+    elif finer < 0:
         error = sound(height_at(domain.error, place(domain, x, y, depth)), domain.largest_error)
     else:
         bits = domain.unit_bits - domain.levels
@@ -143,17 +166,7 @@ class Diamond:
     low: wp.vec3d  # its box, metres of the terrain's space
     high: wp.vec3d
     rise: wp.float64  # metres, the most that an edge of it can climb
-
-
-@wp.func
-def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
-    """Lattice units that a diamond's box reaches from its split vertex along each axis.
-
-    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
-    centre and 2 s from an edge's middle.
-    """
-    s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
-    return 2 * s + (depth & 1) * s
+    rim: wp.int32  # 0: no padding is in it, 1: some is, 2: nothing else
 
 
 @wp.func
@@ -181,7 +194,10 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     reach = reach_of(domain.unit_bits, depth)
     low = wp.float64(0.0)
     high = wp.float64(0.0)
-    if depth <= 2 * domain.levels:
+    beyond = is_beyond(domain, x, y, depth)
+    if beyond:
+        high = low
+    elif depth <= 2 * domain.levels:
         index = wp.int64(2) * place(domain, x, y, depth)
         low = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
         high = domain.range_base + wp.float64(code_at(domain.ranges, index + wp.int64(1))) * domain.range_step
@@ -205,6 +221,8 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         low = wp.float64(least)
         high = wp.float64(most)
     d = Diamond()
+    if x + reach > domain.east or y + reach > domain.north:
+        d.rim = wp.where(beyond, 2, 1)
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
     d.low = wp.vec3d(
@@ -263,8 +281,8 @@ def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 
 
 @wp.func
-def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
-    """Squared metres of height that an error stands for: as the criterion weighs it, and all of it.
+def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32) -> wp.float64:
+    """Squared metres of height that an error stands for, as the criterion weighs it.
 
     All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
     rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
@@ -274,9 +292,8 @@ def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32):
     e = wp.float64(error)
     rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
     own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
-    total = rest + domain.source
     weighed = smaller(own + domain.source, wp.float64(1.25) * own)
-    return weighed * weighed, total * total
+    return weighed * weighed
 
 
 @wp.func
@@ -358,9 +375,9 @@ def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
 
 @wp.func
 def finest(asked: Asked, d: Diamond, clear: wp.int32) -> wp.float64:
-    """Squared metres of the finest pixel that any view has on the box; the first view is at hand."""
+    """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
     pixel2 = wp.float64(wp.inf)
-    if asked.view_count > 0:
+    if asked.view_count > 0 and d.rim < 2:
         pixel2 = finest_in(asked.view, d, clear)
         for v in range(1, asked.view_count):
             pixel2 = smaller(pixel2, finest_in(asked.views[v], d, clear))
@@ -369,7 +386,10 @@ def finest(asked: Asked, d: Diamond, clear: wp.int32) -> wp.float64:
 
 @wp.func
 def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
-    """As `coarsest_in`, of the view that has the finest pixels there; inside if all frustums hold the box."""
+    """As `coarsest_in`, of the view that has the finest pixels there; inside if all frustums hold the box.
+
+    Some of the boxes inside one that reaches beyond the rim are wholly beyond it: none is certain to be split.
+    """
     pixel2 = wp.float64(wp.inf)
     inside = wp.int32(1)
     if asked.view_count > 0:
@@ -378,6 +398,8 @@ def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
             p2, i = coarsest_in(asked.views[v], d, clear)
             pixel2 = smaller(pixel2, p2)
             inside = inside & i
+    if d.rim > 0:
+        pixel2 = wp.float64(wp.inf)
     return pixel2, inside
 
 
@@ -385,13 +407,7 @@ def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
 def too_coarse_at(
     asked: Asked, limit: wp.float64, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64
 ):
-    """As `too_coarse`, of `limit` times what is asked."""
+    """Whether a diamond is to be split at `limit` times what is asked, where a pixel spans sqrt(pixel2)."""
     px2 = limit * pixel2
     coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
     return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
-
-
-@wp.func
-def too_coarse(asked: Asked, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64):
-    """Whether a diamond is to be split, where a pixel spans sqrt(pixel2): criteria combine by or."""
-    return too_coarse_at(asked, asked.limit, pixel2, metres2, long2, legs2)

@@ -157,6 +157,7 @@ def finest_framed(
         east = x1 + side * half_x
         north = y1 + side * half_y
         inside = east <= domain.columns << domain.unit_bits and north <= domain.rows << domain.unit_bits
+        inside = inside and west < domain.east and south < domain.north
         if west >= 0 and south >= 0 and inside:
             box = box_between(domain, d, west, south, east, north, depth)
             pixel2 = smaller(finest_framed_in(asked.view, box, clear), pixel2)

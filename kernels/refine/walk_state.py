@@ -5,9 +5,7 @@ import warp as wp
 
 from .band import Band
 from .block import Blocks
-from .bounds import Bounds
 from .coherence import Motion, Subtree
-from .shape import Shapes
 from .sum_reduction import Run
 
 wp.set_module_options({"enable_backward": False})
@@ -25,6 +23,25 @@ class Written:
 
 
 @wp.struct
+class Keeper:
+    """What a slice takes from the last frame's lists, and what it keeps for the next frame: see kept.py."""
+
+    next: wp.int64  # entry of the subtree of the last frame that the curve comes to next
+    cell: wp.uint64  # its own
+    depth: wp.int32
+    leaves: wp.int32
+    count: wp.int64  # subtrees kept
+    end: wp.uint64  # the cell where the subtree ends that is open
+    before: Written  # what there was when it was opened
+    stopped: wp.int32  # 1: a leaf of it, or if none is open of any, is too coarse and as deep as leaves may be
+    stopped_before: wp.int32  # ... when it was opened
+    runs: wp.int64  # of leaves that were taken
+    point_runs: wp.int64
+    taken: wp.int64  # leaves
+    sizes: wp.vec3i  # leaves, vertices and edges of the subtree that was taken last
+
+
+@wp.struct
 class Walk:
     """Where one slice of the curve writes, and how far it may."""
 
@@ -35,7 +52,7 @@ class Walk:
     leaf_capacity: wp.int64
     leaf_limit: wp.int64  # the walk may end as soon as it has more
     leaf_base: wp.int64  # where this slice's part of the arrays begins
-    slot: wp.int32  # row of stacks, sides, counts and bounds
+    slot: wp.int32  # row of stacks, sides and counts
     grid: wp.int32  # 1: several squares, borders are tracked
     code: wp.array(dtype=wp.uint16)
     point: wp.array(dtype=wp.vec2i)
@@ -43,19 +60,20 @@ class Walk:
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
     bands: wp.array(dtype=Band)
-    remembered: wp.array(dtype=Band)  # of diamonds met from one triangle, for the other one
-    limits: wp.array(dtype=wp.vec3d)  # from entry slot * STACK on, of each depth: kernels/refine/footprint.py
     blocks: Blocks
-    shapes: Shapes
+    sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
+    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, and whether a leaf was stopped
     # Coherence from frame to frame: see kernels/refine/kept.py.
     slack: wp.float64  # the part by which spans of a pixel may change before what a band says is in doubt
+    keeper: wp.array(dtype=Keeper)  # per slice
     kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on
     kept_counts: wp.array(dtype=wp.int64)
-    room: wp.int64  # of each slot's list
+    room: wp.int64  # of each slot's list; 0: nothing is kept
     runs: wp.array(dtype=Run)  # of leaves that were taken: lists as those of `kept`
     point_runs: wp.array(dtype=Run)  # of points
     run_counts: wp.array(dtype=wp.int64)
     point_run_counts: wp.array(dtype=wp.int64)
+    taken: wp.array(dtype=wp.int64)  # per slice: leaves that were taken
     motion: Motion  # of the view since the last frame
     last_kept: wp.array(dtype=Subtree)  # as above, of the last frame
     last_counts: wp.array(dtype=wp.int64)
@@ -64,29 +82,30 @@ class Walk:
     last_code: wp.array(dtype=wp.uint16)  # what it has written
     last_point: wp.array(dtype=wp.vec2i)
     last_cell: wp.array(dtype=wp.int64)
-    taken: wp.array(dtype=wp.int64)  # per slice: leaves that were taken from it
-    sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
-    counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges
-    bounds: wp.array(
-        dtype=wp.float64
-    )  # per slice, the largest of any leaf: see Leaves in cbt_terrain/refine/refinement.py
 
 
-@wp.func
-def put_results(w: Walk, n: Written, worst: Bounds, in_pixels: wp.vec2f, in_metres: wp.vec2f):
-    """What the slice has written, the maxima over its leaves, and of the leaves that have the most error its parts."""
-    c = 3 * w.slot
-    w.counts[c] = n.leaves
-    w.counts[c + 1] = n.vertices
-    w.counts[c + 2] = n.edges
-    b = 10 * w.slot
-    w.bounds[b] = worst.px2
-    w.bounds[b + 1] = worst.total_px2
-    w.bounds[b + 2] = worst.long_px2
-    w.bounds[b + 3] = worst.legs_px2 * wp.float64(0.5)
-    w.bounds[b + 4] = worst.metres2
-    w.bounds[b + 5] = worst.total2
-    w.bounds[b + 6] = wp.float64(in_pixels[0])
-    w.bounds[b + 7] = wp.float64(in_pixels[1])
-    w.bounds[b + 8] = wp.float64(in_metres[0])
-    w.bounds[b + 9] = wp.float64(in_metres[1])
+@wp.struct
+class Square:
+    """A root square, as the walk enters it."""
+
+    number: wp.int32
+    column: wp.int32
+    row: wp.int32
+    corner: wp.vec2i
+    side: wp.int32  # lattice units
+    base: wp.uint64  # its first deepest cell, all squares in a row
+    start: wp.uint64  # the first of its cells, from 0, that is in the slice
+
+
+@wp.struct
+class Cursor:
+    """Where the walk stands: a triangle, and the band that holds there."""
+
+    left: wp.vec2i
+    apex: wp.vec2i
+    right: wp.vec2i
+    cell: wp.uint64  # its first deepest cell, in the square
+    state: wp.int32  # of the curve
+    depth: wp.int32
+    held: wp.int32  # entry of the band
+    top: wp.int32  # triangles that are put aside; -1: the slice or the square has ended

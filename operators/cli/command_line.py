@@ -137,7 +137,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
-    if importlib.util.find_spec("..benchmarks", __package__):  # they are no part of the extension
+    if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
         _add_bench(subparsers)
     return parser
 

@@ -238,16 +238,10 @@ def other_interpolation(heights) -> str:
 
 
 def imported_text(heights) -> str:
-    """What importing moved and what the source had rounded, where they did."""
-    text = ""
-    if heights.resample_max:
-        text += (
-            f" Importing resampled the raster and moved its samples by up to {heights.resample_max:.3g} m "
-            f"({heights.resample_rms:.3g} m rms) from the bilinear surface; a bicubic one misses them by more."
-        )
-    if heights.source_max:
-        text += f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
-    return text
+    """What the source had rounded, if it did."""
+    if not heights.source_max:
+        return ""
+    return f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
 
 
 def curves(subject) -> list:

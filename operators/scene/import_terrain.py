@@ -88,7 +88,7 @@ def folder_beside(obj, source: str) -> str:
 
 def user_folder() -> str:
     """The folder for stores of unsaved files."""
-    package = __package__.rpartition(".")[0]
+    package = __package__.rsplit(".", 2)[0]
     if package.startswith("bl_ext."):
         return bpy.utils.extension_path_user(package, path="stores", create=True)
     return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)
@@ -107,8 +107,6 @@ def summary(report: dict) -> str:
     line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
         line += f", {report['filled']:,} without data filled"
-    if report["moved_max_m"]:
-        line += f", resampled: moved by {plain(report['moved_max_m'])} m at most, {plain(report['moved_rms_m'])} m rms"
     if report["source_step_m"] >= SMALLEST:
         line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
     return line

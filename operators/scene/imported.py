@@ -50,9 +50,9 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         content = stores.read_json(Path(folder))
     except TerrainError:
         return None
-    lattice, report = stores.Lattice(**content["lattice"]), content["report"]
+    lattice, report = stores.fit(**content["lattice"]), content["report"]
     raster = _pair(report, "raster") or (lattice.width, lattice.height)
-    size = lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)
+    size = lattice.step_x * lattice.cells_x, lattice.step_y * lattice.cells_y
     extent = _pair(report, "extent_m") or size
     return Imported(
         settings=content["provenance"].get("settings", {}),

@@ -135,7 +135,7 @@ def test_the_answer_does_not_depend_on_what_came_before():
 
 def count_with(tmp_path, name: str, changes: dict[str, tuple[str, str]]):
     """The counting kernel with lines changed in its two modules."""
-    folder = Path(kernels.__file__).parent
+    folder = Path(kernels.__file__).parent / "budget"
     for module in ("count_level_ground", "count"):
         source = (folder / f"{module}.py").read_text().replace("from .count_level_ground", f"from .{name}_level_ground")
         for here, there in [changes[module]] if module in changes else []:
@@ -143,7 +143,7 @@ def count_with(tmp_path, name: str, changes: dict[str, tuple[str, str]]):
             source = source.replace(here, there)
         path = tmp_path / f"{module.replace('count', name, 1)}.py"
         path.write_text(source)
-        loaded = load(path.stem, path)
+        loaded = load(f"budget.{path.stem}", path)
     return loaded.count
 
 

@@ -23,7 +23,8 @@ from rasters import hills, write_exr, write_raster
 LOADED = """
 import sys
 from pathlib import Path
-from adaptive_terrain.cbt_terrain import guard, launch
+from adaptive_terrain.cbt_terrain.importing import guard
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 guard.guard_import(ImportSettings(source=sys.argv[1]), Path(sys.argv[2]))

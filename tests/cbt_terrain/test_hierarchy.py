@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field import heightfield, hierarchy
-from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.field import hierarchy
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
 ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))
@@ -21,10 +21,13 @@ def bilinear(samples, x, y):
 
 
 def triangle_errors(samples, triangle, fine=4):
-    """Error of one triangle by what can be an extremum, and by dense sampling; and the heights that it covers."""
+    """Error of one triangle by what can be an extremum, and by dense sampling; and the heights that it covers.
+
+    A corner beyond the raster has the height of the nearest sample; nothing else counts there.
+    """
     left, apex, right = (np.array(p) / 2 for p in triangle)
-    corners = np.array([left, apex, right])
-    plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), bilinear(samples, corners[:, 0], corners[:, 1]))
+    corners, rim = np.array([left, apex, right]), np.array(samples.shape[::-1]) - 1
+    plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), bilinear(samples, *np.minimum(corners, rim).T))
 
     def distance(x, y):
         return bilinear(samples, x, y) - (plane[0] * x + plane[1] * y + plane[2])
@@ -35,7 +38,7 @@ def triangle_errors(samples, triangle, fine=4):
         uv = np.linalg.solve(
             np.column_stack([left - apex, right - apex]), np.array([x.ravel(), y.ravel()]) - apex[:, None]
         )
-        keep = (uv >= -1e-9).all(0) & (uv.sum(0) <= 1 + 1e-9)
+        keep = (uv >= -1e-9).all(0) & (uv.sum(0) <= 1 + 1e-9) & (x.ravel() <= rim[0]) & (y.ravel() <= rim[1])
         return x.ravel()[keep], y.ravel()[keep]
 
     exact = np.abs(distance(*inside(1.0))).max(initial=0.0)
@@ -44,15 +47,16 @@ def triangle_errors(samples, triangle, fine=4):
             cells = int(np.ceil(abs(a[0] - b[0])))
             ends = a + (b - a) * np.linspace(0, 1, cells + 1)[:, None]
             middles = (ends[1:] + ends[:-1]) / 2
+            within = (np.maximum(ends[1:], ends[:-1]) <= rim).all(1)
             e, m = distance(*ends.T), distance(*middles.T)
             quadratic = 2 * (e[1:] + e[:-1] - 2 * m)
             linear = e[1:] - e[:-1] - quadratic
             with np.errstate(all="ignore"):
                 t = np.nan_to_num(np.clip(-linear / (2 * quadratic), 0, 1))
-            exact = max(exact, np.abs(e[:-1] + linear * t + quadratic * t * t).max())
+            exact = max(exact, np.abs(e[:-1] + linear * t + quadratic * t * t)[within].max(initial=0.0))
     x, y = inside(1.0 / fine)
     heights = bilinear(samples, x, y)
-    return exact, np.abs(distance(x, y)).max(), heights.min(), heights.max()
+    return exact, np.abs(distance(x, y)).max(initial=0.0), heights.min(initial=np.inf), heights.max(initial=-np.inf)
 
 
 def brute(samples, columns, rows, levels):
@@ -83,10 +87,11 @@ def brute(samples, columns, rows, levels):
     return nodes, children, depth_of
 
 
-def saturated_twists(samples):
-    """T of each cell: the largest of all cells' twists, divided by four for each step of distance."""
+def saturated_twists(samples, lattice):
+    """T of each cell, padding included: the largest of all cells' twists, divided by four for each step of distance."""
     h = samples.astype(np.float64)
     twist = np.abs(h[1:, 1:] + h[:-1, :-1] - h[1:, :-1] - h[:-1, 1:])
+    twist = np.pad(twist, [(0, n - m) for n, m in zip(lattice.span[::-1], twist.shape, strict=True)])
     y, x = np.indices(twist.shape)
     return np.array(
         [
@@ -102,6 +107,13 @@ def saturate(own, children, cells):
         return max([own[v][0] if v not in cells else cells[v], *(value(c) for c in children[v])])
 
     return {v: value(v) for v in own}
+
+
+def is_beyond(lattice, vertex, depth):
+    """Whether no vertex that can come below a diamond, nor it itself, is inside the raster."""
+    side = 2 << (lattice.levels - (depth - 1) // 2)  # half samples: of the cell, or of the side
+    reach = 3 * side // 2 if depth % 2 else side
+    return vertex[0] - reach >= 2 * lattice.cells_x or vertex[1] - reach >= 2 * lattice.cells_y
 
 
 def index_of(lattice, vertex, depth):
@@ -136,30 +148,41 @@ def raster(kind, lattice, seed=1):
 
 
 LATTICES = [Lattice(1, 1, 3), Lattice(3, 2, 2), Lattice(5, 1, 1), Lattice(2, 3, 0)]
+LATTICES += [Lattice(1, 1, 3, cells_x=6, cells_y=5), Lattice(3, 2, 2, cells_x=9, cells_y=8), fit(4, 7)]
 KINDS = ["random", "spike", "checkerboard", "cliff", "plane", "constant", "saddle", "hill"]
 
 
-@pytest.mark.parametrize("lattice", LATTICES, ids=lambda k: f"{k.columns}x{k.rows}x2^{k.levels}")
+@pytest.mark.parametrize(
+    "lattice", LATTICES, ids=lambda k: f"{k.columns}x{k.rows}x2^{k.levels}-{k.cells_x}x{k.cells_y}"
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_errors_and_ranges_equal_brute_force(kind, lattice):
     samples = raster(kind, lattice)
     errors, ranges, quantised = compute(samples, lattice)
     errors = errors.astype(np.float64)
     own, children, depth_of = brute(samples, lattice.columns, lattice.rows, lattice.levels)
-    twist = saturated_twists(samples)
+    twist = saturated_twists(samples, lattice)
+    beyond = {v for v, d in depth_of.items() if is_beyond(lattice, v, d)}
     cells = {v: twist[v[1] // 2, v[0] // 2] / 4 for v, d in depth_of.items() if d == lattice.cell_depth}
+    cells |= {v: 0.0 for v in beyond if v in cells}
     wanted = saturate(own, children, cells)
     scale = np.abs(samples).max() * 1e-13
     for vertex, depth in depth_of.items():
+        if vertex in beyond:
+            assert wanted[vertex] == 0.0 and children[vertex] <= beyond
+            continue
         index = index_of(lattice, vertex, depth)
-        assert wanted[vertex] - scale <= errors[index] <= wanted[vertex] * (1 + 2.0**-22) + scale
+        assert (
+            index < lattice.node_count
+            and wanted[vertex] - scale <= errors[index] <= wanted[vertex] * (1 + 2.0**-22) + scale
+        )
         assert own[vertex][1] <= errors[index] + scale  # what dense sampling finds is within the bound
-        for child in children[vertex]:
+        for child in children[vertex] - beyond:
             inner = index_of(lattice, child, depth_of[child])
             assert errors[inner] <= errors[index]
             if depth < lattice.cell_depth - 1:
                 assert quantised[inner, 0] >= quantised[index, 0] and quantised[inner, 1] <= quantised[index, 1]
-        if depth < lattice.cell_depth:
+        if depth < lattice.cell_depth and own[vertex][2] <= own[vertex][3]:
             assert ranges[index, 0] <= own[vertex][2] and own[vertex][3] <= ranges[index, 1]
     if kind in ("plane", "constant"):
         assert not errors.any()
@@ -239,29 +262,6 @@ def check_nested(values, lattice, depth):
         return
     for corner in (own[:-1, :-1], own[:-1, 1:], own[1:, :-1], own[1:, 1:]):
         assert (np.isnan(corner) | (corner >= finer)).all()
-
-
-def test_what_resampling_moved_is_nested_local_and_complete():
-    rng = np.random.default_rng(4)
-    raster = np.zeros((40, 61), np.float32)
-    raster[30:, :20] = rng.standard_normal((10, 20)) * 100
-    field = heightfield.from_array(raster, 10.0)
-    lattice = field.lattice
-    for depth in range(1, lattice.cell_depth - 1):
-        check_nested(field.moved, lattice, depth)
-    j, i = np.indices(raster.shape)
-    x, y = i * (lattice.width - 1) / 60, j * (lattice.height - 1) / 39
-    change = np.abs(bilinear(field.samples, x, y) - raster)
-    cells = level(field.moved, lattice, lattice.cell_depth)
-    held = np.zeros_like(cells)
-    np.maximum.at(held, (y.astype(int).clip(0, len(cells) - 1), x.astype(int).clip(0, cells.shape[1] - 1)), change)
-    assert (cells >= held - 1e-9).all() and cells.max() == pytest.approx(change.max(), rel=1e-6)
-    assert field.moved[lattice.root_entries].max() == cells.max() and (cells[:, 60:] == 0).all()
-    # the last sides above the cells hold what all cells do that a diamond below them can touch
-    sides = level(field.moved, lattice, lattice.cell_depth - 1)
-    for y, x in np.argwhere(np.isfinite(sides)):
-        assert sides[y, x] == cells[max(y - 2, 0) : y + 2, max(x - 2, 0) : x + 2].max()
-    assert heightfield.from_array(raster[:33, :33], 10.0).moved is None
 
 
 def test_entries_of_no_diamond_are_zero():

@@ -103,7 +103,7 @@ def test_other_threads_are_left_alone():
 
 STUCK = """
 import os, sys, time
-from adaptive_terrain.cbt_terrain import stopping
+from adaptive_terrain.cbt_terrain.run import stopping
 stopping.GRACE_SECONDS = float(sys.argv[1])
 with stopping.listening():
     print("here", flush=True)

@@ -18,7 +18,8 @@ def with_kernels(folder: Path) -> set[str]:
     return {path.stem for path in folder.glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
 
 
-OF_A_FRAME, OF_THE_OVERLAY = with_kernels(ROOT / "kernels"), with_kernels(ROOT / "kernels" / "accuracy")
+OF_A_FRAME = set().union(*(with_kernels(ROOT / "kernels" / room) for room in ("field", "refine", "budget", "mesh")))
+OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
 # Prepares under the name that an extension has, and tells what it compiled itself.
 PREPARE = """
 import importlib.util, json, os, sys, time, types

@@ -27,7 +27,10 @@ GUARD_S, STOP_S = 240, 30
 PROGRAM = """
 import os, sys
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-from adaptive_terrain.operators import accuracy_subject, demo, frame_sources, verbs
+from adaptive_terrain.operators.report import accuracy_subject
+from adaptive_terrain.operators.demo import demo
+from adaptive_terrain.operators.output import frame_sources
+from adaptive_terrain.operators.cli import verbs
 few = [Setting("px", 4.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0, interpolation="bicubic")]
 accuracy_subject.settings_for = lambda heights, frame: few
 demo.SIZE, demo.FRAMES, demo.PICTURE_FRAMES, demo.LEVELS_FRAME = 129, range(1, 4), (1,), 2

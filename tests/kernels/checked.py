@@ -52,11 +52,6 @@ def number_at(a: wp.array(dtype=wp.int32), i: wp.int32) -> wp.int32:
 
 
 @wp.func
-def limits_at(a: wp.array(dtype=wp.vec3d), i: wp.int32) -> wp.vec3d:
-    return a[i]
-
-
-@wp.func
 def entry_at(a: wp.array(dtype=wp.int64), i: wp.int32) -> wp.int64:
     return a[i]
 
@@ -157,32 +152,6 @@ def place_legs(
 
 
 @wp.func
-def put_eight(
-    table: wp.array(dtype=wp.uint16),
-    first: wp.int32,
-    flip: wp.uint16,
-    more: wp.uint16,
-    out: wp.array(dtype=wp.uint16),
-    at: wp.int64,
-):
-    for k in range(8):
-        out[at + wp.int64(k)] = (table[first + wp.int32(k)] ^ flip) + more
-
-
-@wp.func
-def place_eight(
-    legs: wp.array(dtype=wp.vec2i),
-    first: wp.int32,
-    apex: wp.vec2i,
-    left: wp.vec2i,
-    right: wp.vec2i,
-    out: wp.array(dtype=wp.vec2i),
-    at: wp.int64,
-):
-    place_legs(legs, first, 8, apex, left, right, 2, out, at)
-
-
-@wp.func
 def copy_points(
     points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
 ):
@@ -215,18 +184,6 @@ def put_cell(a: wp.array(dtype=wp.int64), i: wp.int64, value: wp.uint64):
 def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64):
     for k in range(count):
         cells[at + wp.int64(k)] = wp.int64(first + wp.uint64(k) * step)
-
-
-@wp.func
-def place_starts(
-    cells: wp.array(dtype=wp.int64), at: wp.int64, first: wp.uint64, size_bits: wp.int32, starts: wp.int32
-):
-    n = wp.int64(0)
-    k = wp.int32(0)
-    while k < 8:
-        cells[at + n] = wp.int64(first + ((wp.uint64(k) << wp.uint64(size_bits)) >> wp.uint64(3)))
-        n += wp.int64((starts >> k) & 1)
-        k += 1
 
 
 @wp.func

@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from .criterion import Diamond, LocalView
-from .domain import Domain
+from .diamond import Diamond, LocalView
+from ..field.domain import Domain
 from .framed import heights_between, least_depth
 
 wp.set_module_options({"enable_backward": False})

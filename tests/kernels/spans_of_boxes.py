@@ -4,7 +4,7 @@
 import warp as wp
 
 from .coherence import Motion, Subtree, span_change
-from .criterion import Asked, Diamond, LocalView, finest_in
+from .diamond import Asked, Diamond, LocalView, finest_in
 
 wp.set_module_options({"enable_backward": False})
 

@@ -160,7 +160,7 @@ def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
 
 @pytest.fixture
 def spans_kernel():
-    return load("spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
+    return load("refine.spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
 
 
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])

@@ -18,7 +18,7 @@ from twins import load
 
 @pytest.fixture(scope="module")
 def kernels():
-    return load("framed_boxes", Path(__file__).with_name("framed_boxes.py"))
+    return load("refine.framed_boxes", Path(__file__).with_name("framed_boxes.py"))
 
 
 def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):

@@ -85,7 +85,7 @@ def updated(field, criterion: Criterion, views: list[View], scale: float) -> tup
 @pytest.fixture
 def measuring_all(tmp_path):
     """kernels/refine/walk.py with margins so wide that nothing is certain, and without any memory."""
-    source = (Path(kernels.__file__).parent / "refine.py").read_text()
+    source = (Path(kernels.__file__).parent / "refine" / "walk.py").read_text()
     limits, met = "limits = limits_of(asked, w.slack)", "if met.x == x and met.y == y and met.mark == mark:"
     wide = [("below", 0.0), ("finer", 0.0), ("coarser", 1e300), ("metres_below", 0.0), ("metres_above", 1e300)]
     lines = [limits, *(f"limits.{name} = wp.float64({value})" for name, value in wide)]
@@ -100,7 +100,7 @@ def measuring_all(tmp_path):
         source = source.replace(here, there)
     path = tmp_path / "refine_measuring_all.py"
     path.write_text(source)
-    return load(path.stem, path)
+    return load(f"refine.{path.stem}", path)
 
 
 @pytest.mark.parametrize("kind", ["flat", "smooth", "noise", "cliffs", "plane"])

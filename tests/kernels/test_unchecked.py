@@ -16,7 +16,7 @@ from fields import rough
 from invariants import arrays
 from twins import load
 
-KERNELS = Path(kernels.__file__).parent
+KERNELS = Path(kernels.__file__).parent / "mesh"
 VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
 
 
@@ -27,10 +27,10 @@ def in_warp_alone(tmp_path, monkeypatch):
     twins = {}
     for name in ("weld", "displace", "meshlet"):
         source = (KERNELS / f"{name}.py").read_text()
-        assert source.count("from .unchecked import ") == 1
+        assert source.count("from ..unchecked import ") == 1
         path = tmp_path / f"{name}_checked.py"
-        path.write_text(source.replace("from .unchecked import ", "from .checked import "))
-        twins[name] = load(path.stem, path)
+        path.write_text(source.replace("from ..unchecked import ", "from ..checked import "))
+        twins[name] = load(f"mesh.{path.stem}", path)
         monkeypatch.setattr(surface, f"{name}_kernels", twins[name])
     monkeypatch.setattr(meshlet_template, "Template", twins["meshlet"].Template)
     meshlet_template.template.cache_clear()
@@ -64,7 +64,6 @@ def walked(module) -> list[bytes]:
         (wp.float32, np.float32, ()),
         (wp.vec2i, np.int32, (2,)),
         (wp.vec4i, np.int32, (4,)),
-        (wp.vec3d, np.float64, (3,)),
     ):
         values = rng.integers(0, 1000, (6 * count, *columns)).astype(scalar)
         made.append(wp.array(values, dtype=dtype, device="cpu"))
@@ -78,10 +77,10 @@ def test_snippets_of_the_walk_write_the_bytes_of_plain_warp(tmp_path):
     load("checked", Path(__file__).with_name("checked.py"))
     source = Path(__file__).with_name("walk_snippets.py")
     text = source.read_text()
-    assert text.count("from .unchecked import ") == 1
+    assert text.count("from ..unchecked import ") == 1
     path = tmp_path / "walk_snippets_checked.py"
-    path.write_text(text.replace("from .unchecked import ", "from .checked import "))
-    assert walked(load("walk_snippets", source)) == walked(load(path.stem, path))
+    path.write_text(text.replace("from ..unchecked import ", "from ..checked import "))
+    assert walked(load("refine.walk_snippets", source)) == walked(load(f"refine.{path.stem}", path))
 
 
 def test_snippets_write_the_bytes_of_plain_warp(request, monkeypatch):

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from .unchecked import (
+from ..unchecked import (
     code_at,
     copy_cells,
     copy_codes,
@@ -12,18 +12,14 @@ from .unchecked import (
     count_same,
     entry_at,
     height_at,
-    limits_at,
     number_at,
     number_cells,
     pair_at,
-    place_eight,
     place_legs,
-    place_starts,
     put,
     put_cell,
     put_code,
     put_corners,
-    put_eight,
     put_pair,
 )
 
@@ -39,7 +35,6 @@ def pass_all(
     heights: wp.array(dtype=wp.float32),
     pairs: wp.array(dtype=wp.vec2i),
     corners: wp.array(dtype=wp.vec4i),
-    limits: wp.array(dtype=wp.vec3d),
 ):
     """Write entries 2 * count .. 3 * count - 1 of every array one by one from those before, then further ones in rows.
 
@@ -52,17 +47,11 @@ def pass_all(
         put_cell(entries, to, wp.uint64(entry_at(entries, k) + wp.int64(number_at(numbers, k + 1))))
         heights[2 * count + k] = height_at(heights, wp.int64(k)) * wp.float32(k)
         put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
-        limits[2 * count + k] = limits_at(limits, k) * wp.float64(0.5)
         put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
     number_cells(entries, row, count, wp.uint64(11), wp.uint64(1) << wp.uint64(33))
-    row = wp.int64(4 * count + 4)
-    put_eight(codes, 3, wp.uint16(8), wp.uint16(5 << 9), codes, row)
-    place_eight(pairs, 5, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), pairs, row)
-    for k in range(count / 8):  # leaves that begin with eighths 0, 2, 3 and 6 of 2^k cells
-        place_starts(entries, row + wp.int64(4 * k), wp.uint64(640 * k), k, 0x4D)
     row = wp.int64(5 * count)
     first = wp.int64(2)
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)

@@ -141,7 +141,7 @@ def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, ca
 
 LATE = """
 import os, signal, sys, time
-from adaptive_terrain.operators import command_line, verbs
+from adaptive_terrain.operators.cli import command_line, verbs
 def late(*_):
     signal.raise_signal(number)
     time.sleep(0.1)

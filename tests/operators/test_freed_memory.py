@@ -19,7 +19,7 @@ SCRIPT = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
 import freed
-from adaptive_terrain.operators import freed_memory
+from adaptive_terrain.operators.mesh import freed_memory
 print(json.dumps(freed.measured(freed_memory)))
 """
 

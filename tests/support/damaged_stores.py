@@ -20,7 +20,7 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.run import buffers, launch
@@ -30,7 +30,7 @@ from guarded_flights import guarded
 from invariants import assert_invariants
 from mutants import mutate
 
-SHAPES = (65, 65), (45, 70), (33, 97)  # one square; one that does not fit its lattice, of many squares; three squares
+SHAPES = (65, 65), (45, 70), (33, 97)  # one square; one that does not fit its lattice; three squares
 CRITERIA = (
     Criterion(error_px=1.0, max_depth=15),
     Criterion(error_px=3.0, max_triangles=3000),
@@ -69,7 +69,7 @@ def whole_stores(folder: Path) -> list[Path]:
 
 
 def lattice_of(store: Path) -> Lattice:
-    return Lattice(**json.loads((store / "store.json").read_text())["lattice"])
+    return fit(**json.loads((store / "store.json").read_text())["lattice"])
 
 
 def said(error: TerrainError) -> str:

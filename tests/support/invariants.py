@@ -16,7 +16,8 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     for array in (positions, surface.normals, surface.uv):
         assert np.isfinite(array).all()
     assert np.abs(np.linalg.norm(surface.normals.astype(np.float64), axis=1) - 1).max() < 1e-6
-    assert surface.uv.min() >= 0 and surface.uv.max() <= 1
+    beyond = np.array(lattice.span) / (lattice.cells_x, lattice.cells_y)  # what the squares reach beyond the raster
+    assert surface.uv.min() >= 0 and (surface.uv <= beyond.astype(np.float32)).all()
 
     # indices in range, every vertex used
     assert corners.min() == 0 and corners.max() == count_v - 1 and np.bincount(corners.ravel()).min() > 0
@@ -34,7 +35,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert uses.min() == 1 and uses.max() <= 2
     plane = positions[:, :2].astype(np.float64)
     low, high = plane.min(axis=0), plane.max(axis=0)
-    size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y], np.float64)
+    size = np.array(lattice.span, np.float64) * (lattice.step_x, lattice.step_y)
     assert np.allclose(high - low, size, rtol=1e-6)
     border = plane[edges[uses == 1]]
     assert (((border == low) | (border == high)).all(axis=1)).any(axis=1).all()

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Leaves as a walk writes them: a word and a cell each, a point for each new vertex. What does not fit is only
+counted."""
+
+import warp as wp
+
+from ..unchecked import number_cells, put_cell, put_code, put_pair
+from .band import EVEN_BLOCK, LEAF, TAKEN
+from .block import new_vertices, write_block
+from .curve import (
+    BORDER,
+    CORNER,
+    FIRST,
+    INNER,
+    LAST,
+    TAKE_BELOW,
+    TAKE_LEFT,
+    TO_CORNER,
+    border_role,
+    end_of_entry,
+    leaf_word,
+    third_edge,
+    touches_border,
+)
+from .diamond import Domain
+from .steps import size_of
+from .walk_state import Cursor, Square, Walk, Written
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
+    """Count an edge on a side of a square: taken left, below, given right, above."""
+    entry = 4 * (w.slot * domain.columns * domain.rows + q.number) + side
+    w.sides[entry] = w.sides[entry] + 1
+
+
+@wp.func
+def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
+    """The edge through which the curve enters a square, at its first leaf: flags, new vertices and edges."""
+    flags = wp.uint32(1) << wp.uint32(FIRST)
+    vertices = wp.int32(0)
+    edges = wp.int32(0)
+    ahead = end_of_entry(c.state, c.apex, c.right)
+    if q.column > 0:
+        count_side(domain, w, q, 0)
+    else:
+        edges = 1
+        vertices = 2
+        if q.row > 0 and ahead[1] == q.corner[1]:
+            flags = flags | (wp.uint32(1) << wp.uint32(CORNER))
+            vertices = 1
+        if n.leaves < w.leaf_capacity:
+            w.point[w.leaf_base + n.vertices] = c.left
+            w.point[w.leaf_base + n.vertices + wp.int64(1)] = ahead  # stays only if it is new
+    return flags, vertices, edges
+
+
+@wp.func
+def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
+    """Write a leaf's word and cell and the vertices that are new with it; returns how many, and new edges."""
+    code = leaf_word(c.state, c.depth)
+    vertices = wp.int32(0)
+    edges = wp.int32(1)  # that through which the curve leaves
+    if c.cell == wp.uint64(0):
+        flags, entry_vertices, entry_edges = emit_entry(domain, w, q, c, n)
+        code = code | flags
+        vertices = entry_vertices
+        edges += entry_edges
+    known, new = third_edge(c.state, c.left, c.apex, c.right)
+    if n.leaves < w.leaf_capacity:
+        put_pair(w.point, w.leaf_base + n.vertices + wp.int64(vertices), new)  # stays only if it is new
+    new_edge = 1 - (c.state & 1)
+    new_vertex = new_edge
+    if w.grid == 1 and new_edge == 1:
+        role = border_role(known, new, q.corner, q.side, q.column, q.row, domain.columns, domain.rows)
+        code = code | (wp.uint32(role) << wp.uint32(BORDER))
+        if role != INNER and role != TO_CORNER:
+            count_side(domain, w, q, role - 1)
+        if role == TAKE_LEFT or role == TAKE_BELOW:
+            new_edge = 0
+            new_vertex = 0
+        if role == TO_CORNER:
+            new_vertex = 0
+    if c.cell + size_of(w, c.depth) == size_of(w, 0):
+        code = code | (wp.uint32(1) << wp.uint32(LAST))
+        if q.row < domain.rows - 1:
+            count_side(domain, w, q, 3)
+    if n.leaves < w.leaf_capacity:
+        put_cell(w.cell, w.leaf_base + n.leaves, q.base + c.cell)
+        put_code(w.code, w.leaf_base + n.leaves, wp.uint16(code))
+    return vertices + new_vertex, edges + new_edge
+
+
+@wp.func
+def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
+    """Whether all leaves below a triangle are in this slice, and none bears a flag of its square or a role on its
+    border."""
+    end = c.cell + size_of(w, c.depth)
+    inside = c.cell > wp.uint64(0) and end < size_of(w, 0) and c.cell >= q.start and q.base + end <= w.end_cell
+    return inside and (w.grid == 0 or not touches_border(c.left, c.apex, c.right, q.corner, q.side))
+
+
+@wp.func
+def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp.int32:
+    """Write the leaves of a triangle that are all of one depth, from the table; returns how many vertices are new."""
+    bisections = depth - c.depth
+    leaves = 1 << bisections
+    if n.leaves + wp.int64(leaves) <= w.leaf_capacity:
+        word = wp.uint16(leaf_word(0, depth))
+        leaf = w.leaf_base + n.leaves
+        vertex = w.leaf_base + n.vertices
+        write_block(w.blocks, c.state, bisections, c.left, c.apex, c.right, word, w.code, leaf, w.point, vertex)
+        number_cells(w.cell, leaf, leaves, q.base + c.cell, size_of(w, depth))
+    return new_vertices(w.blocks, c.state, bisections)
+
+
+@wp.func
+def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
+    """Write what is final of a triangle, and count it; what is taken is written already."""
+    leaves = wp.int32(0)
+    vertices = wp.int32(0)
+    edges = wp.int32(0)
+    if verdict == LEAF:
+        if c.cell >= q.start:
+            leaves = 1
+            vertices, edges = emit_leaf(domain, w, q, c, n)
+    elif verdict == EVEN_BLOCK:
+        depth = w.bands[c.held].even_depth
+        leaves = 1 << (depth - c.depth)
+        vertices = emit_block(w, q, c, n, depth)
+        edges = leaves + vertices
+    elif verdict == TAKEN:
+        sizes = w.keeper[w.slot].sizes
+        leaves = sizes[0]
+        vertices = sizes[1]
+        edges = sizes[2]
+    n.leaves = n.leaves + wp.int64(leaves)
+    n.vertices = n.vertices + wp.int64(vertices)
+    n.edges = n.edges + wp.int64(edges)
+    return n

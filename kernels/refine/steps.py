@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The steps of a walk along the curve: into a square, down to a triangle's children, on to the next triangle."""
+
+import warp as wp
+
+from ..field.domain import Domain
+from ..unchecked import corners_at, number_at, put, put_corners
+from .band import SPLIT, nothing_certain
+from .curve import HYP_LEG, LEG_HYP, left_state, right_state
+from .walk_state import STACK, Cursor, Square, Walk, Written
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
+    """A root square, and where in it the slice begins."""
+    q = Square()
+    q.number = number
+    q.row = number / domain.columns
+    q.column = number - q.row * domain.columns
+    q.corner = wp.vec2i(q.column << domain.unit_bits, q.row << domain.unit_bits)
+    q.side = wp.int32(1) << domain.unit_bits
+    q.base = wp.uint64(number) << wp.uint64(w.cell_bits)
+    if w.first_cell > q.base:
+        q.start = w.first_cell - q.base
+    return q
+
+
+@wp.func
+def enter(w: Walk, q: Square) -> Cursor:
+    """The first of a square's two halves, the other put aside; nothing is certain of either."""
+    place = w.slot * STACK
+    x0 = q.corner[0]
+    y0 = q.corner[1]
+    c = Cursor()
+    c.left = wp.vec2i(x0, y0 + q.side)
+    c.apex = q.corner
+    c.right = wp.vec2i(x0 + q.side, y0)
+    c.state = LEG_HYP
+    c.depth = 1
+    c.held = place
+    c.top = 1
+    w.stack[place] = wp.vec4i(x0 + q.side, y0 + q.side, x0, y0 + q.side)
+    w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
+    w.bands[place] = nothing_certain()
+    return c
+
+
+@wp.func
+def size_of(w: Walk, depth: wp.int32) -> wp.uint64:
+    """Deepest cells of a triangle."""
+    return wp.uint64(1) << wp.uint64(w.cell_bits - depth)
+
+
+@wp.func
+def middle_of(c: Cursor) -> wp.vec2i:
+    """The vertex at which a triangle's diamond is split: the middle of its longest edge."""
+    return wp.vec2i((c.left[0] + c.right[0]) >> 1, (c.left[1] + c.right[1]) >> 1)
+
+
+@wp.func
+def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
+    """On along the curve: of a triangle that is split to its first child, the second put aside (on the way to the
+    slice's first cell perhaps to the second); else to the next triangle that was put aside.
+
+    Fields are assigned one by one: what is assigned whole in a branch, Warp copies after it, taken or not.
+    """
+    if verdict == SPLIT:
+        middle = middle_of(c)
+        c.depth = c.depth + 1
+        half = size_of(w, c.depth)
+        if c.cell + half > q.start:
+            place = w.slot * STACK + c.top
+            put_corners(w.stack, place, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
+            put(w.aside, wp.int64(place), right_state(c.state, c.cell) | (c.depth << 3) | (c.held << 9))
+            c.top = c.top + 1
+            c.state = left_state(c.state)
+            c.right = c.apex
+        else:
+            c.state = right_state(c.state, c.cell)
+            c.left = c.apex
+            c.cell = c.cell + half
+        c.apex = middle
+    else:
+        c.cell = c.cell + size_of(w, c.depth)
+        c.top = wp.where(q.base + c.cell >= w.end_cell, -1, c.top - 1)
+        if c.top >= 0:
+            at = w.slot * STACK + c.top
+            c.left = c.right
+            corners = corners_at(w.stack, at)
+            c.apex = wp.vec2i(corners[0], corners[1])
+            c.right = wp.vec2i(corners[2], corners[3])
+            put_aside = number_at(w.aside, at)
+            c.state = put_aside & 7
+            c.depth = (put_aside >> 3) & 63
+            c.held = put_aside >> 9
+    return c
+
+
+@wp.func
+def put_results(w: Walk, n: Written):
+    """How much the slice has written, kept and taken, and whether a leaf was stopped."""
+    w.counts[4 * w.slot] = n.leaves
+    w.counts[4 * w.slot + 1] = n.vertices
+    w.counts[4 * w.slot + 2] = n.edges
+    w.counts[4 * w.slot + 3] = wp.int64(w.keeper[w.slot].stopped)
+    w.kept_counts[w.slot] = w.keeper[w.slot].count
+    w.taken[w.slot] = w.keeper[w.slot].taken
+    w.run_counts[w.slot] = w.keeper[w.slot].runs
+    w.point_run_counts[w.slot] = w.keeper[w.slot].point_runs

@@ -40,9 +40,9 @@ class Update:
     """What one update did. Bounds are None where nothing was asked of them.
 
     `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
-    (1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere. Both include what
-    resampling at import has moved, what float32 positions are off and what the source had rounded: they hold for the
-    heights that it was made of, too. `terms_px` and `terms_m` divide them.
+    (1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere. Both include what float32
+    positions are off and what the source had rounded: they hold for the heights that it was made of, too. `terms_px`
+    and `terms_m` divide them.
     `bound_edge_px`, `bound_area_px`: longest edge, largest triangle, also of float32 corners. `relaxed`: the factor by
     which a triangle limit coarsened what was asked. `limited`: what kept a bound above what was asked: "",
     "max_triangles", "max_depth", or of what cannot be refined away the first that is too much on top of those before
@@ -228,14 +228,13 @@ def _stretch(lengths: tuple[float, float], unit_bits: int, depth: int, off: floa
 def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped: bool, relaxed: float, seen: bool):
     """What leaves that nothing stopped hold: what was asked, times what a triangle limit relaxed."""
     scale = domain.error_scale
-    moved = field.resample_max * scale
-    within = (field.max_height - field.min_height) * scale + moved + domain.rounding + domain.source
+    within = (field.max_height - field.min_height) * scale + domain.rounding + domain.source
     free = stopped or not criterion.error_m
-    bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, moved, domain))
+    bound_m = within if free else min(within, _reached(criterion.error_m * relaxed, domain))
     bound_px = LARGEST if stopped or not criterion.error_px else criterion.error_px * relaxed
     edge_px = criterion.edge_px or math.sqrt(8 * criterion.area_px)
     area_px = criterion.area_px or 0.5 * criterion.edge_px**2
-    rest = 0.0, moved, domain.rounding, domain.source
+    rest = 0.0, 0.0, domain.rounding, domain.source
     parts = max(bound_m - sum(rest), 0.0), *rest[1:]
     return {
         "bound_px": bound_px if seen else None,
@@ -248,9 +247,9 @@ def _contract(criterion: Criterion, domain: Domain, field: HeightField, stopped:
     }
 
 
-def _reached(asked: float, moved: float, domain: Domain) -> float:
+def _reached(asked: float, domain: Domain) -> float:
     """Metres of error that an error asked for in metres ends with, by how `metres2_of` weighs it."""
-    rest = moved + domain.rounding + domain.source
+    rest = domain.rounding + domain.source
     return max(asked, 0.25 * asked + rest, 0.8 * asked + domain.source) * (1 + MARGIN)
 
 

@@ -110,7 +110,6 @@ def make_domain(
     domain.error_scale, domain.rounding = abs(height_scale), rounding
     domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
-    domain.moved = shared(np.zeros(1, np.float32), wp.float32)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)

@@ -29,7 +29,6 @@ class Domain:
     error_scale: wp.float64  # magnitude of height_scale
     rounding: wp.float64  # metres: what float32 positions may be off
     source: wp.float64  # metres: what the source's own heights may be off
-    resampled: wp.int32  # 1: `moved` holds what resampling at import has moved
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
@@ -40,6 +39,5 @@ class Domain:
     bend_base: wp.int64  # of what errors below the cells begin with: of a bilinear surface the cells' own
     largest_error: wp.float32  # no error is larger, whatever the store has
     error: wp.array(dtype=wp.float32)
-    moved: wp.array(dtype=wp.float32)  # as `error`; of the raster's cells what they hold themselves
     ranges: wp.array(dtype=wp.uint16)  # of a bicubic surface those of the cells follow
     samples: wp.array(dtype=wp.float32)

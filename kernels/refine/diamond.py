@@ -18,7 +18,6 @@ PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)
 MAX_PLANES = wp.constant(6)
-LARGEST = wp.constant(wp.float32(3e38))
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
 
@@ -259,48 +258,25 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def moved_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Metres, before scaling, that resampling moved the raster's samples below the diamond split at (x, y).
-
-    Below the raster's cells: in the cells that the diamond's box touches; boxes are nested, and so is this.
-    """
-    moved = wp.float32(0.0)
-    if domain.resampled == 1:
-        if depth <= 2 * domain.levels:
-            moved = sound(height_at(domain.moved, place(domain, x, y, depth)), LARGEST)
-        else:
-            reach = reach_of(domain.unit_bits, depth)
-            bits = domain.unit_bits - domain.levels
-            i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
-            j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
-            for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
-                for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
-                    cell = height_at(domain.moved, domain.cell_base + tile_index(i, j, domain.cell_pages))
-                    moved = wp.where(cell > moved, sound(cell, LARGEST), moved)
-    return moved
-
-
-@wp.func
-def metres2_of(domain: Domain, error: wp.float32, moved: wp.float32) -> wp.float64:
+def metres2_of(domain: Domain, error: wp.float32) -> wp.float64:
     """Squared metres of height that an error stands for, as the criterion weighs it.
 
-    All error is the diamond's own, what resampling moved, what rounding to float32 adds and what the source had
-    rounded. Only the first can be refined away. Where the second and third come near what was asked, which is here and
-    there, the weighed error asks for a quarter of that from the first, and no more; where the source's rounding does,
-    which is the same everywhere, for four fifths.
+    All error is the diamond's own, what rounding to float32 adds and what the source had rounded. Only the first can be
+    refined away. Where the second comes near what was asked, the weighed error asks for a quarter of that from the
+    first, and no more; where the source's rounding does, for four fifths.
     """
     e = wp.float64(error)
-    rest = (e + wp.float64(moved)) * domain.error_scale + domain.rounding
+    rest = e * domain.error_scale + domain.rounding
     own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
     weighed = smaller(own + domain.source, wp.float64(1.25) * own)
     return weighed * weighed
 
 
 @wp.func
-def own_for(metres: wp.float64, rest: wp.float64, source: wp.float64) -> wp.float64:
-    """The own error, metres, that `metres2_of` weighs as so many metres; `rest`: what moved and what rounding adds."""
-    left = larger(metres - source, wp.float64(0.8) * metres)
-    return larger(left - rest, wp.float64(0.25) * left)
+def own_for(domain: Domain, metres: wp.float64) -> wp.float64:
+    """The own error, metres, that `metres2_of` weighs as so many metres."""
+    left = larger(metres - domain.source, wp.float64(0.8) * metres)
+    return larger(left - domain.rounding, wp.float64(0.25) * left)
 
 
 @wp.func

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.accuracy import outline as kernels
+from ..ask.linear import length
 from ..run import launch
 from ..run.buffers import shared
 from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
@@ -30,7 +31,7 @@ class _Rays:
 
     def __init__(self, sight: Sight, mesh: MeasuredMesh, positions: np.ndarray):
         low, high = (reduce(positions, axis=0).astype(np.float64) for reduce in (np.min, np.max))
-        pad = PAD * float(np.linalg.norm(high - low)) + 1e-6 * float(np.abs(positions).max())
+        pad = PAD * length(high - low) + 1e-6 * float(np.abs(positions).max())
         lows, highs = (np.zeros((mesh.triangles, 3), np.float32) for _ in range(2))
         inputs = [mesh.packed, np.float32(pad), shared(lows, wp.vec3f), shared(highs, wp.vec3f)]
         launch.spread(kernels.triangle_boxes, mesh.triangles, inputs, step="measure", threads=mesh.ground.threads)

@@ -21,7 +21,8 @@ import warp as wp
 
 from ...kernels.accuracy import rays as ray_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View, inverse
+from ..ask.linear import inverse, length, lengths, product
+from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import shared
@@ -88,7 +89,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
     to_terrain[:2, 3] = g.west, g.south
-    matrix = view.world_to_camera @ np.asarray(placement, np.float64) @ to_terrain
+    matrix = product(product(view.world_to_camera, placement), to_terrain)
     try:
         back = inverse(matrix)
     except np.linalg.LinAlgError:
@@ -104,7 +105,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
     e.start, e.end = start, view.clip[1] if culls else np.inf
     # The same depth as in criterion.localise.
-    e.near = max(start / 2, 1e-9 * float(np.linalg.norm(np.linalg.norm(matrix[:3, :3], axis=0) * size)), 1e-150)
+    e.near = max(start / 2, 1e-9 * length(lengths(matrix[:3, :3]) * size), 1e-150)
     e.eye, e.toward = back[:3, 3], back[:3, 2]
     e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))
     origin = np.c_[back[:3, 3], np.zeros((3, 2))]
@@ -118,7 +119,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     sign = -1.0 if view.kind == ORTHOGRAPHIC else 1.0
     # A place (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
     to_camera = np.array([[sign * p[0, at] / p[0, 0], 1 / p[0, 0], 0], [sign * p[1, at] / p[1, 1], 0, 1 / p[1, 1]]])
-    rows = back[:3, :2] @ to_camera
+    rows = product(back[:3, :2], to_camera)
     ahead = np.c_[-back[:3, 2], np.zeros((3, 2))]
     if view.kind == ORTHOGRAPHIC:
         e.origin, e.direction = origin + rows, ahead

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..ask.criterion import Criterion
+from ..ask.linear import length
 from ..ask.view import View
 from ..mesh.surface import Surface
 from ..terrain import Terrain
@@ -81,4 +82,4 @@ def _moved(view: View, metres: float) -> View:
 
 def _stretch(placement: np.ndarray | None) -> float:
     """World metres of a metre of the terrain's plane."""
-    return 1.0 if placement is None else float(np.linalg.norm(np.asarray(placement)[:3, 0]))
+    return 1.0 if placement is None else length(np.asarray(placement)[:3, 0])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import TerrainError
+from .linear import length, product
 
 PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC = "PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"
 KINDS = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)
@@ -101,19 +102,19 @@ class View:
             raise TerrainError(f"The field of view is {fov_deg} degrees; expected more than 1e-7 and less than 180.")
         eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         back = eye - target
-        length = np.linalg.norm(back)
-        if not length > 0:
+        distance = length(back)
+        if not distance > 0:
             raise TerrainError(f"The view's eye and target are both {tuple(eye)}; expected two different points.")
-        back /= length
+        back /= distance
         up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999999 else np.array([0.0, 1.0, 0.0])
         right = np.cross(up, back)
-        right /= np.linalg.norm(right)
+        right /= length(right)
         up = np.cross(back, right)
         turn = math.radians(roll_deg)
         right, up = math.cos(turn) * right + math.sin(turn) * up, math.cos(turn) * up - math.sin(turn) * right
         matrix = np.eye(4)
         matrix[:3, :3] = right, up, back
-        matrix[:3, 3] = -matrix[:3, :3] @ eye
+        matrix[:3, 3] = -product(matrix[:3, :3], eye)
         width, height = resolution
         if kind == PANORAMIC:
             return cls(matrix, None, resolution, kind, clip, radians_per_pixel=math.radians(fov_deg) / width)
@@ -130,16 +131,6 @@ class View:
             projection[0, 0], projection[1, 1] = 2 / ortho_width * larger / width, 2 / ortho_width * larger / height
             projection[2, 2:], projection[3, 3] = (2 / (start - end), (start + end) / (start - end)), 1.0
         return cls(matrix, projection, resolution, kind, clip)
-
-
-def inverse(matrix: np.ndarray) -> np.ndarray:
-    """The inverse of a float64 [n, n] matrix. Raises numpy's LinAlgError where there is none.
-
-    Column by column: `np.linalg.inv` of numpy 1 has OpenBLAS wake a thread for all of them together, which then spins
-    for a tenth of a second on a core that the kernels need.
-    """
-    size = len(matrix)
-    return np.linalg.solve(np.broadcast_to(matrix, (size, size, size)), np.eye(size)[:, :, None])[:, :, 0].T
 
 
 def _check_resolution(resolution: tuple[float, float]) -> None:

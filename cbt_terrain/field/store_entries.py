@@ -75,6 +75,7 @@ _ENTRIES = {
     "key": (_is_text, "a text"),
     "crs": (_is_text, "a text"),
     "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
+    "holes": (lambda value: type(value) is bool, "true or false"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,

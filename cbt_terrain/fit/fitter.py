@@ -87,7 +87,8 @@ class Fitter:
         if not self.scale:
             return None
         field, buffers = self.field, Buffers()
-        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
+        refinement = Refinement(field, buffers, self.threads)
+        builder = SurfaceBuilder(field, buffers, self.threads, whole=True)
         errors = field.error * np.float32(1.0 / START)
         domain = make_domain(replace(field, error=errors, expanded={}), 0, *self.placement)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
@@ -163,7 +164,7 @@ class Fitter:
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         shift = self._sideways(float(steeper.max())) + self._rounded()
-        parts = float(worst.max()), 0.0, shift, self.source
+        parts = float(worst.max()), shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
         if sum(parts) <= self.within(error_m):
             bound = min(bound, self.within(error_m))

@@ -15,6 +15,7 @@ from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField
+from ..field.holes import longest_edge
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
@@ -24,6 +25,7 @@ from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
 from .block_tables import blocks
 from .budget import Budget, Found, limit_of
 from .drift import MOST_DRIFT, Walked, move
+from .terms import Rounding
 
 # Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
 PLANE_BITS = 23
@@ -31,6 +33,10 @@ PLANE_BITS = 23
 MAX_TREE_DEPTH = curve.DEEPEST
 # No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
 LARGEST_ERROR = 1000.0
+# An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
+# a bound a fifth smaller.
+ENOUGH = 0.25
+EXACT = Rounding()
 # Beyond all coordinates.
 NO_RIM = 2**31 - 1
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
@@ -90,11 +96,11 @@ def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
 
 
 def make_domain(
-    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: float = 0.0
+    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding = EXACT
 ) -> Domain:
     """The height field as the kernels read it; memory is shared, nothing is read.
 
-    rounding: metres that positions may be off, see `terms.rounding`.
+    rounding: what float32 positions do, see `terms.rounding`.
     """
     lattice = field.lattice
     domain = Domain()
@@ -107,9 +113,11 @@ def make_domain(
     domain.east, domain.north = rim(lattice, domain.unit_bits)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
-    domain.error_scale, domain.rounding = abs(height_scale), rounding
+    domain.error_scale = abs(height_scale)
+    domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
     domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
+    domain.enough = ENOUGH * (domain.rounding + domain.source)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
@@ -125,7 +133,8 @@ def make_domain(
 def _largest_error(field: HeightField) -> float:
     """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
     rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
-    return min(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, 1e38)
+    at_holes = 0.0 if field.valid is None else longest_edge(field.lattice, 1)
+    return min(max(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, at_holes), 1e38)
 
 
 class Refinement:

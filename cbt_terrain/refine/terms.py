@@ -11,28 +11,48 @@ from ..field.heightfield import HeightField
 SINGLE_BITS = 24
 # Displacement rounds about ten times in float64, each time by 2^-53 of its largest number at most.
 DISPLACEMENT_ERROR = 2.0**-48
+# Inside a bicubic patch slopes are means of three times the differences of control heights, and a facet may lean along
+# each axis by as much as the surface does along both.
+BICUBIC_LEAN = 6.0
+# Relative; above what rounding does to the sums below.
+OUTWARD = 1 + 1e-6
 
 
 @dataclass(frozen=True)
 class Terms:
-    """The parts of a bound at the leaf that decides it, in the bound's own unit; they add up to it.
+    """The parts of a bound, in its own unit; they add up to it.
 
-    `geometric`: interpolation by triangles; of a leaf that is drawn as a meshlet, by those that are drawn.
-    `resampling`: what importing moved the raster's own samples there. `precision`: float32 positions. `source`: the
-    source's own rounding of its heights.
+    `geometric`: what is given to the triangles; of a leaf that is drawn as a meshlet, to those that are drawn.
+    `precision`: what float32 positions take. `source`: what the source's own rounding of its heights takes.
     """
 
     geometric: float
-    resampling: float
     precision: float
     source: float
 
     @classmethod
     def shares(cls, bound: float, *parts: float) -> "Terms":
-        """A bound divided in proportion to its four parts in metres, in the order above."""
+        """A bound divided in proportion to its three parts in metres, in the order above."""
         total = sum(parts)
         part = bound / total if total > 0.0 else 0.0
         return cls(*(p * part for p in parts))
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Metres of height by which float32 positions can move a mesh.
+
+    `height`: the heights' own rounding. Plane coordinates that are rounded move a facet sideways, hence up or down by
+    that times its slope: `lean` metres a metre of the range of heights in its diamond's box, and `most_lean` at most.
+    """
+
+    height: float = 0.0
+    lean: float = 0.0
+    most_lean: float = 0.0
+
+    @property
+    def most(self) -> float:
+        return self.height + self.most_lean
 
 
 def left_of(error_m: float, source: float) -> float:
@@ -41,17 +61,28 @@ def left_of(error_m: float, source: float) -> float:
     return error_m - source if source <= 0.5 * error_m else 0.8 * error_m
 
 
-def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> float:
-    """Metres of height by which float32 positions of leaves at `depth` or above can move a mesh, at most.
+def weighed_as(error_m: float, source: float) -> float:
+    """Metres that the criterion (`metres2_of` in kernels/refine/diamond.py) weighs an error as, so that all of it
+    holds."""
+    left = left_of(error_m, source)
+    return min(left + source, 1.25 * left)
 
-    A height is rounded by half a step of float32 at the highest. A plane coordinate that is rounded moves the mesh
-    sideways, hence up or down by that times its facets' slope; coordinates that float32 holds exactly do not count.
-    A facet between a ridge and a valley leans along both: no more than the surface does along x and y together.
+
+def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> Rounding:
+    """What float32 positions of leaves at `depth` or above do.
+
+    A height is rounded by half a step of float32 at the highest. Coordinates that float32 holds exactly do not count.
+    Of heights that differ by R in all, no facet climbs more than R a raster cell along an axis: its corners are a cell
+    apart or more, or it lies in one cell, where a bilinear surface climbs by no more than the cell's corners differ
+    (a bicubic one: see above). So half steps of u and v cells along x and y move it by (u + v) R; and by no more
+    than (u + v) times the steepest climbs of all along x and y, added up.
     """
     lattice = field.lattice
-    lean = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
+    climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
     x, y, z = position_rounding(field, depth, vertical_scale, vertical_offset)
-    return (z + (x / lattice.step_x + y / lattice.step_y) * lean * abs(vertical_scale)) * (1 + 1e-6)
+    cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
+    lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
+    return Rounding(z * OUTWARD, lean, cells * climb * abs(vertical_scale))
 
 
 def position_rounding(

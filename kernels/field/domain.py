@@ -27,8 +27,11 @@ class Domain:
     range_base: wp.float64
     range_step: wp.float64
     error_scale: wp.float64  # magnitude of height_scale
-    rounding: wp.float64  # metres: what float32 positions may be off
+    rounding: wp.float64  # metres: what float32 heights may be off
+    lean: wp.float64  # ... and what plane coordinates add, metres a metre of the range of heights in a diamond's box
+    most_lean: wp.float64  # ... metres, at most
     source: wp.float64  # metres: what the source's own heights may be off
+    enough: wp.float64  # metres of own error from which on nothing is gained
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row

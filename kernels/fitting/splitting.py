@@ -74,7 +74,7 @@ def refine(
                     y = (y + m.point[apex][1]) >> 1
                     error = cell_error(d, x >> bits, y >> bits)
                     error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
-                metres2 = metres2_of(d, error)
+                metres2 = metres2_of(d, error, d.rounding + d.most_lean)
                 too_coarse = metres2 > asked2
                 pinned = m.state[left] & m.state[apex] & m.state[right] & PINNED
                 fresh = m.push[2 * left + 1] + m.push[2 * apex + 1] + m.push[2 * right + 1]

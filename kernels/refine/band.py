@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A band: what is certain of all diamonds below one that is split, from the finest and the coarsest pixel on its box.
 
-Boxes and errors are nested, so what holds for the diamond holds for those below it. Margins are far above rounding:
-what a band says, measuring would say.
+Boxes and errors are nested, so what holds for the diamond holds for those below it. Margins are
+far above rounding: what a band says, measuring would say.
 """
 
 import warp as wp
@@ -17,6 +17,7 @@ from .diamond import (
     larger,
     metres2_of,
     own_for,
+    rest_of,
     sizes,
     smaller,
     too_coarse_at,
@@ -57,6 +58,7 @@ class Measured:
     diamond: Diamond
     pixel2: wp.float64  # squared metres that a pixel spans at least
     own: wp.float64  # metres of its own error
+    rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # see `metres2_of`
     long2: wp.float64  # of level triangles, see `sizes`
     legs2: wp.float64
@@ -103,7 +105,8 @@ def measured_at(
     m.diamond = diamond_at(domain, x, y, depth)
     m.pixel2 = finest(asked, m.diamond, clear)
     m.own = wp.float64(error) * domain.error_scale
-    m.metres2 = metres2_of(domain, error)
+    m.rest = rest_of(domain, m.diamond)
+    m.metres2 = metres2_of(domain, error, m.rest)
     long2, legs2 = sizes(asked, domain.unit_bits, depth)
     m.long2 = long2
     m.legs2 = legs2
@@ -180,8 +183,7 @@ def band_below(
     """What is certain below a diamond that is split, from `limits` up to `coarse`, the same ones but in a count."""
     band = Band()
     fine2 = m.pixel2 * limits.finer
-    below = smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below)
-    band.leaf_up_to = own_for(domain, below)
+    band.leaf_up_to = own_for(domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
     if asked.measures_edges == 1:
         band.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, fine2)
         band.calm = wp.int32(m.own <= band.leaf_up_to)
@@ -193,7 +195,7 @@ def band_below(
         coarse2, inside = coarsest(asked, m.diamond, clear)
         coarse2 = coarse2 * limits.coarser
         above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
-        band.split_above = own_for(domain, above)
+        band.split_above = own_for(domain, above, domain.rounding)
         if asked.measures_edges == 1:
             band.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
         band.clear = inside

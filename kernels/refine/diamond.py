@@ -258,25 +258,32 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def metres2_of(domain: Domain, error: wp.float32) -> wp.float64:
-    """Squared metres of height that an error stands for, as the criterion weighs it.
-
-    All error is the diamond's own, what rounding to float32 adds and what the source had rounded. Only the first can be
-    refined away. Where the second comes near what was asked, the weighed error asks for a quarter of that from the
-    first, and no more; where the source's rounding does, for four fifths.
-    """
-    e = wp.float64(error)
-    rest = e * domain.error_scale + domain.rounding
-    own = smaller(rest, wp.float64(4.0) * e * domain.error_scale)
-    weighed = smaller(own + domain.source, wp.float64(1.25) * own)
-    return weighed * weighed
+def rest_of(domain: Domain, d: Diamond) -> wp.float64:
+    """Metres by which float32 positions may be off in a diamond's box, see `rounding` in cbt_terrain/refine/terms.py.
+    Boxes are nested, and so is this."""
+    return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.most_lean)
 
 
 @wp.func
-def own_for(domain: Domain, metres: wp.float64) -> wp.float64:
-    """The own error, metres, that `metres2_of` weighs as so many metres."""
+def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float64:
+    """Squared metres of height that an error stands for, as the criterion weighs it.
+
+    All error is the diamond's own, what rounding to float32 adds, and what the source had rounded. Only the first can
+    be refined away. Where the second comes near what was asked, the weighed error asks for a quarter of that from the
+    first, and no more; where the source's rounding does, for four fifths. Where the first is a quarter of what both
+    take everywhere, nothing is gained any more: it weighs nothing.
+    """
+    e = wp.float64(error) * domain.error_scale
+    own = smaller(e + rest, wp.float64(4.0) * e)
+    weighed = smaller(own + domain.source, wp.float64(1.25) * own)
+    return wp.where(e > domain.enough, weighed * weighed, wp.float64(0.0))
+
+
+@wp.func
+def own_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
+    """The own error, metres, up to which `metres2_of` weighs no more than `metres`."""
     left = larger(metres - domain.source, wp.float64(0.8) * metres)
-    return larger(left - domain.rounding, wp.float64(0.25) * left)
+    return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)
 
 
 @wp.func

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...cbt_terrain.ask.view import inverse
+from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.run.partial_files import written_beside
 from ..output.frame_sources import open_empty_file
 from ..scene import session

@@ -15,6 +15,7 @@ from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import Frame
 from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.linear import length
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
@@ -173,7 +174,7 @@ def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
     middle = np.array([0.0, 0.0, 0.5 * (heights.max_height + heights.min_height)])
     half = math.atan(math.tan(math.radians(FOV_DEG) / 2) * min(resolution) / max(resolution))
     distance = radius / math.sin(half)
-    eye = middle + distance * np.array(LOOK_FROM) / np.linalg.norm(LOOK_FROM)
+    eye = middle + distance * np.array(LOOK_FROM) / length(LOOK_FROM)
     return View.look(eye, middle, fov_deg=FOV_DEG, resolution=resolution, clip=(1e-3 * distance, 10 * distance))
 
 

@@ -5,7 +5,8 @@ import math
 
 import numpy as np
 
-from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View, inverse
+from ...cbt_terrain.ask.linear import determinant, inverse, lengths, product
+from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
 
 KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}
@@ -144,11 +145,11 @@ def _world_to_camera(camera) -> np.ndarray:
         raise TerrainError(
             f"The camera {camera.name!r} has a matrix with values that are not finite; check its location and parents."
         )
-    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not (lengths > 0).all():
+    scales = lengths(matrix[:3, :3])
+    if not (scales > 0).all():
         raise TerrainError(f"The camera {camera.name!r} has a scale of 0; expected another scale on each axis.")
-    matrix[:3, :3] /= lengths
-    if abs(np.linalg.det(matrix[:3, :3])) < 1e-6:
+    matrix[:3, :3] /= scales
+    if abs(determinant(matrix[:3, :3])) < 1e-6:
         raise TerrainError(f"The camera {camera.name!r} is sheared flat; expected three different axes.")
     return inverse(matrix)
 
@@ -191,11 +192,18 @@ def _stereo(view: View, stereo) -> list[View]:
             angle = math.atan2(place, convergence)
             turn = np.eye(4)
             turn[0, [0, 2]], turn[2, [0, 2]] = (math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))
-            move = turn @ move
+            move = product(turn, move)
         elif stereo.convergence_mode == "OFFAXIS" and view.kind == PERSPECTIVE:
             # The point straight ahead at the convergence distance falls on the same pixel for both eyes.
             projection[0, 2] -= projection[0, 0] * place / convergence
         eyes.append(
-            View(move @ view.world_to_camera, projection, view.resolution, view.kind, view.clip, view.radians_per_pixel)
+            View(
+                product(move, view.world_to_camera),
+                projection,
+                view.resolution,
+                view.kind,
+                view.clip,
+                view.radians_per_pixel,
+            )
         )
     return eyes

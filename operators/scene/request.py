@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.linear import determinant
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -97,7 +98,7 @@ def gather(
         raise TerrainError(
             f"The terrain {obj.name!r} has a matrix that is not finite; check its transform and parents."
         )
-    if abs(np.linalg.det(placement[:3, :3])) == 0.0:
+    if determinant(placement[:3, :3]) == 0.0:
         raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
     max_ms, note = None, ""
     if criterion is None:
@@ -178,7 +179,7 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     if settings.boundary is not None:
         shape = settings.boundary.original.evaluated_get(depsgraph)
         boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
-    return Cleanup(settings.below if settings.use_below else None, boundary, settings.remove_loose)
+    return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
 def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:

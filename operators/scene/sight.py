@@ -6,7 +6,8 @@ import math
 import bpy
 import numpy as np
 
-from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View, inverse
+from ...cbt_terrain.ask.linear import inverse
+from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
 from . import camera as cameras
 from . import session

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import frustum_planes
+from adaptive_terrain.cbt_terrain.ask.local_view import frustum_planes
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from fields import project

@@ -5,7 +5,8 @@ import os
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, as_seen, slant_of
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.spans import as_seen, slant_of
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain

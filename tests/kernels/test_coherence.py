@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.local_view import localise
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array

@@ -127,6 +127,7 @@ def test_import_says_what_it_did():
         "lowest_m": -1.5,
         "highest_m": 80.0,
         "filled": 3,
+        "cut_out": 0,
         "source_step_m": 0.5,
     }
     assert summary(report) == (

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion, localise
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.local_view import localise
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.refinement import make_domain
@@ -18,7 +19,7 @@ from twins import load
 
 @pytest.fixture(scope="module")
 def kernels():
-    return load("refine.framed_boxes", Path(__file__).with_name("framed_boxes.py"))
+    return load("refine.boxes_in_view", Path(__file__).with_name("boxes_in_view.py"))
 
 
 def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):

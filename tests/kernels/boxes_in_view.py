@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels for test_framed.py: what is said of the depths in a box, and of the heights over a rectangle."""
+"""Kernels for test_excess.py: what is said of the depths in a box, and of the heights over a rectangle."""
 
 import warp as wp
 
-from .diamond import Diamond, LocalView
 from ..field.domain import Domain
-from .framed import heights_between, least_depth
+from .diamond import Diamond, LocalView
+from .excess import heights_between, least_depth
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The few small products that a view needs, written out: sums in one order, so the same bits on every machine.
+
+BLAS and LAPACK, which stand behind `@`, `np.linalg` and `np.einsum`, choose their order of sums by the processor.
+"""
+
+import math
+
+import numpy as np
+
+SWEEPS = 60  # of Jacobi rotations; three columns are at right angles after six or so
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """float64 [n, m]: a [n, k] times b [k, m]; [n]: times b [k]."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    terms = (np.multiply.outer(a[:, k], b[k]) for k in range(a.shape[1]))
+    return sum(terms, start=np.zeros((len(a), *b.shape[1:])))
+
+
+def length(vector: np.ndarray) -> float:
+    """Euclidean length of numbers, of any shape."""
+    return math.sqrt(sum(x * x for x in np.asarray(vector, np.float64).reshape(-1).tolist()))
+
+
+def lengths(matrix: np.ndarray) -> np.ndarray:
+    """float64 [n]: Euclidean lengths of the columns of a matrix [k, n]."""
+    return np.sqrt(sum(row * row for row in np.asarray(matrix, np.float64)))
+
+
+def determinant(m: np.ndarray) -> float:
+    """Of a matrix [3, 3]."""
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(m, np.float64).tolist()
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x of matrix [n, n] times x = right [n, m], by elimination with row pivots.
+
+    Raises numpy's LinAlgError where there is none.
+    """
+    rows = [a + b for a, b in zip(np.asarray(matrix, np.float64).tolist(), np.asarray(right).tolist(), strict=True)]
+    n = len(rows)
+    for k in range(n):
+        best = max(range(k, n), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[best] = rows[best], rows[k]
+        pivot = rows[k][k]
+        if pivot == 0 or not math.isfinite(pivot):
+            raise np.linalg.LinAlgError("the matrix is singular")
+        rows[k] = [x / pivot for x in rows[k]]
+        for i in range(n):
+            if i != k:
+                factor = rows[i][k]
+                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return np.array(rows)[:, n:]
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a float64 [n, n] matrix. Raises numpy's LinAlgError where there is none."""
+    return solve(matrix, np.eye(len(matrix)))
+
+
+def least_stretch(matrix: np.ndarray) -> float:
+    """The least length that a unit vector has after a matrix [3, 3]: its smallest singular value.
+
+    Columns are rotated in pairs until all are at right angles (one-sided Jacobi).
+    """
+    columns = np.asarray(matrix, np.float64).T.tolist()
+    for _ in range(SWEEPS):
+        apart = True
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            a, b = columns[p], columns[q]
+            aa, bb, ab = (sum(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
+            if abs(ab) > 1e-16 * math.sqrt(aa * bb):
+                apart = False
+                zeta = (bb - aa) / (2 * ab)
+                t = math.copysign(1 / (abs(zeta) + math.sqrt(1 + zeta * zeta)), zeta)
+                c = 1 / math.sqrt(1 + t * t)
+                columns[p] = [c * x - c * t * y for x, y in zip(a, b, strict=True)]
+                columns[q] = [c * t * x + c * y for x, y in zip(a, b, strict=True)]
+        if apart:
+            break
+    return min(length(column) for column in columns)
+
+
+def settled(value: float) -> float:
+    """To 12 digits: the last bits of sines, exponentials and their like depend on the processor, those do not."""
+    return float(f"{value:.12g}")

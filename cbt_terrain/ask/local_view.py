@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A view from the terrain's own space, packed into the numbers that the kernels read."""
+
+import math
+
+import numpy as np
+
+from ...kernels.refine.diamond import MAX_PLANES, LocalView
+from ..errors import TerrainError
+from .criterion import LARGEST, Criterion
+from .linear import least_stretch, length, lengths, product, settled, solve
+from .spans import secant_of
+from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+
+# How many times coarser a terrain may be of which nothing is in view.
+HIDDEN = 1e90
+
+
+def localise(
+    view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float, off: float = 0.0
+) -> LocalView:
+    """The view from the terrain's own space, as the kernels read it.
+
+    `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
+    terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view. What is seen
+    of true heights may be `off` metres of height from the surface; the frustum is wider by that.
+    """
+    to_camera = product(view.world_to_camera, placement)
+    linear, shift = to_camera[:3, :3], to_camera[:3, 3]
+    # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
+    # only under shear. The last factor keeps rounding on the safe side.
+    stretch = lengths(linear)
+    sigma = least_stretch(linear / stretch)
+    pixels = view.pixels_per_unit * height_scale
+    # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
+    start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
+    near = max(start / 2, 1e-9 * length(stretch * (box[1] - box[0])), 1e-150)
+    planes = product(frustum_planes(view, criterion.guard_deg), to_camera)
+    planes[:, 3] += np.abs(planes[:, 2]) * off
+    # What rounding could put on the wrong side of a plane is inside.
+    planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
+    factor = min(criterion.off_screen_factor, LARGEST)
+    if factor > 1 and _outside(planes, box):
+        factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
+    try:
+        eye = -solve(linear, shift[:, None])[:, 0]
+    except np.linalg.LinAlgError:
+        raise TerrainError(
+            "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
+        ) from None
+    numbers = {
+        "eye": eye,
+        "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
+        "depth": [*-linear[2], -shift[2]],
+        "pixel2": 1 / (pixels**2 * stretch[2] ** 2),
+        "cosine2": 1 / secant_of(view) ** 2,
+        "near2": near**2,
+        "off_screen2": factor**2,
+        "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
+    }
+    local = LocalView()
+    local.kind, local.plane_count = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind), len(planes)
+    for name, value in numbers.items():
+        if not np.isfinite(value).all():
+            raise TerrainError(
+                "The camera or the terrain is so far away or so large that its numbers overflow; check both."
+            )
+        setattr(local, name, value)
+    return local
+
+
+def frustum_planes(view: View, guard_deg: float) -> np.ndarray:
+    """float64 [n, 4]: planes in camera space, positive towards what may be seen, n from 0 to 6.
+
+    The guard band turns the side planes of a perspective outward by its angle; of an orthographic view it widens the
+    frame by the angle's tangent. A clip range that is upside down culls nothing.
+    """
+    if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
+        return np.zeros((0, 4))
+    guard = math.radians(min(guard_deg, 89.0))
+    sine, cosine = settled(math.sin(guard)), settled(math.cos(guard))
+    planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]
+    for axis, (low, high) in enumerate(view.bounds()):
+        unit = np.eye(3)[axis]
+        if view.kind == ORTHOGRAPHIC:
+            margin = (high - low) / 2 * sine / cosine
+            planes += [[*unit, margin - low], [*-unit, high + margin]]
+            continue
+        for tangent, sign in ((-low, 1.0), (high, -1.0)):
+            # Inside: sign * coordinate >= -tan(angle) * depth, for the angle of this tangent and the guard's.
+            secant = math.sqrt(1 + tangent * tangent)
+            across, ahead = (cosine - tangent * sine) / secant, (tangent * cosine + sine) / secant
+            if across > 0:
+                planes.append([*(sign * across * unit + [0, 0, -ahead]), 0])
+    if view.kind == ORTHOGRAPHIC:
+        planes[0] = [0, 0, -1, -view.clip[0]]
+    return np.array(planes, np.float64)
+
+
+def _outside(planes: np.ndarray, box: np.ndarray) -> bool:
+    """Whether the box lies wholly on the far side of one of the planes."""
+    if not len(planes):
+        return False
+    furthest = np.where(planes[:, :3] > 0, box[1], box[0])
+    return bool(((planes[:, :3] * furthest).sum(axis=1) + planes[:, 3] < 0).any())

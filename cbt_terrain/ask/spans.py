@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Between pixels, as they are asked for and told, and spans of a pixel, as the kernels measure them.
+
+The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. What that is on
+the screen depends on how much of it can be seen from the side, and on how far a ray is from the view's axis.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .criterion import LARGEST, Criterion
+from .linear import length, lengths, product, settled
+from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+
+# Relative; far above what rounding does to pixels and metres, far below what can be seen of them.
+ROUNDING = 1e-9
+# A sine of which nothing is seen any more; none is smaller, so that everything stays finite.
+LEAST_SLANT = 1e-6
+# Edges are asked for shorter by what float32 corners may add to them at the depth limit, but by no more than this part:
+# where leaves get so small that it is more, the bound says so.
+MOST_STRETCH = 0.01
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What edges depend on: metres of a lattice unit along x and y, its bits in a root square's side, the deepest leaf,
+    and metres by which float32 corners may be off along each axis."""
+
+    steps: tuple[float, float]
+    unit_bits: int
+    depth: int
+    off: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Spans:
+    """What pixels are in spans, for each of `views`.
+
+    `slants`: metres across the view of a metre of height, at most. `scales`: the same, widened so that what holds in
+    spans holds as it is seen. `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice
+    unit, in camera space. `allowed`: the part by which edges are asked for shorter, for rounding.
+    """
+
+    views: tuple[View, ...] = ()
+    slants: tuple[float, ...] = ()
+    scales: tuple[float, ...] = ()
+    edge: float = 1.0
+    lengths: tuple[float, float] = (0.0, 0.0)
+    allowed: float = 1.0
+    off: float = 0.0
+    unit_bits: int = 0
+
+    def pixels(self, spans: float) -> float:
+        """Pixels on the screen of so many spans of error, in the view that shows most of them."""
+        seen = zip(self.views, self.slants, self.scales, strict=True)
+        return max(as_seen(v, slant, spans * (1 + 0.5 * ROUNDING) * slant / scale) for v, slant, scale in seen)
+
+    def excess_of_edges(self, depth: int) -> float:
+        """The factor, 1 or more, by which float32 corners make edges of leaves down to `depth` longer than allowed."""
+        return max(1.0, _stretch(self.lengths, self.unit_bits, depth, self.off) / self.allowed)
+
+
+def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: Plan) -> Spans:
+    """The spans of the views of a terrain that stands at `placement`."""
+    slants = [slant_of(v, placement, criterion.shading_floor) for v in views]
+    scales = [widening(v, s, criterion.error_px) * s for v, s in zip(views, slants, strict=True)]
+    if not views or not (criterion.edge_px or criterion.area_px):
+        return Spans(tuple(views), tuple(slants), tuple(scales))
+    # Spans are those of heights, edges may lie across the view. One scale for the edges of all views: they must not
+    # depend on what errors do to each.
+    secants = [secant_of(v) for v in views]
+    edge = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
+    scales = [edge * secant for secant in secants]
+    units = [unit_lengths(v, placement, plan.steps) for v in views]
+    longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
+    off = max(largest_offset(v, placement, plan.off) for v in views)
+    allowed = min(_stretch(longest, plan.unit_bits, plan.depth, off), 1 + MOST_STRETCH)
+    return Spans(tuple(views), tuple(slants), tuple(scales), edge / allowed, longest, allowed, off, plan.unit_bits)
+
+
+def slant_of(view: View, placement: np.ndarray, floor: float) -> float:
+    """The longest that a metre of height looks anywhere in the frame, in metres across the view at a depth of 1 m.
+
+    That is |t x u| for the direction t of a ray, 1 deep, and the unit vector u of height in camera space: convex in t,
+    so largest in a corner of the frame. `floor`: it counts as no less, since shading and shadows show an error too.
+    """
+    up = product(view.world_to_camera[:3, :3], placement[:3, 2])
+    up = up / length(up)
+    if view.kind == PANORAMIC:
+        return 1.0
+    across, along = view.bounds() if view.kind == PERSPECTIVE else ((0.0,), (0.0,))
+    x, y, z = up.tolist()
+    looks = (math.hypot(b * z + y, a * z + x, a * y - b * x) for a in across for b in along)
+    return max(floor, LEAST_SLANT, *looks)
+
+
+def as_seen(view: View, slant: float, pixels: float) -> float:
+    """Pixels that a point can be from its place in the frame where its error in height is `pixels` spans of a pixel.
+
+    A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
+    depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - e) at most, a
+    panorama the angle asin(e / d). Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
+    """
+    whole = view.pixels_per_unit * slant  # the error is as long as the depth or the distance
+    if view.kind == PERSPECTIVE:
+        return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
+    if view.kind == PANORAMIC:
+        return whole * (settled(math.asin(pixels / whole)) if pixels < whole else math.pi)
+    return pixels
+
+
+def widening(view: View, slant: float, error_px: float) -> float:
+    """The factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
+
+    `as_seen` is convex: at less than what was asked, spans times this factor are still not below it.
+    """
+    whole = view.pixels_per_unit * slant
+    if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
+        return 1 + ROUNDING
+    if view.kind == PANORAMIC:
+        angle = error_px / whole
+        return angle / settled(math.sin(min(angle, math.pi / 2))) * (1 + ROUNDING)
+    return (1 + error_px / whole) * (1 + ROUNDING)
+
+
+def secant_of(view: View) -> float:
+    """The most that a point in the frame is further away than deep."""
+    if view.kind != PERSPECTIVE:
+        return 1.0
+    return math.sqrt(1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds()))
+
+
+def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
+    """Squared diagonal and squared side of a lattice unit, the longer ones, in camera space.
+
+    `steps` are the metres of one lattice unit in x and y. In metres of the terrain's height, as all of `LocalView`.
+    """
+    linear = _to_camera(view, placement)
+    east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
+    diagonal2 = max(_squared(east + north), _squared(east - north))
+    return diagonal2, max(_squared(east), _squared(north))
+
+
+def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
+    """How far a point that is off by so many metres along each axis can be from its place, in camera space as above."""
+    return sum(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
+
+
+def _to_camera(view: View, placement: np.ndarray) -> np.ndarray:
+    """float64 [3, 3]: the terrain's directions in camera space, as long as metres of its height."""
+    linear = product(view.world_to_camera, placement)[:3, :3]
+    return linear / length(linear[:, 2])
+
+
+def _squared(vector: np.ndarray) -> float:
+    x, y, z = vector.tolist()
+    return x * x + y * y + z * z
+
+
+def _stretch(lengths2: tuple[float, float], unit_bits: int, depth: int, off: float) -> float:
+    """How many times longer than on the lattice the edges of leaves at `depth` or above may be, at most, where corners
+    are `off` from their places. `lengths2`: squared diagonal and side of a lattice unit, in the space of `off`."""
+    diagonal2, axis2 = lengths2
+    side = 2.0 ** (unit_bits - (depth - 1) // 2)
+    shortest = side * (math.sqrt(axis2) if depth % 2 else 0.5 * math.sqrt(diagonal2))
+    return 1 + 2 * off / shortest

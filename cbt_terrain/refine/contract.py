@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bound is a contract: what was asked, times what a triangle limit relaxed. More is said only of what could not be
+kept: where a leaf is as deep as leaves may be, and where float32 and the source leave more open than was asked.
+"""
+
+import math
+from dataclasses import dataclass
+
+from ...kernels.refine.diamond import Asked, Domain
+from ..ask.criterion import LARGEST, Criterion
+from ..ask.spans import Spans
+from ..run.buffers import Buffers
+from .excess import AREA, EDGE, ERROR, FIXED, METRES, Excess, greatest
+from .terms import Terms, weighed_as
+
+# Relative; above what rounding does to a sum of metres.
+MARGIN = 1e-12
+# What keeps a bound above what was asked; of several, the first is told.
+REASONS = ("max_triangles", "max_depth", "precision", "source")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound, what keeps it above what was asked (one of REASONS, or ""), and of errors its parts."""
+
+    value: float
+    reason: str = ""
+    terms: Terms | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A refinement and how it ended.
+
+    `relaxed`: the factor by which a triangle limit coarsened what was asked. `stopped`: whether a leaf is still too
+    coarse, and at `max_depth`. `deepest`: the depth of the deepest leaf. `relief`: metres between the lowest and the
+    highest point.
+    """
+
+    domain: Domain
+    asked: Asked
+    relaxed: float
+    stopped: bool
+    max_depth: int
+    deepest: int
+    relief: float
+    buffers: Buffers
+
+    def search(self, what: int, least: float) -> Excess | None:
+        return greatest(self.domain, self.asked, what, self.max_depth, least, self.buffers)
+
+    def stopped_above(self, what: int, least: float) -> Excess | None:
+        """What leaves that are too coarse have, where that is more than `least`."""
+        return self.search(what, least) if self.stopped else None
+
+
+def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
+    """What holds a refinement back."""
+    reasons = {bound.reason for bound in bounds if bound} | ({"max_triangles"} if relaxed > 1 else set())
+    return next((reason for reason in REASONS if reason in reasons), "")
+
+
+def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+    """Pixels that a point in view can be from its place; 0 where nothing is in view."""
+    if not criterion.error_px or not spans.views:
+        return None
+    fixed = o.search(FIXED, -1.0)
+    if fixed is None:
+        return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
+    wanted, source = criterion.error_px * o.relaxed, o.domain.source
+    least, most = o.domain.rounding + source, _fixed(o)
+    # Of what cannot be refined away the source's rounding is a part that is not the same everywhere.
+    low, high = (source * fixed.most / metres if metres else 0.0 for metres in (most, least))
+    kept = _kept(wanted, fixed.most, low, high)
+    kept = min(kept, fixed.most * (1 + o.relief / least) if least else 0.0)
+    over = o.stopped_above(ERROR, kept)
+    at = over or fixed
+    per = at.most / at.total if at.total else 0.0  # spans of a metre
+    found = _bound(wanted, at.most if over else kept, (at.fixed - source) * per, source * per, over is not None)
+    if found.value <= criterion.error_px:
+        return found
+    seen = min(spans.pixels(found.value), LARGEST)
+    terms = Terms.shares(seen, found.terms.geometric, found.terms.precision, found.terms.source)
+    return Bound(seen, found.reason, terms)
+
+
+def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
+    """Metres of height between mesh and surface, anywhere."""
+    if not criterion.error_m:
+        return None
+    fixed, source = _fixed(o), o.domain.source
+    kept = _kept(weighed_as(criterion.error_m, source) * o.relaxed, fixed, source, source)
+    kept = min(kept, o.relief + fixed)
+    over = o.stopped_above(METRES, kept)
+    precision = (over.fixed if over else fixed) - source
+    return _bound(criterion.error_m * o.relaxed, over.most if over else kept, precision, source, over is not None)
+
+
+def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+    """Pixels of the longest edge, also between float32 corners."""
+    if not criterion.edge_px:
+        return None
+    wanted = criterion.edge_px * o.relaxed
+    over, longer = o.stopped_above(EDGE, wanted * spans.edge), spans.excess_of_edges(o.deepest)
+    return Bound((over.most / spans.edge if over else wanted) * longer, _of_edges(over, longer))
+
+
+def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+    """Square pixels of the largest triangle; the search has the root of twice that."""
+    if not criterion.area_px:
+        return None
+    wanted = math.sqrt(2 * criterion.area_px) * o.relaxed
+    over, longer = o.stopped_above(AREA, wanted * spans.edge), spans.excess_of_edges(o.deepest)
+    side = over.most / spans.edge if over else wanted
+    return Bound(0.5 * (side * longer) ** 2, _of_edges(over, longer))
+
+
+def _fixed(o: Outcome) -> float:
+    """Metres that cannot be refined away, at most."""
+    d = o.domain
+    return d.rounding + min(d.lean * o.relief, d.most_lean) + d.source
+
+
+def _kept(weighed: float, fixed: float, source_low: float, source_high: float) -> float:
+    """What leaves hold that nothing stopped, from what the criterion weighs their error as at most.
+
+    `fixed`: what cannot be refined away; the source's part of that is between two numbers. From `metres2_of` in
+    kernels/refine/diamond.py: an error that is a quarter of what the source leaves of the bound, or of what is fixed,
+    is not refined any more.
+    """
+    left = max(weighed - source_low, 0.8 * weighed)
+    return max(weighed, 0.8 * weighed + source_high, 0.25 * left + fixed, 1.25 * fixed)
+
+
+def _bound(wanted: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
+    """The bound that is `value`, or what was asked where that is all."""
+    if value <= wanted * (1 + MARGIN):
+        value, stopped = min(value, wanted), False
+    geometric = max(value - precision - source, 0.0)
+    reason = ""
+    if value > wanted:
+        # What cannot be refined away may be too much alone: then no depth would do.
+        if precision + source > wanted:
+            reason = "precision" if precision > wanted else "source"
+        elif stopped:
+            reason = "max_depth"
+        else:
+            reason = "precision" if geometric + precision > wanted else "source"
+    return Bound(value, reason, Terms.shares(value, geometric, precision, source))
+
+
+def _of_edges(over: Excess | None, longer: float) -> str:
+    return "max_depth" if over else "precision" if longer > 1 else ""

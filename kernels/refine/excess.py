@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The excess of a mesh: the ground that has most of what no refinement could keep to.
+
+Branch and bound. What a triangle has at most holds for all that is below it: errors, ranges of heights and boxes are
+nested. So of two triangles the one that may have more is looked into first, and none that cannot have more than what
+was found already.
+
+A diamond is refined for its whole box, which must be nested too, but for those on either side of it. Here a triangle
+counts with its own box, in the raster's cells with the heights that the surface has there, and with what of it can be
+in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters.
+"""
+
+import warp as wp
+
+from .diamond import (
+    PERSPECTIVE,
+    Asked,
+    Diamond,
+    Domain,
+    LocalView,
+    diamond_at,
+    error_at,
+    finest_in,
+    larger,
+    rest_of,
+    sizes,
+    smaller,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+# What is looked for.
+FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
+ERROR = wp.constant(1)  # spans of a pixel of all error
+EDGE = wp.constant(2)  # ... of the longest edge
+AREA = wp.constant(3)  # squared ones of twice the area
+METRES = wp.constant(4)  # metres of all error, in view or not
+STACK = wp.constant(80)  # triangles: one a level, and both of the last
+# Of squares; what is found is more than this part below what is said.
+NEARLY = wp.constant(wp.float64(1.002))
+UNSEEN = wp.constant(wp.float64(-1.0))
+# Relative; far above what rounding does to a sum of a few terms.
+MARGIN = wp.constant(wp.float64(1e-12))
+NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; rounding is a thousandth of it
+
+
+@wp.struct
+class Triangle:
+    """A triangle that may have as much as was found, or more."""
+
+    left: wp.vec2i  # ends of the longest edge, lattice units
+    apex: wp.vec2i
+    right: wp.vec2i
+    depth: wp.int32
+    most2: wp.float64  # squared: what it has at most; UNSEEN if nothing of it is in view
+    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/excess.py
+    total: wp.float64
+
+
+@wp.func
+def patch_at(domain: Domain, i: wp.int32, j: wp.int32) -> wp.vec4f:
+    """Heights at the corners of raster cell (i, j): south-west, south-east, north-west, north-east."""
+    south = wp.int64(j) * wp.int64(domain.width) + wp.int64(i)
+    north = south + wp.int64(domain.width)
+    one = wp.int64(1)
+    samples = domain.samples
+    return wp.vec4f(samples[south], samples[south + one], samples[north], samples[north + one])
+
+
+@wp.func
+def height_in(domain: Domain, p: wp.vec4f, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Height of a bilinear patch, x and y lattice units from its south-west corner."""
+    part = wp.float64(1.0) / wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    s = wp.float64(x) * part
+    t = wp.float64(y) * part
+    one = wp.float64(1.0)
+    south = wp.float64(p[0]) * (one - s) + wp.float64(p[1]) * s
+    north = wp.float64(p[2]) * (one - s) + wp.float64(p[3]) * s
+    return south * (one - t) + north * t
+
+
+@wp.func
+def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
+    """Lowest and highest metres, before scaling, of the bilinear surface over a rectangle of the lattice.
+
+    In each cell they are at corners of what the rectangle has of it.
+    """
+    bits = domain.unit_bits - domain.levels
+    low = wp.float64(wp.inf)
+    high = wp.float64(-wp.inf)
+    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.height - 2) + 1):
+        y = j << bits
+        south = wp.max(y0, y) - y
+        north = wp.min(y1 - y, wp.int32(1) << bits)
+        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.width - 2) + 1):
+            x = i << bits
+            west = wp.max(x0, x) - x
+            east = wp.min(x1 - x, wp.int32(1) << bits)
+            p = patch_at(domain, i, j)
+            a = height_in(domain, p, west, south)
+            b = height_in(domain, p, east, south)
+            c = height_in(domain, p, west, north)
+            d = height_in(domain, p, east, north)
+            low = smaller(smaller(a, b), smaller(smaller(c, d), low))
+            high = larger(larger(a, b), larger(larger(c, d), high))
+    return low, high
+
+
+@wp.func
+def box_between(
+    domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
+) -> Diamond:
+    """The part of a diamond's box that is over a rectangle of the lattice. Inside the raster's cells it has the heights
+    that a bilinear surface has there."""
+    box = Diamond()
+    low = d.low[2]
+    high = d.high[2]
+    if depth > 2 * domain.levels and domain.bicubic == 0:
+        least, most = heights_between(domain, x0, y0, x1, y1)
+        z0 = least * domain.height_scale + domain.height_offset
+        z1 = most * domain.height_scale + domain.height_offset
+        # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
+        margin = domain.rounding + NESTED * wp.float64(64 - depth) * larger(wp.abs(z0), wp.abs(z1))
+        low = larger(low, smaller(z0, z1) - margin)
+        high = smaller(high, larger(z0, z1) + margin)
+    west = domain.west + wp.float64(x0) * domain.unit_x
+    south = domain.south + wp.float64(y0) * domain.unit_y
+    box.low = wp.vec3d(west, south, low)
+    east = domain.west + wp.float64(x1) * domain.unit_x
+    north = domain.south + wp.float64(y1) * domain.unit_y
+    box.high = wp.vec3d(east, north, high)
+    return box
+
+
+@wp.func
+def least_depth(view: LocalView, d: Diamond) -> wp.float64:
+    """Metres of depth that whatever is in the box and in the frustum has at least.
+
+    Linear programming with one plane of the frustum at a time: for any multiplier that is not negative, the least of
+    depth less multiplier times distance from the plane, over the box, is a lower bound (weak duality). It is greatest
+    where the multiplier cancels a coordinate.
+    """
+    found = wp.float64(-wp.inf)
+    for p in range(view.plane_count):
+        plane = view.planes[p]
+        for axis in range(3):
+            multiplier = view.depth[axis] / plane[axis]
+            if multiplier > wp.float64(0.0) and multiplier < wp.float64(wp.inf):
+                least = view.depth[3] - multiplier * plane[3]
+                size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
+                for k in range(3):
+                    reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
+                    size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
+                    if k != axis:
+                        factor = view.depth[k] - multiplier * plane[k]
+                        least += smaller(factor * d.low[k], factor * d.high[k])
+                found = larger(found, least - MARGIN * size)
+    return found
+
+
+@wp.func
+def is_in_view(view: LocalView, d: Diamond) -> wp.bool:
+    """False only where the box is wholly outside one of the frustum's planes."""
+    inside = wp.bool(True)
+    for p in range(view.plane_count):
+        plane = view.planes[p]
+        side = plane[3] + larger(plane[0] * d.low[0], plane[0] * d.high[0])
+        side += larger(plane[1] * d.low[1], plane[1] * d.high[1])
+        side += larger(plane[2] * d.low[2], plane[2] * d.high[2])
+        inside = inside and side >= wp.float64(0.0)
+    return inside
+
+
+@wp.func
+def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
+    """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
+    pixel2 = wp.float64(wp.inf)
+    if is_in_view(view, d):
+        pixel2 = finest_in(view, d, 1)
+        if view.kind == PERSPECTIVE:
+            ahead = least_depth(view, d)
+            if ahead > wp.float64(0.0):
+                pixel2 = larger(pixel2, view.pixel2 * (ahead * ahead))
+    return pixel2
+
+
+@wp.func
+def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle) -> wp.float64:
+    """The same of a triangle of a diamond, by all views."""
+    x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
+    y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
+    x1 = wp.min(wp.max(t.apex[0], wp.max(t.left[0], t.right[0])), domain.east)
+    y1 = wp.min(wp.max(t.apex[1], wp.max(t.left[1], t.right[1])), domain.north)
+    pixel2 = wp.float64(wp.inf)
+    if x0 < x1 and y0 < y1:
+        box = box_between(domain, d, x0, y0, x1, y1, t.depth)
+        for v in range(asked.view_count):
+            pixel2 = smaller(finest_seen_in(asked.views[v], box), pixel2)
+    return pixel2
+
+
+@wp.func
+def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
+    """The triangle with the most that leaves at depth `deepest` in it have."""
+    x = (t.left[0] + t.right[0]) >> 1
+    y = (t.left[1] + t.right[1]) >> 1
+    d = diamond_at(domain, x, y, t.depth)
+    t.fixed = rest_of(domain, d) + domain.source
+    t.total = t.fixed
+    if what == ERROR or what == METRES:
+        t.total += wp.float64(error_at(domain, x, y, t.depth)) * domain.error_scale
+    all2 = t.total * t.total
+    if what == EDGE or what == AREA:
+        long2, legs2 = sizes(asked, domain.unit_bits, deepest)
+        all2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
+    t.most2 = all2
+    if what != METRES:
+        pixel2 = finest_seen(domain, asked, d, t)
+        t.most2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
+    return t
+
+
+@wp.func
+def root(domain: Domain, n: wp.int32) -> Triangle:
+    """One of the two halves of a root square."""
+    side = wp.int32(1) << domain.unit_bits
+    square = n >> 1
+    x0 = (square % domain.columns) << domain.unit_bits
+    y0 = (square / domain.columns) << domain.unit_bits
+    t = Triangle()
+    t.left = wp.vec2i(x0, y0 + side)
+    t.apex = wp.vec2i(x0, y0)
+    t.right = wp.vec2i(x0 + side, y0)
+    if (n & 1) == 1:
+        t.left = wp.vec2i(x0 + side, y0)
+        t.apex = wp.vec2i(x0 + side, y0 + side)
+        t.right = wp.vec2i(x0, y0 + side)
+    t.depth = 1
+    return t
+
+
+@wp.func
+def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
+    """The triangle below t whose longest edge goes from corner `first` to corner `second` of it."""
+    below = Triangle()
+    below.left = first
+    below.apex = wp.vec2i((t.left[0] + t.right[0]) >> 1, (t.left[1] + t.right[1]) >> 1)
+    below.right = second
+    below.depth = t.depth + 1
+    return below
+
+
+@wp.kernel
+def find_most(
+    domain: Domain,
+    asked: Asked,
+    what: wp.int32,
+    deepest: wp.int32,
+    least2: wp.float64,
+    stack: wp.array(dtype=Triangle),
+    found: wp.array(dtype=wp.float64),
+):
+    """found: the most, squared and rounded up, and its metres (see Triangle): -1 where none is above `least2`."""
+    most2 = least2  # what was found, rounded up
+    fixed = wp.float64(-1.0)
+    total = wp.float64(-1.0)
+    for n in range(2 * domain.columns * domain.rows):
+        stack[0] = measured(domain, asked, what, deepest, root(domain, n))
+        top = wp.int32(0)
+        while top >= 0:
+            t = stack[top]
+            top -= 1
+            if t.most2 >= wp.float64(0.0) and t.most2 > most2:
+                if t.depth == deepest:
+                    most2 = t.most2 * NEARLY
+                    fixed = t.fixed
+                    total = t.total
+                else:
+                    a = measured(domain, asked, what, deepest, half(t, t.left, t.apex))
+                    b = measured(domain, asked, what, deepest, half(t, t.apex, t.right))
+                    if a.most2 > b.most2:
+                        stack[top + 1] = b
+                        stack[top + 2] = a
+                    else:
+                        stack[top + 1] = a
+                        stack[top + 2] = b
+                    top += 2
+    found[0] = most2
+    found[1] = fixed
+    found[2] = total

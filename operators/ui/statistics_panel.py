@@ -17,7 +17,6 @@ from .panel_parts import TerrainSubpanel, figures, message
 
 TERMS = {
     "geometric": "by triangles",
-    "resampling": "by resampling",
     "precision": "by precision",
     "source": "by the source's rounding",
 }

@@ -89,12 +89,11 @@ def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
 
 
 def _table(frames: list[dict]) -> str:
-    names = ("Frame", "Triangles", "Vertices", "Screen bound", "Vertical bound", "Update, ms")
+    names = ("Frame", "Triangles", "Vertices", "Screen bound", "Update, ms")
     head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     rows = [
         f"<tr><td>{f['frame']}</td><td>{f['triangles']:,}</td><td>{f['vertices']:,}</td>"
-        f"<td>{bound_text(f['bound_px'], 'px')}</td><td>{bound_text(f['bound_m'], 'm')}</td>"
-        f"<td>{f['ms']['total']:.1f}</td></tr>"
+        f"<td>{bound_text(f['bound_px'], 'px')}</td><td>{f['ms']['total']:.1f}</td></tr>"
         for f in frames
     ]
     return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'

@@ -80,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
     verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
     verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
+    verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
@@ -149,7 +150,9 @@ def _add_bench(subparsers) -> None:
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
     verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
     verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
-    verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its plot into this folder")
+    verb.add_argument(
+        "--docs", type=path, metavar="DIR", help="write performance.md, its table, data and charts into this folder"
+    )
 
 
 def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:

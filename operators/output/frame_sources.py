@@ -144,13 +144,14 @@ class SceneFrames:
 
 def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
+    from ..mesh.cleanup import clean_up
     from ..scene import session
     from ..scene.request import RENDER, gather
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = _surface_of(obj.data) if request.cleanup.active else update.surface.copy()
+        surface = clean_up(session.shown_surface(session.record_of(obj), update), request.cleanup).copy()
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
@@ -171,18 +172,15 @@ def baked_piece(
     `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
     says so, and the measured maximum.
     """
-    from ...cbt_terrain.fit.fit import check_interpolation, fit
+    from ...cbt_terrain.fit.bake import bake
+    from ...cbt_terrain.fit.fit import check_interpolation
 
     if fitted:
         check_interpolation(interpolation)
     field = interpolated(open_store(store), interpolation)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
-    more = {}
-    if fitted:
-        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress)
-        more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
-    else:
-        update = Terrain(field).update(criterion)
+    update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
+    more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
         from ..mesh.writer import write_mesh
@@ -211,7 +209,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
 
 def counts(surface: Surface) -> dict:
     """What a mesh has of each, as JSON holds it."""
-    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.level)}
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
 
 
 def bounds_of(update: Update) -> dict:
@@ -221,8 +219,8 @@ def bounds_of(update: Update) -> dict:
         "bound_m": update.bound_m,
         "bound_edge_px": update.bound_edge_px,
         "bound_area_px": update.bound_area_px,
-        "terms_px": None if update.terms_px is None else asdict(update.terms_px),
-        "terms_m": None if update.terms_m is None else asdict(update.terms_m),
+        "terms_px": update.terms_px and asdict(update.terms_px),
+        "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,
         "limited": update.limited,
     }
@@ -249,33 +247,6 @@ def import_bpy(what: str):
             "or run `blender --command adaptive_terrain` instead."
         ) from None
     return bpy
-
-
-def _surface_of(mesh) -> Surface:
-    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies."""
-    from ..mesh.writer import LEVEL_ATTRIBUTE
-
-    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
-
-    def read(collection, name: str, shape, dtype) -> np.ndarray:
-        array = np.empty(int(np.prod(shape)), dtype)
-        collection.foreach_get(name, array)
-        return array.reshape(shape)
-
-    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
-    uv = np.zeros((vertices, 2), np.float32)
-    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
-    normals = np.zeros((vertices, 3), np.float32)
-    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
-    return Surface(
-        read(mesh.vertices, "co", (vertices, 3), np.float32),
-        normals,
-        uv,
-        corner_verts,
-        read(mesh.loops, "edge_index", (corners,), np.int32),
-        read(mesh.edges, "vertices", (edges, 2), np.int32),
-        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
-    )
 
 
 def new_object(name: str):

@@ -75,7 +75,7 @@ def imported_from(tmp_path, kind, shape):
     source, settings = FILES[kind][0](tmp_path, heights)
     rows, columns = heights.shape
     field, report = imported(tmp_path, source, extent=((columns - 1) * STEP, (rows - 1) * STEP), **settings)
-    assert report["source_step_m"] == field.source_max
+    assert report["source_step_m"] == field.source_max and field.lattice.is_padded == (shape == "padded")
     places = [STEP * (np.arange(n) - (n - 1) / 2) for n in (columns, rows)]
     return heights[::-1], np.stack(np.meshgrid(*places), -1).reshape(-1, 2), field
 

@@ -40,8 +40,8 @@ def test_a_bound_holds_over_the_rasters_whole_own_surface(size, meshlet):
 
 def test_a_coarse_view_of_a_thin_raster_takes_a_handful_of_triangles():
     field = from_array(raster(7, 1024), 10.0)
-    assert Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e4)).triangles == 256
-    assert Terrain(from_array(raster(512, 512)), 1).update(Criterion(error_px=0.0, error_m=1e4)).triangles == 2
+    assert Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e4)).leaves == 256
+    assert Terrain(from_array(raster(512, 512)), 1).update(Criterion(error_px=0.0, error_m=1e4)).leaves == 2
 
 
 def test_what_is_beyond_the_rim_is_not_refined():

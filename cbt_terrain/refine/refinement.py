@@ -15,8 +15,8 @@ from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
+from ..field import codes
 from ..field.heightfield import HeightField
-from ..field.holes import longest_edge
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
@@ -32,8 +32,6 @@ from .terms import Rounding
 PLANE_BITS = 23
 # Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
 MAX_TREE_DEPTH = curve.DEEPEST
-# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
-LARGEST_ERROR = 1000.0
 # An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
 # a bound a fifth smaller.
 ENOUGH = 0.25
@@ -116,7 +114,6 @@ def make_domain(
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
     domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
-    domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
     domain.enough = ENOUGH * (domain.rounding + domain.source)
     domain.bicubic = int(field.interpolation == "bicubic")
@@ -124,18 +121,15 @@ def make_domain(
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
-    domain.bend_base = base[-1] if domain.bicubic else base[-2]
-    domain.error = shared(error_for(field, meshlet), wp.float32)
+    domain.cell_group, domain.bend_group = lattice.groups, lattice.groups + domain.bicubic
+    domain.error = shared(error_for(field, meshlet), wp.uint8)
+    domain.table = shared(field.table.reshape(-1), wp.float32)
+    base, pages = lattice.range_layout()
+    domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.range_cells = base[-2]
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
-    domain.samples = shared(field.samples.reshape(-1), wp.float32)
+    domain.samples = codes.packed(field.samples, field.steps)
     return domain
-
-
-def _largest_error(field: HeightField) -> float:
-    """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
-    rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
-    at_holes = 0.0 if field.valid is None else longest_edge(field.lattice, 1)
-    return min(max(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, at_holes), 1e38)
 
 
 class Refinement:

@@ -129,8 +129,8 @@ class _Work:
             for name, array in surface.arrays().items()
         }
         # One row a vertex, and one a triangle.
-        rows = {name: a.reshape(len(a) // self.shape[name][1], -1) for name, a in self.arrays.items()}
         domains = {"positions": POINT} | {name: a.domain for name, a in surface.attributes.items()}
+        rows = {name: self._rows(name) for name in domains}
         self.points = {name: rows[name] for name, domain in domains.items() if domain == POINT}
         self.faces = [rows[name] for name, domain in domains.items() if domain != POINT]
         most = max(self.before) + more
@@ -145,6 +145,11 @@ class _Work:
         m.gone = shared(np.zeros((3, most), np.uint8), wp.uint8)
         m.doomed = shared(np.empty((3, most), np.int32), wp.int32)
         m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
+
+    def _rows(self, name: str) -> np.ndarray:
+        """One of the arrays with a row for each vertex or triangle."""
+        array, each = self.arrays[name], self.shape[name][1]
+        return array.reshape(len(array) // each, -1)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
         """`value`: of the vertices that were there before all cuts."""

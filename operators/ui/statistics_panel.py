@@ -57,7 +57,8 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         except TerrainError as damaged:
             message(column, str(damaged), "INFO")
             return
-        predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
+        follows = curve and not status.request.frozen
+        predicted = prediction_lines(status, curve, exact=bool(lines)) if follows else []
         if predicted:
             column.separator()
         for line in predicted:
@@ -100,7 +101,15 @@ def _bounds(status) -> list[tuple[str, float, str, object]]:
     is large where nobody looks; it is told to those who have asked for metres."""
     asked = status.request.criterion
     bounds = [("Screen error", status.bound_px, "px", status.terms_px, asked.error_px)]
-    bounds += [("Vertical error", status.bound_m, "m", status.terms_m, asked.error_m or not asked.needs_view)]
+    bounds += [
+        (
+            "Vertical error",
+            status.bound_m,
+            "m",
+            status.terms_m,
+            asked.error_m or not asked.needs_view or status.request.frozen,
+        )
+    ]
     bounds += [("Longest edge", status.bound_edge_px, "px", None, asked.edge_px)]
     bounds += [("Largest triangle", status.bound_area_px, "px²", None, asked.area_px)]
     return [bound for *bound, wanted in bounds if bound[1] is not None and wanted]

@@ -56,14 +56,17 @@ class Update:
 
 
 class Terrain:
-    """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes."""
+    """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes.
 
-    def __init__(self, field: HeightField, threads: int | None = None):
+    `whole`: with what of the triangles reaches beyond the raster's rim, where the mesh is cut otherwise.
+    """
+
+    def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
         self.field = field
         self.threads = launch.default_threads() if threads is None else max(1, threads)
         self._buffers = Buffers()
         self._refinement = Refinement(field, self._buffers, self.threads)
-        self._builder = SurfaceBuilder(field, self._buffers, self.threads)
+        self._builder = SurfaceBuilder(field, self._buffers, self.threads, whole)
         self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None
@@ -124,14 +127,19 @@ class Terrain:
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         edited = self._edited()
-        leaves, relaxed = self._refinement.run(
-            domain, asked, depth, _max_leaves(criterion), criterion.max_triangles is not None
-        )
-        # The same leaves displaced the same way are the same mesh.
-        changed = bool(leaves.changed_cells) or shape != shape_key or edited
-        surface = self._last.surface if self._last else None
-        if changed:
-            surface = self._builder.build(leaves, domain, criterion.meshlet)
+        surface, changed = self._last.surface if self._last else None, shape != shape_key or edited
+        most = _max_leaves(criterion)
+        while True:
+            leaves, relaxed = self._refinement.run(domain, asked, depth, most, criterion.max_triangles is not None)
+            # The same leaves displaced the same way are the same mesh.
+            changed |= bool(leaves.changed_cells)
+            if changed:
+                surface = self._builder.build(leaves, domain, criterion.meshlet)
+            # The cut at the rim makes two of some triangles.
+            over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
+            if over <= 0 or relaxed == math.inf:
+                break
+            most = max(0, most - math.ceil(over / 4**criterion.meshlet))
         self._shape_key = shape
         outcome = Outcome(
             domain=domain,

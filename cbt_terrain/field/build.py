@@ -10,6 +10,7 @@ from ..errors import TerrainError
 from ..run import launch
 from . import codes, hierarchy, resample
 from .heightfield import HeightField
+from .holes import refine_borders
 from .lattice import Lattice, fit
 
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
@@ -19,13 +20,15 @@ def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
-def content_key(samples: np.ndarray, lattice: Lattice, source_max: float) -> str:
+def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid: np.ndarray | None) -> str:
     """Hex digest of what determines a terrain's shape and its bounds."""
     digest = hashlib.blake2b(digest_size=16)
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
     for row in range(0, samples.shape[0], 256):
         digest.update(np.ascontiguousarray(samples[row : row + 256]))
+    if valid is not None:
+        digest.update(np.ascontiguousarray(valid))
     return digest.hexdigest()
 
 
@@ -46,6 +49,7 @@ def build(
     step_y: float,
     *,
     missing: int,
+    holes: bool = False,
     source_max: float = 0.0,
     name: str = "The raster",
     allocate: Allocate = _in_memory,
@@ -55,14 +59,19 @@ def build(
     """Everything that is done to a raster once: fill, error hierarchy, ranges.
 
     samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
-    filled in place. step_x, step_y: metres between samples. source_max: as in HeightField. allocate(name, shape, dtype)
-    provides the other arrays, of which "errors" has no use afterwards. name: what errors call the raster. Raises
-    TerrainError.
+    filled in place. step_x, step_y: metres between samples. holes: cut out what is missing. source_max: as in
+    HeightField. allocate(name, shape, dtype) provides the other arrays, of which "errors" has no use afterwards. name:
+    what errors call the raster. Raises TerrainError.
     """
     threads = threads or launch.default_threads()
     lattice = lattice_for(*samples.shape[::-1], step_x, step_y, name)
     if missing == samples.size:
         raise TerrainError(f"{name} has only missing samples (no-data or not a number): there is no terrain in it.")
+    valid = measured = None
+    if missing and holes:
+        valid = allocate("valid", samples.shape, np.dtype(np.uint8))
+        np.isfinite(samples, out=valid.view(bool))
+        measured = samples.copy()
     if missing:
         resample.fill_missing(samples, threads)
     on_progress(0.2)
@@ -73,7 +82,9 @@ def build(
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     on_progress(0.4)
     errors = allocate("errors", (lattice.node_count,), np.dtype(np.float32))
-    hierarchy.build_errors(samples, lattice, errors, threads, lambda done: on_progress(0.4 + 0.58 * done))
+    hierarchy.build_errors(samples, lattice, errors, threads, lambda done: on_progress(0.4 + 0.58 * done), measured)
+    if valid is not None:
+        refine_borders(valid, lattice, errors, threads)
     error = allocate("error", (lattice.node_count,), np.dtype(np.uint8))
     exponents = codes.encode(lattice, errors, error, threads)
     return HeightField(
@@ -88,7 +99,8 @@ def build(
         max_height=high,
         steepest_x=climb_x / lattice.step_x,
         steepest_y=climb_y / lattice.step_y,
-        key=content_key(samples, lattice, source_max),
+        key=content_key(samples, lattice, source_max, valid),
+        valid=valid,
         source_max=source_max,
         filled=missing,
     )
@@ -99,7 +111,8 @@ def from_array(
 ) -> HeightField:
     """A height field in memory from a 2-D array of heights in metres, row 0 south.
 
-    Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled.
+    Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled, or
+    with `holes` cut out.
     `source_max`: metres by which they may be rounded. `details` are further fields of HeightField: origin, crs,
     provenance; `threads` limits the threads used.
     """
@@ -110,8 +123,8 @@ def from_array(
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
     raster, missing = resample.clean_rows(resample.widen(samples))
-    threads, raster = details.pop("threads", None), np.ascontiguousarray(raster)
-    built = build(raster, step_x, step_y, missing=missing, source_max=source_max, threads=threads)
+    asked = {"threads": details.pop("threads", None), "holes": details.pop("holes", False)}
+    built = build(np.ascontiguousarray(raster), step_x, step_y, missing=missing, source_max=source_max, **asked)
     for name, value in details.items():
         setattr(built, name, value)
     return built

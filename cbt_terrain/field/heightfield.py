@@ -30,6 +30,8 @@ class HeightField:
     steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
     source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
+    valid: None or, where holes are to be cut out, uint8 [height, width]: 0 where a sample was missing; the cells that
+    have such a corner are holes (see holes.py).
     key: identifies the content: equal keys, equal terrains.
     """
 
@@ -48,6 +50,7 @@ class HeightField:
     steps: codes.Steps | None = None
     source_max: float = 0.0
     filled: int = 0
+    valid: np.ndarray | None = None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
     provenance: dict = field(default_factory=dict)

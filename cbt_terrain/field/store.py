@@ -5,6 +5,7 @@
     STORE/data-*/samples.npy    [height, width]: float32, or uint16 where the source has steps that 16 bits can number
     STORE/data-*/error.npy      uint8 [lattice.node_count], codes (codes.py) in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
+    STORE/data-*/valid.npy      uint8 [height, width], where what is missing is cut out
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
     STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
                                 error_c_m1.npy its error hierarchies for meshlets
@@ -39,7 +40,7 @@ DATA_PREFIX = "data-"
 MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
-    r"(samples|raster|errors?|ranges|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
@@ -99,17 +100,19 @@ def open_store(path: str | os.PathLike) -> HeightField:
 def _open(path: Path) -> HeightField:
     content = read_json(path)
     lattice = fit(**content["lattice"])
+    shape = lattice.height, lattice.width
     folder = path / content["data"]
     if folder.is_symlink():
         raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
     steps = codes.Steps(*content["steps"]) if content["steps"] else None
     kind = np.uint16 if steps else np.float32
     return HeightField(
-        samples=map_array(folder / "samples.npy", (lattice.height, lattice.width), kind),
+        samples=map_array(folder / "samples.npy", shape, kind),
         steps=steps,
         lattice=lattice,
         error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        valid=map_array(folder / "valid.npy", shape, np.uint8) if content["holes"] else None,
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),
@@ -126,9 +129,10 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     folder, found = data_folder(field), {}
-    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges")}
+    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     for name, array in shapes.items():
-        found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+        if array is not None:
+            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     for name, (shape, dtype) in kept_arrays(field.lattice).items():
         file = folder / f"{name}.npy"
         if os.path.lexists(file):
@@ -279,6 +283,7 @@ class Draft:
             "data": self.folder.name,
             "digest": digest,
             "key": field.key,
+            "holes": field.valid is not None,
             "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             "steps": field.steps and [field.steps.first, field.steps.scale, field.steps.offset],
             **{name: getattr(field, name) for name in _NUMBERS},

@@ -94,6 +94,7 @@ _ENTRIES = {
     "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
     "exponents": (_is_exponents, f"whole numbers between {LEAST_EXPONENT} and {MOST_EXPONENT}"),
     "steps": (_is_steps, "null, or the first number, the scale and the offset of a source's steps"),
+    "holes": (lambda value: type(value) is bool, "true or false"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from ..ask.criterion import Criterion
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..mesh import cut
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
@@ -60,7 +61,7 @@ def fit(
     most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
-        plain = Terrain(field, threads).update(criterion, (), None, vertical_scale, vertical_offset)
+        plain = Terrain(field, threads, whole=True).update(criterion, (), None, vertical_scale, vertical_offset)
         best = None
         if plain.relaxed > 1.0:
             best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
@@ -70,10 +71,11 @@ def fit(
         more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
         if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
             best = fitter.interpolated(plain, error_m)
+        surface, _ = cut.cut(best.surface, cut.rims(fitter.plain), threads=threads)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(
-        surface=best.surface,
+        surface=surface,
         leaves=best.triangles,
         changed=True,
         bound_px=None,

@@ -90,7 +90,8 @@ class Fitter:
         if not self.scale:
             return None
         field, buffers = self.field, Buffers()
-        refinement, builder = Refinement(field, buffers, self.threads), SurfaceBuilder(field, buffers, self.threads)
+        refinement = Refinement(field, buffers, self.threads)
+        builder = SurfaceBuilder(field, buffers, self.threads, whole=True)
         error, table = self._codes(error_m)
         domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
         domain.table = shared(table, wp.float32)

@@ -28,10 +28,10 @@ class ImportSettings:
     source: path of a file, or "island". raw_size (columns, rows; None: a square), raw_dtype (one of RAW_TYPES) and
     raw_little_endian describe a RAW file. extent: metres from the first to the last sample in x and y, instead of what
     the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that stands for missing
-    samples, instead of the file's own; NaN: no value does. size, seed: samples a side and seed of the island. band:
-    number of the band, from 1. channel: name of an EXR channel, "" for the first that looks like a height.
-    first_row_south: for files that do not say where north is; pictures begin in the north. project: the coordinate
-    system to bring the raster into, "utm" or "EPSG:n"; "": as it is.
+    samples, instead of the file's own; NaN: no value does. holes: cut them out instead of filling them. size, seed:
+    samples a side and seed of the island. band: number of the band, from 1. channel: name of an EXR channel, "" for the
+    first that looks like a height. first_row_south: for files that do not say where north is; pictures begin in the
+    north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it is.
     """
 
     source: str
@@ -42,6 +42,7 @@ class ImportSettings:
     height_scale: float = 1.0
     height_offset: float = 0.0
     no_data: float | None = None
+    holes: bool = False
     size: int = island.DEFAULT_SIZE
     seed: int = island.DEFAULT_SEED
     band: int = 1

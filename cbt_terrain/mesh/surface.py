@@ -21,6 +21,7 @@ from ..run import launch
 from ..run.buffers import Buffers, bind
 from ..run.memory import physical_memory
 from ..tree.concurrent_tree import no_runs
+from . import cut
 from .meshlet_template import template
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
@@ -68,16 +69,20 @@ class _Meshlets:
 
 
 class SurfaceBuilder:
-    """Builds surfaces in memory of its own: once that is large enough, a build allocates no array."""
+    """Builds surfaces in memory of its own: once that is large enough, a build allocates no large array.
 
-    def __init__(self, field: HeightField, buffers: Buffers, threads: int):
+    `whole`: with what of their leaves reaches beyond the raster's rim.
+    """
+
+    def __init__(self, field: HeightField, buffers: Buffers, threads: int, whole: bool = False):
         self._field, self._buffers = field, buffers
-        self._threads = threads
+        self._threads, self._whole = threads, whole
         self._weld = weld_state.Weld()
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
         self._recorded: dict = {}
         self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
+        self._swapped = cut.NONE_SWAPPED  # ... once these have changed places again
         self._inner_runs = Runs()
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
@@ -89,6 +94,9 @@ class SurfaceBuilder:
         slices = leaves.counts.tolist()
         triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
+        if shown is not None:
+            for name in DISPLACED:
+                cut.swap(self._buffers.numpy(name), self._swapped)
         _check_memory(triangles * 4**meshlet)
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
@@ -109,9 +117,8 @@ class SurfaceBuilder:
             slots = self._take_points(leaves)
         pieces = self._pieces(vertices) if meshlet or len(parts) == 1 else 1
         self._displace(parts, pieces, domain, point, slots)
-        self._shown = showing
         memory = self._buffers.numpy
-        return Surface(
+        surface = Surface(
             memory("positions")[:vertices],
             memory("normals")[:vertices],
             memory("uv")[:vertices],
@@ -120,6 +127,20 @@ class SurfaceBuilder:
             memory(prefix + "edges")[:edges],
             memory(prefix + "level")[:triangles],
         )
+        if not self._whole:
+            surface = self._end_at_rim(surface, domain, prefix)
+        self._shown = showing
+        return surface
+
+    def _end_at_rim(self, surface: Surface, domain: Domain, prefix: str) -> Surface:
+        """Cut away what is beyond the rim, in the builder's memory: the points of the leaves are there again once what
+        was swapped is swapped back."""
+
+        def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
+            return self._buffers.extend(name if name in DISPLACED else prefix + name, count)
+
+        surface, self._swapped = cut.cut(surface, cut.rims(domain), room=room, threads=self._threads)
+        return surface
 
     def _weld_slices(self, leaves: Leaves, domain: Domain, triangles: int, vertices: int, edges: int) -> None:
         """Number vertices and edges along the curve, each slice from its exact base, and join the slices."""

@@ -48,6 +48,15 @@ class Buffers:
             self._arrays[name] = held = (array, shared(array, dtype))
         return held[1]
 
+    def extend(self, name: str, count: int) -> np.ndarray:
+        """The memory of a buffer with room for at least `count` items; the contents are kept."""
+        array, shared_array = self._arrays[name]
+        if len(array) < count:
+            larger = np.empty((int(1.25 * count), *array.shape[1:]), array.dtype)
+            larger[: len(array)] = array
+            self._arrays[name] = (larger, shared(larger, shared_array.dtype))
+        return self.numpy(name)
+
     def swap(self, a: str, b: str) -> None:
         """What was called one is called the other; a name that nothing has yet stays free."""
         held = {a: self._arrays.pop(b, None), b: self._arrays.pop(a, None)}

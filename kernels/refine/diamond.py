@@ -19,7 +19,6 @@ PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)
 MAX_PLANES = wp.constant(6)
-LARGEST = wp.constant(wp.float32(3e38))
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
 

@@ -80,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
     verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
     verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
+    verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")

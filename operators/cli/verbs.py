@@ -30,6 +30,7 @@ def run_import(arguments) -> None:
         height_scale=arguments.height_scale,
         height_offset=arguments.height_offset,
         no_data=arguments.no_data,
+        holes=arguments.holes,
         band=arguments.band,
         channel=arguments.channel,
         first_row_south=arguments.first_row_south,

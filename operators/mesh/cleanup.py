@@ -1,53 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a user may have cut away from a finished mesh, on a bmesh."""
+"""What a user has cut away from a terrain's mesh: what is below a height, what is outside of another object."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import bmesh
 import numpy as np
-from mathutils import Vector
-from mathutils.bvhtree import BVHTree
+
+from ...cbt_terrain.mesh.cut import above, cut
+from ...cbt_terrain.mesh.outline import inside
+from ...cbt_terrain.run import launch
 
 
 @dataclass(frozen=True)
 class Cleanup:
-    """`below`: faces wholly below this height go (metres, the terrain's space), None for none. `boundary`: faces whose
-    middle has none of these triangles above or below it go: float64 [n, 3, 2], x and y in the terrain's space, None for
-    no boundary. `remove_loose`: vertices and edges without a face go."""
+    """`below`: what is below this height goes (metres, the terrain's space), None for nothing. `boundary`: what is not
+    above or below one of these triangles goes: float64 [n, 3, 2], x and y in the terrain's space, None for nothing."""
 
     below: float | None = None
     boundary: np.ndarray | None = None
-    remove_loose: bool = True
 
     @property
     def active(self) -> bool:
         return self.below is not None or self.boundary is not None
 
     def key(self) -> tuple:
-        boundary = None if self.boundary is None else self.boundary.tobytes()
-        return self.below, boundary, self.remove_loose
+        return self.below, None if self.boundary is None else self.boundary.tobytes()
 
 
-def clean_up(built, cleanup: Cleanup) -> None:
-    """Delete from the bmesh `built` what `cleanup` names."""
-    doomed = set()
+def clean_up(surface, cleanup: Cleanup, overlay=None):
+    """What `cleanup` leaves of a Surface and of the overlay.Overlay of its triangles, if there is one.
+
+    Arrays are new ones, or those of `surface` where nothing is cut away.
+    """
+    if not cleanup.active:
+        return surface, overlay
+    left = replace(surface, level=np.arange(len(surface.level), dtype=np.int32))
+    threads = launch.default_threads()
     if cleanup.below is not None:
-        doomed.update(face for face in built.faces if max(v.co.z for v in face.verts) < cleanup.below)
+        left, _ = cut(left, [above(2, cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
-        inside = _inside_test(cleanup.boundary)
-        doomed.update(face for face in built.faces if not inside(face.calc_center_median()))
-    # Vertices and edges stay with FACES_ONLY; they go only where the user wants loose ones gone.
-    bmesh.ops.delete(built, geom=list(doomed), context="FACES_ONLY")
-    if cleanup.remove_loose:
-        bmesh.ops.delete(built, geom=[edge for edge in built.edges if not edge.link_faces], context="EDGES")
-        bmesh.ops.delete(built, geom=[vert for vert in built.verts if not vert.link_faces], context="VERTS")
-
-
-def _inside_test(boundary: np.ndarray):
-    corners = [(x, y, 0.0) for x, y in boundary.reshape(-1, 2)]
-    tree = BVHTree.FromPolygons(corners, [(i, i + 1, i + 2) for i in range(0, len(corners), 3)])
-    down = Vector((0.0, 0.0, -1.0))
-    return lambda point: tree.ray_cast(Vector((point.x, point.y, 1.0)), down)[0] is not None
+        for side in inside(cleanup.boundary, left):
+            left, _ = cut(left, [side], threads=threads)
+    parts = left.level  # of which triangle each is one
+    return replace(left, level=surface.level[parts]), overlay and overlay.of(parts)
 
 
 def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
@@ -58,6 +52,12 @@ def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
     mesh.vertices.foreach_get("co", vertices)
     indices = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", indices)
-    matrix = np.array(terrain_from_world, np.float64) @ np.array(boundary.matrix_world, np.float64)
-    placed = vertices.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    placed = _moved(_moved(vertices.reshape(-1, 3), boundary.matrix_world), terrain_from_world)
     return placed[indices].reshape(-1, 3, 3)[:, :, :2]
+
+
+def _moved(points: np.ndarray, matrix) -> np.ndarray:
+    """Points float [n, 3] by a 4 x 4 matrix, term by term: BLAS rounds differently on other processors."""
+    matrix = np.array(matrix, np.float64)
+    x, y, z = points[:, None].transpose(2, 0, 1)
+    return x * matrix[:3, 0] + y * matrix[:3, 1] + z * matrix[:3, 2] + matrix[:3, 3]

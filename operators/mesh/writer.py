@@ -5,7 +5,6 @@ Every array goes in as it is, in Blender's own dtypes. The edges come with it, s
 `mesh.validate()` finds nothing to change. Materials and the mesh's other settings are the user's and stay.
 """
 
-import bmesh
 import numpy as np
 import warp as wp
 
@@ -14,12 +13,10 @@ from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.buffers import shared
 from ...kernels.mesh import ingest
 from . import memory as mesh_memory
-from .cleanup import clean_up
 
 UV_LAYER = "UVMap"
 LEVEL_ATTRIBUTE = "terrain_level"
 COLOUR_ATTRIBUTE = "terrain_overlay"
-NUMBER_ATTRIBUTE = "terrain_vertex"  # of a vertex in the surface, while a bmesh holds it
 NORMAL_ATTRIBUTE = "custom_normal"  # a free normal per vertex, since Blender 4.5
 
 
@@ -35,30 +32,6 @@ def write_mesh(mesh, surface, *, smooth: bool = True, overlay=None) -> None:
     _write_shading(mesh, surface.normals, smooth)
     if overlay is not None:
         _write_overlay(mesh, overlay)
-        _show_colours(mesh)
-    mesh.update()
-
-
-def write_mesh_bmesh(mesh, surface, cleanup, *, smooth: bool = True, overlay=None) -> None:
-    """As `write_mesh`, by way of a bmesh from which `cleanup` (a mesh_cleanup.Cleanup) cuts what the user chose."""
-    _check_writable(mesh)
-    _write_geometry(mesh, surface)
-    if overlay is not None:
-        _write_overlay(mesh, overlay)
-    numbers = mesh.attributes.new(NUMBER_ATTRIBUTE, "INT", "POINT")
-    numbers.data.foreach_set("value", np.arange(len(surface.positions), dtype=np.int32))
-    built = bmesh.new()
-    try:
-        built.from_mesh(mesh)
-        clean_up(built, cleanup)
-        number = built.verts.layers.int[NUMBER_ATTRIBUTE]
-        kept = np.fromiter((vertex[number] for vertex in built.verts), np.int64, len(built.verts))
-        built.verts.layers.int.remove(number)
-        built.to_mesh(mesh)
-    finally:
-        built.free()
-    _write_shading(mesh, surface.normals[kept], smooth)
-    if overlay is not None:
         _show_colours(mesh)
     mesh.update()
 

@@ -6,7 +6,8 @@ import bpy
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.fit import check_interpolation, fit
-from ..mesh.writer import write_mesh, write_mesh_bmesh
+from ..mesh.cleanup import clean_up
+from ..mesh.writer import write_mesh
 from ..scene import session
 from ..scene.request import gather
 from ..text.shown_bounds import bound_text, limit_text
@@ -40,10 +41,8 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
         else:
             update = session.solve(session.Record(), request)  # an engine of its own: the terrain's stays as it is
         mesh = bpy.data.meshes.new(f"{obj.name} baked")
-        if request.cleanup.active:
-            write_mesh_bmesh(mesh, update.surface, request.cleanup, smooth=request.smooth)
-        else:
-            write_mesh(mesh, update.surface, smooth=request.smooth)
+        surface, _ = clean_up(update.surface, request.cleanup)
+        write_mesh(mesh, surface, smooth=request.smooth)
     for material in obj.data.materials:
         mesh.materials.append(material)
     baked = bpy.data.objects.new(mesh.name, mesh)

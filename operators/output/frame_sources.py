@@ -143,13 +143,15 @@ class SceneFrames:
 
 def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
+    from ..mesh.cleanup import clean_up
     from ..scene import session
     from ..scene.request import RENDER, gather
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = _surface_of(obj.data) if request.cleanup.active else update.surface.copy()
+        surface, _ = clean_up(update.surface, request.cleanup)
+        surface = surface.copy()
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
@@ -246,33 +248,6 @@ def import_bpy(what: str):
             "or run `blender --command adaptive_terrain` instead."
         ) from None
     return bpy
-
-
-def _surface_of(mesh) -> Surface:
-    """The arrays of a Blender mesh of triangles that a clean-up has cut; copies."""
-    from ..mesh.writer import LEVEL_ATTRIBUTE
-
-    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
-
-    def read(collection, name: str, shape, dtype) -> np.ndarray:
-        array = np.empty(int(np.prod(shape)), dtype)
-        collection.foreach_get(name, array)
-        return array.reshape(shape)
-
-    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
-    uv = np.zeros((vertices, 2), np.float32)
-    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
-    normals = np.zeros((vertices, 3), np.float32)
-    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
-    return Surface(
-        read(mesh.vertices, "co", (vertices, 3), np.float32),
-        normals,
-        uv,
-        corner_verts,
-        read(mesh.loops, "edge_index", (corners,), np.int32),
-        read(mesh.edges, "vertices", (edges, 2), np.int32),
-        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
-    )
 
 
 def new_object(name: str):

@@ -54,6 +54,7 @@ def settings_of(obj) -> ImportSettings:
         source=bpy.path.abspath(settings.source_path),
         extent=extent,
         no_data=settings.no_data if settings.use_no_data else None,
+        holes=settings.holes,
         band=settings.band,
         channel=settings.channel,
         first_row_south=settings.first_row_south,
@@ -107,6 +108,8 @@ def summary(report: dict) -> str:
     line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
         line += f", {report['filled']:,} without data filled"
+    if report.get("cut_out"):
+        line += f", {report['cut_out']:,} without data cut out"
     if report["source_step_m"] >= SMALLEST:
         line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
     return line

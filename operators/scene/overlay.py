@@ -2,7 +2,7 @@
 """The error, or the level, of each triangle as colours on the terrain, with their legend."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,12 @@ class Overlay:
     faces: dict[str, np.ndarray]
     corner_colours: np.ndarray
     legend: Legend
+
+    def of(self, triangles: np.ndarray) -> "Overlay":
+        """That of parts of these triangles, int32 [n]: a face has one colour."""
+        faces = {name: values[triangles] for name, values in self.faces.items()}
+        colours = self.corner_colours.reshape(-1, 12)[triangles].reshape(-1, 4)
+        return replace(self, faces=faces, corner_colours=colours)
 
 
 def make_overlay(field, request, surface) -> Overlay:

@@ -34,26 +34,17 @@ def _source_chosen(self, _context) -> None:
 
 
 class CleanupSettings(bpy.types.PropertyGroup):
-    """What is cut away from the finished mesh; the mesh then takes the slower way through bmesh."""
+    """What is cut away from the finished mesh."""
 
-    use_below: BoolProperty(
-        name="Delete Below", description="Delete faces that lie wholly below a height", update=changed
-    )
+    use_below: BoolProperty(name="Delete Below", description="Cut away what lies below a height", update=changed)
     below: FloatProperty(
         name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
     )
     boundary: PointerProperty(
         name="Boundary",
-        description="Delete faces whose middle is not above or below a face of this object",
+        description="Cut away what is not above or below a face of this object",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=changed,
     )  # fmt: skip
-    remove_loose: BoolProperty(
-        name="Remove Loose", description="Remove vertices and edges without a face", default=True, update=changed
-    )
-
-    @property
-    def active(self) -> bool:
-        return self.use_below or self.boundary is not None
 
 
 class TerrainSettings(bpy.types.PropertyGroup):
@@ -114,7 +105,10 @@ class TerrainSettings(bpy.types.PropertyGroup):
     use_no_data: BoolProperty(
         name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
     )
-    no_data: FloatProperty(name="No-Data", description="Value of samples that are filled", default=-9999.0)
+    no_data: FloatProperty(name="No-Data", description="Value of samples that are missing", default=-9999.0)
+    holes: BoolProperty(
+        name="Cut Out No-Data", description="Make holes where samples are missing instead of filling them"
+    )
     island_size: IntProperty(
         name="Samples", description="Samples on each side of the island", default=1025, min=3, max=16385
     )

@@ -179,7 +179,7 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     if settings.boundary is not None:
         shape = settings.boundary.original.evaluated_get(depsgraph)
         boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
-    return Cleanup(settings.below if settings.use_below else None, boundary, settings.remove_loose)
+    return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
 def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:

@@ -19,7 +19,8 @@ from ...cbt_terrain.refine.terms import Terms
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
 from ..mesh import freed_memory
-from ..mesh.writer import write_mesh, write_mesh_bmesh
+from ..mesh.cleanup import clean_up
+from ..mesh.writer import write_mesh
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
@@ -197,11 +198,8 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold()
         record.shown = None
-        how = {"smooth": request.smooth, "overlay": record.overlay}
-        if request.cleanup.active:
-            write_mesh_bmesh(obj.data, update.surface, request.cleanup, **how)
-        else:
-            write_mesh(obj.data, update.surface, **how)
+        surface, overlay = clean_up(update.surface, request.cleanup, record.overlay)
+        write_mesh(obj.data, surface, smooth=request.smooth, overlay=overlay)
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:

@@ -62,6 +62,7 @@ def _draw_file(column, settings) -> None:
     if import_terrain.placed(settings.source_path):
         column.prop(settings, "project")
     switched(column, settings, "use_no_data", "no_data")
+    column.prop(settings, "holes")
 
 
 class ImportedPanel(TerrainSubpanel, bpy.types.Panel):

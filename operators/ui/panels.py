@@ -71,8 +71,6 @@ class MeshPanel(TerrainSubpanel, bpy.types.Panel):
         cleanup = settings.cleanup
         switched(column, cleanup, "use_below", "below")
         column.prop(cleanup, "boundary")
-        if cleanup.use_below or cleanup.boundary is not None:
-            column.prop(cleanup, "remove_loose")
 
 
 class OutputPanel(TerrainSubpanel, bpy.types.Panel):

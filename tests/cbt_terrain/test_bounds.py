@@ -24,7 +24,7 @@ from rasters import jacksboro
 ROUNDS = max(120, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 5)
 KINDS = (
     *("rough", "noise", "spike", "cliff", "checkerboard", "plane", "constant", "strip", "real", "vast"),
-    *("resampled", "resampled noise"),
+    *("padded", "padded noise"),
 )
 
 
@@ -49,17 +49,13 @@ def ground(kind: str, interpolation: str, rng: np.random.Generator) -> Ground:
         j, i = rng.integers(0, 344 - 65), rng.integers(0, 403 - 129)
         field = from_array(jacksboro()[j : j + 65, i : i + 129], *step)
         return on_lattice(interpolated(field, interpolation), rng)
-    if kind.startswith("resampled"):
+    if kind.startswith("padded"):
         n, m = rng.integers(33, 60, 2)
         raster = rng.standard_normal((n, m)) * 10 ** rng.uniform(-1, 2)
-        if kind == "resampled":
+        if kind == "padded":
             raster = np.cumsum(np.cumsum(raster, 0), 1) * 0.1
         raster[rng.integers(n), rng.integers(m)] += 10 ** rng.uniform(0, 3)
-        raster = raster.astype(np.float32)
-        j, i = np.indices(raster.shape).reshape(2, -1)
-        plane = np.stack([(i - (m - 1) / 2) * step[0], (j - (n - 1) / 2) * step[1]], axis=1)
-        field = interpolated(from_array(raster, *step), interpolation)
-        return Ground(field, plane, raster.reshape(-1).astype(np.float64))
+        return on_lattice(interpolated(from_array(raster.astype(np.float32), *step), interpolation), rng)
     z = {
         "noise": noise * 10 ** rng.uniform(-3, 3),
         "spike": np.where((x == rng.integers(m)) & (y == rng.integers(n)), 10 ** rng.uniform(0, 5), 0.0),

@@ -3,15 +3,12 @@
 
 import numpy as np
 import pytest
-import warp as wp
 from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.fit.fit import fit
-from adaptive_terrain.cbt_terrain.fit.fitter import Fitter
-from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import mesh_heights, reference_heights, rough, scattered
 from invariants import arrays, assert_invariants
@@ -143,45 +140,6 @@ def test_scale_and_offset_of_heights(scale, offset):
     assert abs(fitted.triangles / fit(field, 3.0).triangles - 1) < 0.05
 
 
-def resampled() -> tuple[HeightField, np.ndarray, np.ndarray]:
-    """A field whose raster does not fit the lattice, and the raster: float64 [n, 2] places and [n] heights, metres."""
-    heights = np.ascontiguousarray(np.asarray(rough(129, 129).samples)[:119, :101])
-    field = from_array(heights, 10.0)
-    places = [10.0 * (np.arange(n) - (n - 1) / 2) for n in heights.shape[::-1]]
-    return field, np.stack(np.meshgrid(*places), -1).reshape(-1, 2), heights.ravel()
-
-
-@pytest.mark.parametrize("times", [1.5, 3.0, 12.0])
-def test_what_resampling_moved_counts_where_it_did(times):
-    field, plane, heights = resampled()
-    error_m = times * field.resample_max
-    fitted, base = fit(field, error_m), plain(field, error_m)
-    assert base.bound_m <= error_m and field.resample_max > 0
-    assert np.abs(mesh_heights(fitted.surface, plane) - heights).max() <= fitted.bound_m <= error_m
-    assert fitted.worst_m < fitted.bound_m
-    assert error_m - field.resample_max < fitted.worst_m, "it does not count where it moved nothing"
-    assert fitted.triangles <= 0.9 * base.triangles
-
-
-def test_what_resampling_moved_is_summed_in_float64():
-    """A float32 array times a float64 number is float32 in numpy 1: the mesh would depend on the version."""
-    field, _, _ = resampled()
-    fitter, buffers = Fitter(field, 0.1, 0.0, 1, lambda fraction: None), Buffers()
-    buffers.get("fit_moved", 3, wp.float32)
-    buffers.numpy("fit_moved")[:3] = np.float32([0.1, 0.2, 0.3])
-    moved = fitter.moved(buffers, 3)
-    assert moved.dtype == np.float64 and list(moved) == [0.1 * float(np.float32(x)) for x in (0.1, 0.2, 0.3)]
-
-
-def test_where_resampling_alone_passes_the_error_interpolation_is_kept():
-    field, plane, heights = resampled()
-    error_m = 0.9 * field.resample_max
-    fitted, base = fit(field, error_m), plain(field, error_m)
-    assert base.bound_m > error_m and base.limited == "resampling"
-    assert fitted.rounds == 0 and fitted.triangles == base.triangles and fitted.limited == "resampling"
-    assert np.abs(mesh_heights(fitted.surface, plane) - heights).max() <= fitted.bound_m <= base.bound_m
-
-
 @pytest.mark.parametrize("budget", [0, 40, 300])
 def test_a_budget_is_kept_and_never_worse_than_interpolation(budget):
     field = rough(65, 65, seed=7)
@@ -197,15 +155,6 @@ def test_a_budget_is_used_well_also_for_errors_that_nothing_reaches(error_m):
     fitted, base = fit(field, error_m, max_triangles=200), plain(field, error_m, max_triangles=200)
     assert fitted.rounds > 0 and fitted.triangles <= 200
     assert measured(field, fitted.surface) <= fitted.bound_m < 0.9 * base.bound_m
-
-
-@pytest.mark.parametrize("times", [1.5, 1.8, 2.0])
-def test_a_resampled_spike_needs_no_more_triangles_than_interpolation(times):
-    heights = np.zeros((18, 18), np.float32)
-    heights[3, 3] = 100.0
-    field = from_array(heights)
-    fitted, base = fit(field, times * field.resample_max), plain(field, times * field.resample_max)
-    assert fitted.triangles <= base.triangles and fitted.bound_m <= times * field.resample_max
 
 
 def test_a_budget_that_only_the_fit_keeps_does_not_limit():

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.kernels.field.layout import tile_index
 
 LATTICES = [Lattice(1, 1, k) for k in range(8)]
@@ -16,22 +16,27 @@ LATTICES += [
     Lattice(3, 2, 6),
     Lattice(1, 3, 7),
 ]
+LATTICES += [fit(width, height) for width, height in ((4, 2), (8, 6), (7, 60), (34, 34), (100, 333), (130, 129))]
 
 
 def name(lattice):
-    return f"{lattice.columns}x{lattice.rows}x2^{lattice.levels}"
+    return f"{lattice.columns}x{lattice.rows}x2^{lattice.levels}-{lattice.cells_x}x{lattice.cells_y}"
 
 
 def diamonds(lattice):
-    """(depth, samples i, j) of every diamond, from where cells' centres and sides' middles are."""
+    """(depth, samples i, j) of every diamond, from where cells' centres and sides' middles are, but of those whose box
+    is beyond the raster."""
+    across, up = lattice.span
     for q in range(lattice.levels):
         half = 1 << (lattice.levels - q - 1)
-        j, i = np.mgrid[0 : lattice.height : half, 0 : lattice.width : half]
+        j, i = np.mgrid[0 : up + 1 : half, 0 : across + 1 : half]
         odd = (i // half) % 2 + (j // half) % 2
-        for depth, wanted in ((2 * q + 1, 2), (2 * q + 2, 1)):
-            yield depth, i[odd == wanted], j[odd == wanted]
-    j, i = np.mgrid[0 : lattice.height - 1, 0 : lattice.width - 1]
-    yield lattice.cell_depth, i.ravel(), j.ravel()
+        for depth, wanted, reach in ((2 * q + 1, 2, 3 * half), (2 * q + 2, 1, 2 * half)):
+            kept = (odd == wanted) & (i - reach < lattice.cells_x) & (j - reach < lattice.cells_y)
+            yield depth, i[kept], j[kept]
+    j, i = np.mgrid[0:up, 0:across]
+    kept = (i - 1 < lattice.cells_x) & (j - 1 < lattice.cells_y)
+    yield lattice.cell_depth, i[kept], j[kept]
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=name)
@@ -49,6 +54,8 @@ def test_every_diamond_has_an_entry_of_its_own(lattice):
     assert taken.max() == 1
     for entries in (taken[lattice.root_entries], lattice.root_entries < lattice.node_count):
         assert entries.shape == (lattice.rows, lattice.columns) and entries.all()
+    if lattice.is_padded:
+        return
     # The corners of the root squares are the samples that split nothing.
     samples = lattice.width * lattice.height - (lattice.columns + 1) * (lattice.rows + 1)
     assert taken[: lattice.cell_base].sum() == samples
@@ -91,7 +98,8 @@ def test_indices_beyond_31_bits():
     assert at == lattice.node_count - 1 > 2**32 and lattice.index(1, 1 << 15, 1 << 15) < lattice.cell_base
 
 
-def test_padding_is_a_small_part_of_a_large_raster():
-    lattice = Lattice(1, 1, 12)
+@pytest.mark.parametrize("size", [4097, 4098, 6000])
+def test_entries_of_nothing_are_a_small_part_of_a_large_raster(size):
+    lattice = fit(size, size)
     diamonds = lattice.width * lattice.height + (lattice.width - 1) * (lattice.height - 1)
     assert lattice.node_count < 1.08 * diamonds

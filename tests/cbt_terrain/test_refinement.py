@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.bisection import from_tree_id
-from fields import errors_of, extent, mesh_heights, random_view, ranges_of, rough
+from fields import errors_of, extent, random_view, ranges_of, rough
 from reference_bisection import forced_split_leaves
 
 SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
@@ -188,22 +188,6 @@ def test_depth_reaches_below_the_raster_where_the_view_asks_for_it():
     eye = np.array([0.0, 0.0, field.max_height + 1.0])
     update = Terrain(field, 1).update(Criterion(error_px=1.0), [View.look(eye, eye + extent(field) * [1, 0, -0.1])])
     assert update.surface.level.max() > field.lattice.cell_depth
-
-
-def test_what_resampling_moved_is_part_of_the_bound():
-    rng = np.random.default_rng(2)
-    raster = np.cumsum(np.cumsum(rng.standard_normal((48, 61)), axis=0), axis=1).astype(np.float32)
-    field = from_array(raster, 10.0)
-    assert field.lattice.width != 61 and field.resample_max > 0
-    plane = np.stack(np.meshgrid((np.arange(61) - 30) * 10.0, (np.arange(48) - 23.5) * 10.0), axis=-1).reshape(-1, 2)
-    for times in (1.5, 3.0, 30.0):
-        asked = times * field.resample_max
-        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
-        measured = np.abs(mesh_heights(update.surface, plane) - raster.ravel()).max()
-        assert measured <= update.bound_m <= asked and update.limited == ""
-    # less than resampling has moved cannot be had, and is not tried at any price
-    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=0.5 * field.resample_max))
-    assert field.resample_max < update.bound_m <= 1.125 * field.resample_max and update.limited == "resampling"
 
 
 def test_extreme_requests_are_the_finest_and_the_coarsest_mesh():

@@ -9,14 +9,13 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import LEVERAGE, interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import mesh_heights, reference_heights, rough, scattered, screen_error
 from rasters import imported, write_exr, write_raster
 
 STEP = 10.0
-SHAPES = {"fits": (33, 65), "resampled": (40, 51)}
+SHAPES = {"fits": (33, 65), "padded": (40, 51)}
 
 
 def unrounded(shape) -> np.ndarray:
@@ -64,10 +63,9 @@ FILES = {
 
 
 def most_for(field, asked: float) -> float:
-    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most,
-    and resampling leaves a quarter of the rest to the error itself."""
+    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most."""
     left = asked - field.source_max if field.source_max <= 0.5 * asked else 0.8 * asked
-    return (max(left, field.resample_max + 0.25 * left) + field.source_max) * (1 + 1e-4)
+    return (left + field.source_max) * (1 + 1e-4)
 
 
 def imported_from(tmp_path, kind, shape):
@@ -76,7 +74,7 @@ def imported_from(tmp_path, kind, shape):
     source, settings = FILES[kind][0](tmp_path, heights)
     rows, columns = heights.shape
     field, report = imported(tmp_path, source, extent=((columns - 1) * STEP, (rows - 1) * STEP), **settings)
-    assert report["source_step_m"] == field.source_max and (field.moved is not None) == (shape == "resampled")
+    assert report["source_step_m"] == field.source_max and field.lattice.is_padded == (shape == "padded")
     places = [STEP * (np.arange(n) - (n - 1) / 2) for n in (columns, rows)]
     return heights[::-1], np.stack(np.meshgrid(*places), -1).reshape(-1, 2), field
 
@@ -89,7 +87,7 @@ def test_a_bound_holds_for_the_heights_before_the_file_rounded_them(tmp_path, ki
     assert 0.9 * off <= field.source_max <= off * (1 + 1e-3)
     needed = []
     for times in (1.5, 6.0, 40.0):
-        asked = field.resample_max + times * max(off, 0.05)
+        asked = times * max(off, 0.05)
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
         worst = np.abs(mesh_heights(update.surface, plane) - heights.ravel()).max()
         assert worst <= update.bound_m <= most_for(field, asked) and update.terms_m.source == pytest.approx(
@@ -117,7 +115,7 @@ def test_a_fit_holds_for_the_heights_before_the_file_rounded_them(tmp_path, shap
     heights, plane, field = imported_from(tmp_path, "int16 GeoTIFF", shape)
     needed = []
     for times in (1.3, 5.0, 8.0):
-        asked = times * (field.resample_max + field.source_max)
+        asked = times * field.source_max
         fitted = fit(field, asked)
         plain = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
         worst = np.abs(mesh_heights(fitted.surface, plane) - heights.ravel()).max()
@@ -145,15 +143,10 @@ def test_an_error_of_twice_the_rounding_and_more_holds_in_full():
             assert update.limited == "" and 0.6 * asked < update.bound_m <= asked
 
 
-@pytest.mark.parametrize(
-    ("moved", "source", "limited"),
-    [(3.0, 0.0, "resampling"), (0.0, 0.5, "source"), (3.0, 0.5, "resampling"), (0.0, 0.0, "max_depth")],
-)
-def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(moved, source, limited):
+@pytest.mark.parametrize(("source", "limited"), [(0.5, "source"), (0.0, "max_depth")])
+def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(source, limited):
     asked = 0.1
     field = from_array(30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
-    if moved:
-        field = replace(field, moved=np.full_like(error_for(field, 0), moved), resample_max=moved)
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked, max_depth=6))
     assert update.bound_m > asked and update.terms_m.geometric > asked
     assert update.limited == limited
@@ -185,20 +178,7 @@ def test_the_term_follows_the_vertical_scale_and_not_the_place():
 
 
 def test_what_is_too_much_on_top_of_what_holds_back():
-    """Of resampling, float32 and the source the first that is too much on top of those before it."""
-    heights = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal((48, 61)), axis=0), axis=1)
-    plain = from_array(heights, 10.0)
-    moved = plain.resample_max
-
-    def limited(source_max, asked):
-        update_field = replace(plain, source_max=source_max)
-        update = Terrain(update_field, 1).update(Criterion(error_px=0.0, error_m=asked))
-        assert update.bound_m <= most_for(update_field, asked)
-        return update.limited
-
-    assert limited(moved, 0.5 * moved) == "resampling" and limited(10 * moved, 0.5 * moved) == "resampling"
-    assert limited(moved, 2.0 * moved) == limited(10 * moved, 9 * moved) == "source"
-    assert limited(moved, 6.0 * moved) == ""
+    """Of float32 and the source the first that is too much on top of those before it."""
     far = from_array(8000 + 0.001 * np.random.default_rng(0).standard_normal((9, 9)), 10.0)
     lost = Terrain(far, 1).update(Criterion(error_px=0, error_m=10.0)).terms_m.precision
     for times, reason in ((0.8, "precision"), (2.0, "source"), (6.0, "")):

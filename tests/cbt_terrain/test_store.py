@@ -240,6 +240,7 @@ BAD_ENTRIES = [
     *((name, value) for name in ("range_step",) for value in (-1, math.nan, "1")),
     *(("source_max", value) for value in (-1, math.nan, "1", None, DELETED)),
     *(("filled", value) for value in (-1, 0.5, "0")),
+    *(("holes", value) for value in (1, None, DELETED)),
     *((name, value) for name in ("key", "crs", "digest") for value in (5, None, [])),
     *(("report", value) for value in (5, None, [], DELETED)),
     *(("provenance", value) for value in (None, 5, {"settings": None}, {"settings": {"source": 5}}, DELETED)),

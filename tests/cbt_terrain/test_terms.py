@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bound is made of: geometry, resampling, float32, the source's rounding."""
+"""What a bound is made of: geometry, float32, the source's rounding."""
 
 import numpy as np
 import pytest
@@ -67,13 +67,13 @@ def test_terms_add_up_to_the_bound():
     rng = np.random.default_rng(2)
     raster = np.cumsum(np.cumsum(rng.standard_normal((48, 61)), axis=0), axis=1).astype(np.float32)
     view = View.look((0, -500, 300), (0, 0, 0))
-    for field, resampled in ((rough(33, 33), False), (from_array(raster, 10.0, source_max=0.1), True)):
+    for field, rounded in ((rough(33, 33), False), (from_array(raster, 10.0, source_max=0.1), True)):
         for threads in (1, 2):
             update = Terrain(field, threads).update(Criterion(error_px=0.5, error_m=2.0), [view])
             for terms, bound in ((update.terms_px, update.bound_px), (update.terms_m, update.bound_m)):
-                parts = terms.geometric, terms.resampling, terms.precision, terms.source
-                assert sum(parts) == pytest.approx(bound, rel=1e-12) and (terms.source > 0) == resampled
-                assert terms.geometric > 100 * terms.precision > 0 and (terms.resampling > 0) == resampled
+                parts = terms.geometric, terms.precision, terms.source
+                assert sum(parts) == pytest.approx(bound, rel=1e-12) and (terms.source > 0) == rounded
+                assert terms.geometric > 100 * terms.precision > 0
     assert Terrain(field, 1).update(Criterion(error_px=0, error_m=2.0)).terms_px is None
 
 

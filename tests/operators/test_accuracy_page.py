@@ -80,8 +80,8 @@ def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the
 def test_the_page_says_what_the_source_has_rounded():
     heights = np.random.default_rng(0).standard_normal((20, 31))
     said = accuracy_page.imported_text(from_array(heights, source_max=0.5))
-    assert "Importing resampled" in said and said.endswith(" may have moved the surface by up to 0.5 m.")
-    assert accuracy_page.imported_text(from_array(heights[:17, :17])) == ""
+    assert said.endswith(" may have moved the surface by up to 0.5 m.")
+    assert accuracy_page.imported_text(from_array(heights)) == ""
 
 
 def test_curves_without_a_place_on_logarithmic_axes_are_left_out():

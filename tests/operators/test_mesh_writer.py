@@ -11,8 +11,8 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.operators.mesh import memory as mesh_memory
-from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles
-from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh, write_mesh_bmesh
+from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles, clean_up
+from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh
 
 
 @pytest.fixture
@@ -92,39 +92,28 @@ def test_a_mesh_with_shape_keys_is_refused_and_stays(grid_surface):
     bpy.data.meshes.remove(mesh)
 
 
-def test_bmesh_route_without_clean_up_is_the_same_mesh(mesh, grid_surface):
-    surface = grid_surface(4, 3)
-    write_mesh_bmesh(mesh, surface, Cleanup())
-    assert mesh.validate(verbose=True) is False
-    assert (read(mesh.vertices, "co", 3) == surface.positions).all()
-    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
-    np.testing.assert_allclose(
-        read(mesh.corner_normals, "vector", 3),
-        surface.normals[read(mesh.loops, "vertex_index", 1, np.int32)],
-        atol=2e-4,
-    )
-
-
-def test_faces_wholly_below_a_height_are_deleted(mesh, grid_surface):
+def test_what_is_below_a_height_is_cut_away_at_that_height(mesh, grid_surface):
     surface = grid_surface(6, 2, lambda x, y: x)
     surface.normals[:, 0] = surface.positions[:, 0] / 10
     surface.normals[:, 2] = np.sqrt(1 - surface.normals[:, 0] ** 2)
-    write_mesh_bmesh(mesh, surface, Cleanup(below=2.5))
+    left, _ = clean_up(surface, Cleanup(below=2.5))
+    write_mesh(mesh, left)
     positions = read(mesh.vertices, "co", 3)
-    assert positions[:, 2].min() == 2.0, "faces that cross the height stay"
-    assert len(mesh.polygons) == 4 * 2 * 2
+    assert positions[:, 0].min() == positions[:, 2].min() == 2.5
+    assert (positions[:, 2] == 2.5).sum() == 3 + 2, "two sides of squares, a diagonal each"
     assert mesh.validate(verbose=True) is False
+    assert sum(face.area for face in mesh.polygons) == pytest.approx(3.5 * 2 * 2**0.5)
     corners = read(mesh.loops, "vertex_index", 1, np.int32)
     np.testing.assert_allclose(read(mesh.corner_normals, "vector", 3)[:, 0], positions[corners, 0] / 10, atol=2e-3)
 
 
-def test_loose_vertices_stay_when_asked(mesh, grid_surface):
-    surface = grid_surface(6, 2, lambda x, y: x)
-    write_mesh_bmesh(mesh, surface, Cleanup(below=2.5, remove_loose=False))
-    assert len(mesh.vertices) == len(surface.positions) and len(mesh.edges) == len(surface.edges)
+def test_nothing_is_left_below_a_height_above_all(mesh, grid_surface):
+    left, _ = clean_up(grid_surface(4, 3), Cleanup(below=1e5))
+    write_mesh(mesh, left)
+    assert not len(mesh.vertices) and not len(mesh.edges) and mesh.validate() is False
 
 
-def test_faces_outside_a_boundary_object_are_deleted(mesh, grid_surface):
+def test_what_is_outside_of_a_boundary_object_is_cut_away(mesh, grid_surface):
     plane = bpy.data.meshes.new("Boundary")
     plane.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
     boundary = bpy.data.objects.new("Boundary", plane)
@@ -135,7 +124,7 @@ def test_faces_outside_a_boundary_object_are_deleted(mesh, grid_surface):
     terrain_from_world[0, 3] = -100.0
     triangles = boundary_triangles(boundary, terrain_from_world)
     assert triangles.shape == (2, 3, 2)
-    write_mesh_bmesh(mesh, grid_surface(6, 4), Cleanup(boundary=triangles))
+    write_mesh(mesh, clean_up(grid_surface(6, 4), Cleanup(boundary=triangles))[0])
     positions = read(mesh.vertices, "co", 3)
     assert len(mesh.polygons) == 8
     assert (positions[:, :2].min(0) == (2, 1)).all() and (positions[:, :2].max(0) == (4, 3)).all()
@@ -183,7 +172,7 @@ def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
     bpy.context.view_layer.update()
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     before = read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2)
-    surface.uv = surface.uv + 1
+    surface.uv[:] += 1
     write_mesh(mesh, surface)
     assert (read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2) == before).all()
     assert (read(evaluated.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()

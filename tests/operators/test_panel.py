@@ -127,15 +127,13 @@ def test_import_says_what_it_did():
         "lowest_m": -1.5,
         "highest_m": 80.0,
         "filled": 3,
-        "moved_max_m": 0.25,
-        "moved_rms_m": 0.1,
+        "cut_out": 0,
         "source_step_m": 0.5,
     }
     assert summary(report) == (
-        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, resampled: moved by 0.25 m at most, 0.1 m rms, "
-        "rounded by the source itself to ±0.5 m"
+        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, rounded by the source itself to ±0.5 m"
     )
-    assert summary(report | {"moved_max_m": 0.0, "source_step_m": 0.0}).endswith(", 3 without data filled")
+    assert summary(report | {"source_step_m": 0.0}).endswith(", 3 without data filled")
 
 
 def test_lock_interface_button(scene):
@@ -219,7 +217,7 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
 
     terrain = add_terrain()
     terrain.adaptive_terrain.live = False  # so that the import itself updates the mesh
-    report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "moved_max_m": 0, "source_step_m": 0.5}
+    report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "source_step_m": 0.5}
     report["warnings"] = []
     done = SimpleNamespace(fraction=1.0, message="Done", done=True, error=None, report=report)
     job = SimpleNamespace(poll=lambda: done, cancelled=False)

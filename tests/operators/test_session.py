@@ -190,7 +190,8 @@ def test_a_bake_says_what_held_it_back(scene, add_terrain):
     [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
     kind, said = operator.report.call_args.args
     assert kind == {"WARNING"} and said.startswith(f"{len(baked.data.polygons):,} triangles, at most ")
-    assert said.endswith("held back by the triangle limit") and len(baked.data.polygons) < 500
+    assert said.endswith("held back by the triangle limit")
+    assert min(vertex.co.z for vertex in baked.data.vertices) == 0.0
 
 
 def test_a_fitted_bake_has_fewer_triangles(scene, add_terrain):

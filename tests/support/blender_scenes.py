@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 
 
 def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
@@ -19,7 +20,7 @@ def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
     edges, corner_edges = np.unique(np.sort(pairs, 1), axis=0, return_inverse=True)
     normals = np.zeros_like(positions)
     normals[:, 0], normals[:, 2] = 0.6, 0.8
-    return SimpleNamespace(
+    return Surface(
         positions=positions,
         normals=normals,
         uv=(positions[:, :2] / max(columns, rows, 1)).astype(np.float32),

@@ -69,8 +69,34 @@ def arrays(surface: Surface) -> dict[str, bytes]:
 
 def assert_blender_invariants(obj, meshlet: int = 0) -> None:
     """Assert I1 .. I6 for the mesh that a Blender object holds, read back from Blender, and Blender's own check."""
-    from adaptive_terrain.operators.output import frame_sources
     from adaptive_terrain.operators.scene import session
 
     assert obj.data.validate(verbose=True) is False
-    assert_invariants(frame_sources._surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)
+    assert_invariants(surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)
+
+
+def surface_of(mesh) -> Surface:
+    """The arrays of a Blender mesh of triangles, as Blender has them."""
+    from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE
+
+    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
+
+    def read(collection, name: str, shape, dtype) -> np.ndarray:
+        array = np.empty(int(np.prod(shape)), dtype)
+        collection.foreach_get(name, array)
+        return array.reshape(shape)
+
+    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
+    uv = np.zeros((vertices, 2), np.float32)
+    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
+    normals = np.zeros((vertices, 3), np.float32)
+    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
+    return Surface(
+        read(mesh.vertices, "co", (vertices, 3), np.float32),
+        normals,
+        uv,
+        corner_verts,
+        read(mesh.loops, "edge_index", (corners,), np.int32),
+        read(mesh.edges, "vertices", (edges, 2), np.int32),
+        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
+    )

@@ -13,7 +13,7 @@ def magnitudes(low: float, high: float):
 
 
 def fields(kinds=KINDS, shapes=SHAPES, interpolations=("bilinear", "bilinear", "bicubic")):
-    """`field` of a scenario, on a lattice as it is: nothing is resampled."""
+    """`field` of a scenario."""
     return st.fixed_dictionaries(
         {
             "kind": st.sampled_from(kinds),

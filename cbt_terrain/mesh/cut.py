@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A surface cut where a signed value at its vertices is 0: what is negative goes.
+
+The value is linear over a triangle, so the cut is straight in it and what stays is the same surface: a bound of it
+holds. The rim of a padded raster is cut this way, and what a user has cut away.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+
+from ...kernels.mesh import cut as kernels
+from ...kernels.refine.diamond import Domain
+from ..refine.refinement import NO_RIM
+from ..run import launch
+from ..run.buffers import shared
+
+# A vertex that is nearer to the line than this part of an edge is on it: no sliver, and no two vertices at one place.
+TOLERANCE = 2.0**-10
+# Arrays of a surface with one item a vertex, and with one a triangle.
+POINTS, FACES = ("positions", "normals", "uv"), ("level",)
+# Of every array: what it has items of, and how many of each.
+SHAPE = {name: (int(kernels.VERTEX), 1) for name in POINTS} | {
+    "edges": (int(kernels.EDGE), 1),
+    "corner_verts": (int(kernels.TRIANGLE), 3),
+    "corner_edges": (int(kernels.TRIANGLE), 3),
+    "level": (int(kernels.TRIANGLE), 1),
+}
+
+NONE_SWAPPED = np.empty((2, 0), np.int32)
+
+# Of the array `name` of a surface one with room for so many items that begins with it: the array itself, or a copy.
+Room = Callable[[str, np.ndarray, int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What stays of a surface. `value`: of positions, float32 [V, 3], the signed value, float64 [V]; it must depend on
+    each position alone. `known`: arrays, columns and what they are on the line, exactly. `tolerance`: see TOLERANCE."""
+
+    value: Callable[[np.ndarray], np.ndarray]
+    known: tuple[tuple[str, int, float], ...] = ()
+    tolerance: float = TOLERANCE
+
+
+def above(axis: int, at: float) -> Side:
+    """Keep where coordinate `axis` is at least `at`, metres, of which float32 is kept."""
+    at = float(np.float32(at))
+    return Side(lambda positions: np.subtract(positions[:, axis], at, dtype=np.float64), (("positions", axis, at),))
+
+
+def rim(axis: int, at: float) -> Side:
+    """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Vertices are on the rim or cells
+    away from it, so none is near enough to be taken for one on it."""
+    at = float(np.float32(at))
+    known = (("positions", axis, at), ("uv", axis, 1.0))
+    return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
+
+
+def rims(domain: Domain) -> list[Side]:
+    """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
+    axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
+    # As the displacement places points.
+    return [rim(axis, start + at * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM]
+
+
+def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
+    """Room in memory of its own."""
+    larger = np.empty((count, *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger
+
+
+def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1):
+    """What is on all the `sides` (few: each may double what is at hand), and which vertices have changed places.
+
+    One vertex is new on each edge that changes sign, so the mesh stays welded; its arrays are interpolated between the
+    edge's ends. Vertices, edges and triangles keep their numbers, but for the last ones, which fill the gaps.
+    Returns a Surface and int32 [2, n]: the items of the arrays of vertices that were swapped. With another `room` than
+    `copied` the arrays are overwritten; swapping back gives the vertices that there were. The same bytes for any number
+    of threads.
+    """
+    if not sides:
+        return surface, NONE_SWAPPED
+    values = [side.value(surface.positions) for side in sides]
+    near = np.zeros(len(surface.positions), bool)
+    for side, value in zip(sides, values, strict=True):
+        # Of what may come to be on the line, too.
+        near |= value <= (2.0 * side.tolerance * max(0.0, -float(value.min(initial=0.0))) if side.tolerance else 0.0)
+    if not near.any():
+        return surface, NONE_SWAPPED
+    work = _Work(surface, near, len(sides), room, threads)
+    for side, value in zip(sides, values, strict=True):
+        work.cut(side, value)
+    return work.close()
+
+
+def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1):
+    """The surface without the `triangles`, bool [T]; all else as `cut`."""
+    if not triangles.any():
+        return surface, NONE_SWAPPED
+    near = np.zeros(len(surface.positions), bool)
+    near[surface.triangles[triangles]] = True
+    work = _Work(surface, near, 0, room, threads)
+    launch.once(kernels.drop, [shared(triangles.view(np.uint8), wp.uint8), work.m], step="cut")
+    return work.close()
+
+
+class _Work:
+    """A surface that is being cut, in arrays with room for what comes."""
+
+    def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
+        self.surface, self.threads = surface, threads
+        self.before = len(surface.positions), len(surface.edges), len(surface.level)
+        listed = _listed(near, surface.corner_verts, threads)
+        self.corners = surface.triangles[listed]
+        # At a side each triangle may become two, with two new vertices and two new edges.
+        more = 2 * len(listed) * ((1 << sides) - 1)
+        self.counts = np.zeros(kernels.COUNTS, np.int32)
+        self.counts[:4] = *self.before, len(listed)
+        self.arrays = {
+            name: room(name, getattr(surface, name), each * (self.before[kind] + more))
+            for name, (kind, each) in SHAPE.items()
+        }
+        most = max(self.before) + more
+        self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
+        self.parent, self.moved = np.empty(more, np.int32), np.empty((3, most), np.int32)
+        m = self.m = kernels.Cut()
+        m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
+        m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
+        m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
+        m.listed = shared(copied("", listed, len(listed) + more), wp.int32)
+        m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
+        m.gone = shared(np.zeros((3, most), np.uint8), wp.uint8)
+        m.doomed = shared(np.empty((3, most), np.int32), wp.int32)
+        m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
+
+    def cut(self, side: Side, value: np.ndarray) -> None:
+        """`value`: of the vertices that were there before all cuts."""
+        first, first_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
+        self.value[self.corners] = value[self.corners]
+        if first > len(value):
+            self.value[len(value) : first] = side.value(self.arrays["positions"][len(value) : first])
+        if side.tolerance:
+            launch.once(kernels.put_on_line, [wp.float64(side.tolerance), self.m], step="cut")
+        launch.once(kernels.cut, [self.m], step="cut")
+        end, end_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
+        p, q = self.ends[: end - first].T
+        part = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
+        for name in POINTS:
+            array = self.arrays[name]
+            at_p, at_q = array[p].astype(np.float64), array[q].astype(np.float64)
+            new = at_p + part * (at_q - at_p)
+            if name == "normals":
+                new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
+            array[first:end] = new
+        for name, column, known in side.known:
+            self.arrays[name][first:end, column] = known
+        for name in FACES:
+            self.arrays[name][first_face:end_face] = self.arrays[name][self.parent[: end_face - first_face]]
+
+    def close(self):
+        """Close the gaps."""
+        launch.once(kernels.close, [self.m], step="cut")
+        ends = self.counts[kernels.END : kernels.END + 3].tolist()
+        self._renumber("corner_verts", kernels.VERTEX, ends)
+        self._renumber("edges", kernels.VERTEX, ends)
+        self._renumber("corner_edges", kernels.EDGE, ends)
+        launch.once(kernels.fill, [self.m], step="cut")
+        swapped = self._moves(kernels.VERTEX, ends)
+        for name in POINTS:
+            swap(self.arrays[name], swapped)
+        source, to = self._moves(kernels.TRIANGLE, ends)
+        for name in FACES:
+            self.arrays[name][to] = self.arrays[name][source]
+        views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in SHAPE.items()}
+        return replace(self.surface, **views), swapped
+
+    def _renumber(self, name: str, kind: int, ends: list[int]) -> None:
+        """Say in one of the arrays where the vertices or edges behind the end have moved."""
+        numbers, moved = shared(self.arrays[name].reshape(-1), wp.int32), shared(self.moved[kind], wp.int32)
+        count = int(self.counts[SHAPE[name][0]]) * (2 if name == "edges" else 3)
+        pieces = self.threads if count >= launch.SLICE_ITEMS else 1
+        cuts = [count * k // pieces for k in range(pieces + 1)]
+        inputs = [[first, stop, numbers, ends[kind], moved] for first, stop in pairwise(cuts)]
+        launch.slices(kernels.renumber, inputs, step="cut")
+
+    def _moves(self, kind: int, ends: list[int]) -> np.ndarray:
+        """int32 [2, n]: where something moves from, and where to."""
+        to = self.moved[kind, : self.counts[kind] - ends[kind]]
+        stays = np.flatnonzero(to >= 0)
+        return np.stack([stays.astype(np.int32) + np.int32(ends[kind]), to[stays]])
+
+
+def swap(array: np.ndarray, swapped: np.ndarray) -> None:
+    """Change the places of items; doing it again undoes it."""
+    array[swapped] = array[swapped[::-1]]
+
+
+def _listed(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndarray:
+    """int32, ascending: the triangles that have a vertex in `near`."""
+    triangles = len(corner_verts) // 3
+    pieces = threads if triangles >= launch.SLICE_ITEMS else 1
+    listed, found = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)
+    arrays = [shared(near.view(np.uint8), wp.uint8), *(shared(a, wp.int32) for a in (corner_verts, listed, found))]
+    cuts = [triangles * k // pieces for k in range(pieces + 1)]
+    launch.slices(kernels.list_near, [[cuts[k], cuts[k + 1], k, *arrays] for k in range(pieces)], step="cut")
+    return np.concatenate([listed[first : first + n] for first, n in zip(cuts, found, strict=False)])

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What lies inside of an outline in plan, as sides of cuts.
+
+A convex outline of few lines is cut line by line, exactly. Of any other the value is the distance to it: the border
+follows the outline where it is straight across a triangle, and rounds its corners off by less than a triangle.
+"""
+
+import numpy as np
+
+from .cut import Side
+
+# Each line of a convex outline is a cut of its own.
+MOST_LINES = 32
+# Parts of the outline's size that rounding may be off.
+SAME = 1e-9
+BLOCK = 1 << 20  # distances at a time
+
+
+def inside(triangles: np.ndarray, surface) -> list[Side]:
+    """Sides that keep what of `surface` is above or below any of `triangles`, float64 [n, 3, 2] metres in plan."""
+    area2 = _cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    triangles = np.where((area2 < 0)[:, None, None], triangles[:, ::-1], triangles)[area2 != 0]
+    if not len(triangles):
+        return [Side(lambda positions: np.full(len(positions), -1.0))]
+    border = outline(triangles)
+    lines = _lines(border)
+    if len(lines) <= MOST_LINES and _holds_all(lines, border.reshape(-1, 2)):
+        return [Side(lambda positions, line=line: _from_line(line, positions)) for line in lines]
+    values = _distances(triangles, border, surface)
+    return [Side(lambda _positions: values)]
+
+
+def outline(triangles: np.ndarray) -> np.ndarray:
+    """float64 [m, 2, 2]: edges of counter-clockwise triangles that have triangles on their left alone, each once."""
+    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+    grid = np.rint((edges - edges.min(axis=(0, 1))) / (SAME * np.ptp(edges, axis=(0, 1)).max())).astype(np.int64)
+    _, number = np.unique(grid.reshape(-1, 2), axis=0, return_inverse=True)
+    a, b = number.reshape(-1, 2).T.astype(np.int64)
+    count = number.max() + 1
+    forward, first = np.unique(a * count + b, return_index=True)
+    return edges[first[~np.isin(forward, b * count + a)]]
+
+
+def _lines(border: np.ndarray) -> np.ndarray:
+    """float64 [n, 3]: the lines on which the edges are, each once: a x + b y + c is the distance to the left."""
+    along = border[:, 1] - border[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    lines = np.concatenate([normal, -np.sum(normal * border[:, 0], axis=1, keepdims=True)], axis=1)
+    size = np.abs(border).max()
+    rounded = np.rint(lines / (1e3 * SAME * np.array([1.0, 1.0, size])))
+    return lines[np.sort(np.unique(rounded, axis=0, return_index=True)[1])]
+
+
+def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
+    x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+    return line[0] * x + line[1] * y + line[2]
+
+
+def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
+    """Whether no point is to the right of a line."""
+    least = -1e3 * SAME * np.abs(points).max()
+    return all((_from_line(line, points) >= least).all() for line in lines)
+
+
+def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray:
+    """float64 [V]: how far inside a vertex is, metres; where none of its triangles crosses the border only the sign is
+    right."""
+    place = surface.positions[:, :2].astype(np.float64)
+    covered = _covered(triangles, place)
+    values = np.where(covered, 1.0, -1.0)
+    corners = covered[surface.triangles]
+    near = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
+    start, along = border[:, 0], border[:, 1] - border[:, 0]
+    for part in np.array_split(near, 1 + len(near) * len(border) // BLOCK):
+        away = place[part][:, None] - start
+        t = np.clip(np.sum(away * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
+        away -= t[:, :, None] * along
+        values[part] *= np.sqrt(np.sum(away * away, axis=2).min(axis=1))
+    return values
+
+
+def _covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """bool [V]: whether a point is on any of the counter-clockwise triangles."""
+    order = np.argsort(points[:, 0], kind="stable")
+    x, y = points[order].T
+    covered = np.zeros(len(points), bool)
+    low, high = (
+        np.searchsorted(x, triangles[:, :, 0].min(axis=1)),
+        np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right"),
+    )
+    for (a, b, c), first, end in zip(triangles, low, high, strict=True):
+        u, v = x[first:end], y[first:end]
+        on = np.ones(end - first, bool)
+        for p, q in ((a, b), (b, c), (c, a)):
+            on &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
+        covered[order[first:end][on]] = True
+    return covered
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cut surfaces against polygons that are clipped one by one in float64."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, cut, drop, rim, swap
+from cut_surfaces import areas, assert_welded, surface_of
+
+ARRAYS = ("positions", "normals", "uv", "corner_verts", "corner_edges", "edges", "level")
+
+
+def moments(polygon: np.ndarray) -> np.ndarray:
+    """Area and volume below a flat polygon, float64 [n, 3]."""
+    total = np.zeros(2)
+    for b, c in zip(polygon[1:], polygon[2:], strict=False):
+        u, v = b - polygon[0], c - polygon[0]
+        area = 0.5 * (u[0] * v[1] - u[1] * v[0])
+        total += area, area * (polygon[0, 2] + b[2] + c[2]) / 3
+    return total
+
+
+def clipped(polygon: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """What of a polygon is not negative (Sutherland, Hodgman 1974)."""
+    out = []
+    for k in range(len(polygon)):
+        p, q, a, b = polygon[k - 1], polygon[k], value[k - 1], value[k]
+        if a * b < 0:
+            out.append(p + a / (a - b) * (q - p))
+        if b >= 0:
+            out.append(q)
+    return np.array(out).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_stays_is_what_clipping_every_triangle_leaves(seed, meshlet):
+    surface = surface_of(seed, 8.0, meshlet)
+    rng = np.random.default_rng(seed)
+    count = len(surface.positions)
+    # Far from 0, so that no new vertex is at an old one's place; a third of them on the line.
+    values = rng.choice([-1.0, 0.0, 1.0], count) * rng.uniform(0.5, 2.0, count)
+    result, _ = cut(surface, [Side(lambda _: values, tolerance=0.0)])
+    border = assert_welded(result)
+    expected = np.zeros(2)
+    for corners in surface.triangles:
+        expected += moments(clipped(surface.positions[corners].astype(np.float64), values[corners]))
+    found = sum(moments(result.positions[corners].astype(np.float64)) for corners in result.triangles)
+    assert np.allclose(found, expected, rtol=0, atol=2e-6 * expected[0] * (1 + np.abs(surface.positions[:, 2]).max()))
+    # No border but the old one and the line.
+    kept = {p.tobytes(): v for p, v in zip(surface.positions, values, strict=True)}
+    on_line = np.array([kept.get(p.tobytes(), 0.0) == 0.0 for p in result.positions])
+    low, high = surface.positions[:, :2].min(axis=0), surface.positions[:, :2].max(axis=0)
+    place = result.positions[border][:, :, :2]
+    old = ((place == low) | (place == high)).all(axis=1).any(axis=1)
+    assert (on_line[border].all(axis=1) | old).all()
+    assert set(map(bytes, surface.positions[values > 0])) <= set(map(bytes, result.positions))
+
+
+@pytest.mark.parametrize(("error_m", "meshlet"), [(100.0, 0), (5.0, 0), (5.0, 2), (0.5, 1)])
+@pytest.mark.parametrize(
+    ("east", "north"), [(170.0, 90.0), (320.0, 90.0), (310.0, 160.0), (-310.0, -150.0), (0.0, 0.0)]
+)
+def test_two_rims_leave_exactly_the_rectangle(error_m, meshlet, east, north):
+    surface = surface_of(1, error_m, meshlet)
+    result, _ = cut(surface, [rim(0, east), rim(1, north)])
+    place = result.positions[assert_welded(result)][:, :, :2]
+    low, high = np.array([-320.0, -160.0], np.float32), np.array([east, north], np.float32)
+    assert ((place == low) | (place == high)).all(axis=1).any(axis=1).all()
+    assert areas(result).sum() == (east + 320) * (north + 160)
+    assert len(result.positions) - len(result.edges) + len(result.level) == 1
+    for corner in ((-320, -160), (east, -160), (east, north), (-320, north)):
+        assert (result.positions[:, :2] == np.array(corner, np.float32)).all(axis=1).sum() == 1
+    new = ~np.isin(result.positions.view("V12"), surface.positions.view("V12")).ravel()
+    assert (result.uv[new] == 1).any(axis=1).all()
+
+
+def test_where_nothing_is_negative_the_surface_stays_as_it_is():
+    surface = surface_of(2, 5.0, 0)
+    assert cut(surface, [rim(0, 320.5), rim(1, 160.5)])[0] is surface
+    on_rim, swapped = cut(surface, [rim(0, 320.0), rim(1, 160.0)])
+    assert not swapped.size and all(np.array_equal(getattr(on_rim, n), getattr(surface, n)) for n in ARRAYS)
+
+
+def test_nothing_is_left_where_all_is_negative():
+    result, _ = cut(surface_of(2, 5.0, 0), [rim(0, -400.0)])
+    assert not any(getattr(result, name).size for name in ARRAYS)
+
+
+def test_a_coast_is_on_its_level_and_has_no_slivers():
+    surface = surface_of(3, 2.0, 1)
+    level = float(np.median(surface.positions[:, 2]))
+    near = np.arange(0, len(surface.positions), 3)
+    surface.positions[near, 2] = np.float32(level) + np.linspace(-1e-4, 1e-4, len(near), dtype=np.float32)
+    result, _ = cut(surface, [above(2, level)])
+    border = assert_welded(result)
+    inner = (np.abs(result.positions[border][:, :, :2]) < (319, 159)).all(axis=(1, 2))
+    lowest = surface.positions[:, 2].min()
+    assert np.abs(result.positions[border[inner]][:, :, 2] - level).max() <= 1.01 * TOLERANCE * (level - lowest)
+    new = ~np.isin(result.positions.view("V12"), surface.positions.view("V12")).ravel()
+    assert new.sum() > 50 and (result.positions[new, 2] == np.float32(level)).all()
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_any_number_of_threads_gives_the_same_bytes(threads):
+    surface = surface_of(4, 0.2, 2)
+    assert len(surface.level) > 20_000
+    one, _ = cut(surface, [rim(0, 95.0), above(2, 3.0)])
+    more, _ = cut(surface, [rim(0, 95.0), above(2, 3.0)], threads=threads)
+    assert all(getattr(one, name).tobytes() == getattr(more, name).tobytes() for name in ARRAYS)
+
+
+def test_what_stays_keeps_its_number_and_swapping_back_undoes_a_cut():
+    surface = surface_of(5, 2.0, 0)
+    before = surface.positions.copy()
+    held = {}
+
+    def in_place(name, array, count):
+        held[name] = np.concatenate([array, np.zeros((count - len(array), *array.shape[1:]), array.dtype)])
+        return held[name]
+
+    result, swapped = cut(surface, [above(0, -250.0)], room=in_place)
+    assert np.array_equal(before, surface.positions) and np.shares_memory(result.positions, held["positions"])
+    same = (result.positions[: len(before)] == before[: len(result.positions)]).all(axis=1)
+    assert same[~np.isin(np.arange(len(same)), swapped)].all() and same.mean() > 0.5
+    swap(held["positions"], swapped)
+    assert np.array_equal(held["positions"][: len(before)], before)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 1.0])
+def test_triangles_that_are_dropped_leave_the_others_as_they_are(share):
+    surface = surface_of(6, 5.0, 1)
+    gone = np.random.default_rng(6).random(len(surface.level)) < share
+    result, _ = drop(surface, gone)
+    if share < 1:
+        assert_welded(result)
+
+    def triangles(of, chosen):
+        rows = np.concatenate([of.positions[of.triangles].reshape(-1, 9), of.level[:, None]], axis=1)[chosen]
+        return rows[np.lexsort(rows.T)]
+
+    assert np.array_equal(triangles(result, slice(None)), triangles(surface, ~gone))

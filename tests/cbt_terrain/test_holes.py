@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Holes of no-data: their border is refined down to the raster's cells; what they are filled with does not count."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from own_surface import distances
+from rasters import hills
+
+STEP = 10.0
+
+
+def raster(width: int = 70, height: int = 50) -> np.ndarray:
+    """Hills with a round lake of no data, a single missing sample, and a corner of the raster that is missing."""
+    heights = hills(width, height).astype(np.float32)
+    y, x = np.mgrid[:height, :width]
+    heights[(x - 30) ** 2 + (y - 20) ** 2 < 80] = np.nan
+    heights[45, 10] = heights[12, 60] = np.nan
+    heights[-9:, -6:] = np.nan
+    return heights
+
+
+def hole_cells(heights: np.ndarray) -> np.ndarray:
+    """bool [rows - 1, columns - 1]: the cells that have a missing corner."""
+    lost = np.isnan(heights)
+    return lost[1:, 1:] | lost[1:, :-1] | lost[:-1, 1:] | lost[:-1, :-1]
+
+
+def kinds_of(surface, holes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """bool [T] twice: whether a triangle has points in cells that are holes, and in others. Nothing beyond the rim."""
+    rows, columns = holes.shape
+    cells = surface.positions[:, :2].astype(np.float64) / STEP + (columns / 2, rows / 2)
+    corners = cells[surface.triangles]
+    random = np.random.default_rng(0)
+    found = np.zeros((2, len(corners)), bool)
+    for weights in random.dirichlet(np.ones(3), 60):
+        x, y = np.floor(np.tensordot(weights, corners, axes=(0, 1))).astype(int).T
+        inside = (x < columns) & (y < rows)
+        hole = np.zeros(len(x), bool)
+        hole[inside] = holes[y[inside], x[inside]]
+        found |= inside & np.stack([hole, ~hole])
+    return found
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
+def test_no_triangle_lies_across_the_border_of_a_hole_once_it_is_seen(interpolation):
+    heights = raster()
+    field = interpolated(from_array(heights, STEP, holes=True), interpolation)
+    assert field.filled == np.isnan(heights).sum() and np.array_equal(field.valid == 0, np.isnan(heights))
+    assert np.isfinite(field.samples).all()
+    mixed = []
+    for error_m in (200.0, 50.0, 5.0):
+        surface = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        hole, ground = kinds_of(surface, hole_cells(heights))
+        corners = surface.positions[surface.triangles][..., :2]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        assert longest[hole & ground].max(initial=0.0) <= error_m, "its border is in the wrong place by no more"
+        mixed.append((hole & ground).sum())
+    assert mixed[0] > 0 == mixed[-1]
+
+
+def test_a_bound_holds_on_the_ground_and_holes_are_not_refined():
+    heights = raster()
+    cut, filled = from_array(heights, STEP, holes=True), from_array(heights, STEP)
+    for error_m in (4.0, 0.5):
+        update = Terrain(cut, 1).update(Criterion(error_px=0.0, error_m=error_m))
+        far = distances(cut.samples, STEP, STEP, update.surface.positions, update.surface.corner_verts)
+        on_ground = np.kron(~hole_cells(heights), np.ones((4, 4), bool))
+        assert far[:-1, :-1][on_ground].max() <= error_m
+        hole, _ = kinds_of(update.surface, hole_cells(heights))
+        whole = Terrain(filled, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        assert hole.sum() < 0.3 * kinds_of(whole, hole_cells(heights))[0].sum()
+
+
+def test_a_hole_in_flat_ground_is_found():
+    heights = np.zeros((65, 65), np.float32)
+    heights[20:24, 30] = np.nan
+    field = from_array(heights, STEP, holes=True)
+    assert Terrain(from_array(heights, STEP), 1).update(Criterion(error_px=0.0, error_m=1.0)).triangles == 2
+    view = View.look((0.0, -300.0, 300.0), (0.0, 0.0, 0.0), resolution=(640, 480))
+    update = Terrain(field, 1).update(Criterion(error_px=1.0), [view])
+    hole, ground = kinds_of(update.surface, hole_cells(heights))
+    assert hole.any() and not (hole & ground).any()
+    far_away = View.look((0.0, -3e5, 3e5), (0.0, 0.0, 0.0), resolution=(640, 480))
+    assert Terrain(field, 1).update(Criterion(error_px=1.0), [far_away]).triangles < update.triangles / 2
+
+
+def test_a_store_keeps_holes(tmp_path):
+    heights = raster()
+    np.save(tmp_path / "a.npy", heights)
+    reports = [
+        import_source(ImportSettings(source=str(tmp_path / "a.npy"), holes=holes), tmp_path / str(holes))
+        for holes in (True, False)
+    ]
+    lost = int(np.isnan(heights).sum())
+    assert [(r["filled"], r["cut_out"]) for r in reports] == [(0, lost), (lost, 0)]
+    cut, filled = open_store(tmp_path / "True"), open_store(tmp_path / "False")
+    assert np.array_equal(cut.valid[::-1] == 0, np.isnan(heights)) and filled.valid is None and cut.key != filled.key
+    assert np.array_equal(cut.samples, filled.samples) and "valid.npy" in verify(tmp_path / "True")
+    assert interpolated(cut, "bicubic").valid is cut.valid
+    next((tmp_path / "True").glob("data-*/valid.npy")).unlink()
+    with pytest.raises(TerrainError, match="lacks valid.npy"):
+        open_store(tmp_path / "True")

@@ -268,7 +268,9 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         high = wp.float64(most)
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:
-        d.rim = wp.where(beyond, 2, 1)
+        d.rim = 1
+    if beyond or low > high:  # its box may touch the raster where no diamond below it does: then it has no range
+        d.rim = 2
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
     d.low = wp.vec3d(

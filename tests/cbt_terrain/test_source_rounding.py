@@ -194,7 +194,12 @@ def test_what_is_too_much_on_top_of_what_holds_back():
 def test_what_the_source_leaves_open_is_not_refined_away_at_any_price():
     field = from_array(np.round(rough(65, 65).samples), 10.0, source_max=0.5)
     exact = from_array(field.samples, 10.0)
-    for asked, bound, reason in ((2.5, 2.5, ""), (0.5, 0.9, "source"), (0.25, 0.7, "source"), (1e-3, 0.62502, "source")):
+    for asked, bound, reason in (
+        (2.5, 2.5, ""),
+        (0.5, 0.9, "source"),
+        (0.25, 0.7, "source"),
+        (1e-3, 0.62502, "source"),
+    ):
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
         assert update.limited == reason and 0.5 < update.bound_m <= bound * (1 + 1e-6)
         plain = Terrain(exact, 1).update(Criterion(error_px=0.0, error_m=max(0.8 * asked, 0.25 * 0.5)))

@@ -2,8 +2,7 @@
 """Whole Cycles renders of one frame: our mesh against Cycles' own adaptive subdivision of the same heights, and how
 close each picture comes to that of the whole uniform grid.
 
-Each way is a process of its own (cycles_frame.py), so that its peak memory can be told. A pixel of ours bounds the
-longest edge of every triangle; Cycles' rate is a length that its edges come near to, so ours has more triangles.
+Each way is a process of its own (cycles_frame.py), so that its peak memory can be told.
 """
 
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ import numpy as np
 from .child import run_child
 from .measure import Row
 
-ADAPTIVE, EDGE, ERROR, GRID = "adaptive", "edge", "error", "grid"
+ADAPTIVE, ERROR, GRID, BARE = "adaptive", "error", "grid", "bare"
 PIXEL = 1.0
 # Levels of 255 by which a pixel may differ before it counts as another.
 VISIBLE = 8
@@ -25,28 +24,37 @@ SSIM_C1, SSIM_C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
 
 
 def cycles_rows(store: Path, tiff: Path, folder: Path) -> Iterator[Row]:
-    """(a) our edges at most 1 pixel long, (b) our error at most 1 pixel, each against dicing at 1 pixel."""
+    """Our error at most 1 pixel against dicing at 1 pixel: time and memory."""
     found, pictures = {}, {}
-    for mode in (GRID, ADAPTIVE, EDGE, ERROR):
-        picture = folder / f"cycles_{mode}.png"
-        found[mode] = run_child("cycles_frame", mode, store, tiff, PIXEL, picture)
-        pictures[mode] = pixels(picture)
-    theirs = found[ADAPTIVE]
-    for mode in (EDGE, ERROR):
-        ours = found[mode]
-        row = Row(f"cycles_{mode}", ours["triangles"], ours["ms"], "cycles dicing", theirs["ms"])
-        row.first_ms = ours["first_ms"]
-        row.figures = difference(pictures[mode], pictures[ADAPTIVE])
-        for name, other in (("", mode), ("baseline_", ADAPTIVE)):
-            row.figures[f"{name}ssim"] = similarity(pictures[other], pictures[GRID])
-            row.figures[f"{name}cpu_s"] = found[other]["cpu_s"]
-        yield row
-        if ours["peak_mb"] is None:
-            continue
-        row = Row(f"cycles_{mode}_memory", ours["triangles"], None, "cycles dicing")
-        row.ratio = ours["peak_mb"] / theirs["peak_mb"]
-        row.figures = {"peak_mb": ours["peak_mb"], "baseline_peak_mb": theirs["peak_mb"]}
-        yield row
+    for mode in (GRID, ADAPTIVE, ERROR):
+        found[mode], pictures[mode] = rendered(mode, PIXEL, store, tiff, folder)
+    ours, theirs = found[ERROR], found[ADAPTIVE]
+    row = Row("cycles_error", ours["triangles"], ours["ms"], "cycles dicing", theirs["ms"])
+    row.first_ms = ours["first_ms"]
+    row.figures = difference(pictures[ERROR], pictures[ADAPTIVE])
+    for name, mode in (("", ERROR), ("baseline_", ADAPTIVE)):
+        row.figures[f"{name}ssim"] = similarity(pictures[mode], pictures[GRID])
+        row.figures[f"{name}cpu_s"] = found[mode]["cpu_s"]
+    yield row
+    if ours["peak_mb"] is not None:
+        yield memory_row("cycles_error_memory", ours, theirs, 0.0)
+
+
+def rendered(mode: str, px: float, store: Path, tiff: Path, folder: Path) -> tuple[dict, np.ndarray]:
+    """What a render in a process of its own has cost, and its picture."""
+    picture = folder / f"{mode}_{px:g}.png"
+    said = run_child("cycles_frame", mode, store, tiff, px, picture)
+    return said, pixels(picture)
+
+
+def memory_row(name: str, ours: dict, theirs: dict, base_mb: float) -> Row:
+    """The ratio of peak memory, of both above what `base_mb` says that anything takes."""
+    row = Row(name, ours["triangles"], None, "cycles dicing")
+    row.ratio = (ours["peak_mb"] - base_mb) / (theirs["peak_mb"] - base_mb)
+    row.figures = {"peak_mb": ours["peak_mb"], "baseline_peak_mb": theirs["peak_mb"]}
+    if base_mb:
+        row.figures["base_mb"] = base_mb
+    return row
 
 
 def pixels(picture: Path) -> np.ndarray:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A process that renders a flight in Cycles, one of four ways: `cycles_frame MODE STORE TIFF PX PICTURE`.
 
-MODE `edge` and `error` render our terrain with that criterion at PX pixels; `adaptive` a plane under Cycles' adaptive
-subdivision at a dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only. The
-first frame goes to PICTURE.
+MODE `error` renders our terrain with an error of PX pixels; `adaptive` a plane under Cycles' adaptive subdivision at a
+dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only; `bare` a flat plane,
+one frame only: what any picture takes. The first frame goes to PICTURE.
 """
 
 import json
@@ -19,7 +19,7 @@ from ..operators.blender import need_bpy
 from ..operators.text.console import quiet
 from . import scenes
 from .child import peak_mb
-from .cycles import ADAPTIVE, EDGE, GRID
+from .cycles import ADAPTIVE, BARE, ERROR, GRID
 from .in_blender import flight_scene, new_object
 from .measure import stopwatch
 
@@ -36,7 +36,7 @@ def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
     rendered = []
     bpy.app.handlers.render_post.append(lambda *_: rendered.append(len(obj.data.polygons)))
     times, processor = [], []
-    for frame in range(1 if mode == GRID else RUNS + 1):
+    for frame in range(1 if mode in (GRID, BARE) else RUNS + 1):
         scene.frame_set(frame)
         start = time.process_time()
         with quiet(), stopwatch() as elapsed:
@@ -57,7 +57,9 @@ def render_scene(mode: str, store: str, tiff: str, px: float):
     if mode == GRID:
         obj = _grid(store)
     else:
-        obj = _diced_plane(tiff, px) if mode == ADAPTIVE else _terrain(store, mode, px)
+        obj = _terrain(store, px) if mode == ERROR else _plane()
+    if mode == ADAPTIVE:
+        _dice(obj, px)
     obj.data.materials.append(_material(tiff if mode == ADAPTIVE else None))
     return scene, obj
 
@@ -80,11 +82,11 @@ def set_up_render(scene) -> None:
     scene.collection.objects.link(lamp)
 
 
-def _terrain(store: str, mode: str, px: float):
+def _terrain(store: str, px: float):
     obj = new_object("Terrain")
     settings = obj.adaptive_terrain
     settings.viewport.error_px = COARSE_PX  # what Blender asks for around the render is no part of it
-    settings.render.error_px, settings.render.edge_px = (0.0, px) if mode == EDGE else (px, 0.0)
+    settings.render.error_px = px
     settings.store, settings.live, settings.enabled = store, False, True
     return obj
 
@@ -112,8 +114,8 @@ def _grid(store: str):
     return obj
 
 
-def _diced_plane(tiff: str, px: float):
-    """A plane in patches under adaptive subdivision; its texture coordinates meet the middles of the samples."""
+def _plane():
+    """A plane in patches; its texture coordinates meet the middles of the samples."""
     import bpy
 
     mesh, n = bpy.data.meshes.new("Plane"), PATCHES
@@ -130,14 +132,20 @@ def _diced_plane(tiff: str, px: float):
     plane = np.array(points)[[corner for face in corners for corner in face], :2] / scenes.SIDE + 0.5
     uv.uv.foreach_set("vector", ((plane * (scenes.SAMPLES - 1) + 0.5) / scenes.SAMPLES).astype(np.float32).ravel())
     obj = bpy.data.objects.new("Plane", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
+def _dice(obj, px: float) -> None:
+    """Put an object under adaptive subdivision."""
+    import bpy
+
     scene = bpy.context.scene
-    scene.collection.objects.link(obj)
     modifier = obj.modifiers.new("Dicing", "SUBSURF")
     modifier.subdivision_type = "SIMPLE"
     scene.cycles.feature_set = "EXPERIMENTAL"
     scene.cycles.dicing_rate = px
     (modifier if hasattr(modifier, "use_adaptive_subdivision") else obj.cycles).use_adaptive_subdivision = True
-    return obj
 
 
 def _material(tiff: str | None):

@@ -170,7 +170,7 @@ def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callabl
     yield "budget_flight", engine.BUDGET_SIZE, "", SECONDS, _lap(flight), (*walk, "count.")
     need_bpy("A profile of the rows cycles")
     store = in_blender.keep(rough, folder / "rough")
-    for mode in (cycles.EDGE, cycles.ERROR):
+    for mode in (cycles.ERROR,):
         render, triangles = _renders(*cycles_frame.render_scene(mode, str(store), "", cycles.PIXEL))
         render()
         yield f"cycles_{mode}", triangles[0], "", CYCLES_SECONDS, render, ()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How results are shown: a line each, JSON, and the page docs/performance.md with its plot."""
+"""How results are shown: a line each, and JSON; performance_page.py makes the documents of them."""
 
 import json
 import os
@@ -7,12 +7,9 @@ import tempfile
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
-from . import profiles
-from .goals import ATTEMPTS, SLACK, goal_of, missed_by, recorded_of
-from .measure import BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
-from .plot import write_plot
+from .goals import goal_of, missed_by
+from .measure import Row
 
-PAGE, PLOT = "performance.md", "images/performance.svg"
 # What a reader of the page should know of each row.
 MEANING = {
     "refine_1t": "The walk of the tree, tree marked, counters up to date; the camera moves by 0.1 % of the side a "
@@ -53,12 +50,12 @@ MEANING = {
     "scale_surface": "The same of surface.",
     "scale_ingest": "The same of ingest.",
     "scale_frame": "The same of frame.",
-    "cycles_edge": "A whole Cycles render, 960 x 540, 1 sample: our edges at 1 px beside Cycles' dicing at 1 px; "
-    "size counts our triangles. Ours bounds the longest edge of each triangle, so it has several times as many.",
-    "cycles_edge_memory": "Peak memory of the two processes.",
-    "cycles_error": "The same with our error at 1 px. ssim: how like the picture is to that of the whole grid; "
-    "cpu_s: processor seconds a frame.",
+    "cycles_error": "A whole Cycles render, 960 x 540, 1 sample: our error at 1 px beside Cycles' dicing at 1 px. "
+    "ssim: how like the picture is to that of the whole grid; cpu_s: processor seconds a frame.",
     "cycles_error_memory": "Peak memory of the two processes.",
+    "same_picture": "The same of the built-in island, at the coarsest error_px (in steps of a quarter octave) whose "
+    "picture is as like that of the whole grid as dicing's, within an SSIM of 0.002; ms are of processor time.",
+    "same_picture_memory": "Peak memory of the two processes above that of one that renders a flat plane.",
 }
 
 
@@ -97,110 +94,6 @@ def as_json(row: Row) -> dict:
 def write_json(rows: list[Row], path: Path) -> None:
     text = json.dumps([as_json(row) for row in rows], indent=1, allow_nan=False)
     write_text(path, text + "\n")
-
-
-def write_docs(rows: list[Row], machine: dict[str, str], notes: list[str], folder: Path) -> None:
-    """The page and its plot into a folder of documents."""
-    slopes = {row.name.removeprefix("scale_"): row.ratio for row in rows if row.name.startswith("scale_")}
-    write_text(folder / PLOT, write_plot(rows))
-    write_text(folder / PAGE, page(rows, machine, notes, slopes))
-
-
-def page(rows: list[Row], machine: dict[str, str], notes: list[str], slopes: dict[str, float]) -> str:
-    """docs/performance.md as text."""
-    parts = [
-        "# Performance",
-        'Written by `make bench BENCH="--with-cycles --docs docs --blender COMMAND"`; do not edit it by hand. Absolute '
-        "times are of one machine on one day: what counts are the ratios to baselines that took turns with ours in the "
-        "same run.",
-        ", ".join(f"{name} {value}" for name, value in machine.items()) + ".",
-        "## How it is measured",
-        f"A time is the median of {BLOCKS * RUNS} runs, ours and the baseline in turns of {RUNS}; of "
-        f"{SHORT_BLOCKS * RUNS} where a run takes less than {SHORT_MS:g} ms; of nine where each is a process or a "
-        "render of its own. *First* is the first run, which finds cold memory; it is in no "
-        "median. Ratio is ours to the baseline; for `scale_` it is the slope, for memory the ratio of memory.",
-        "`roam_rebuild` is a serial C bintree (`benchmarks/roam_rebuild.c`, `-O3 -march=native`) that rebuilds the "
-        "whole refinement from its roots on one thread. `plain_ingest` gives Blender the same arrays as attributes "
-        "with `foreach_set`, lets it find the edges with `update(calc_edges=True)`, and has the mesh evaluated.",
-        "## Results",
-        table(rows),
-        "## Where goals are missed",
-        misses(rows),
-        "## Time against triangles",
-        f"![Time against triangles, both logarithmic]({PLOT})",
-        "Slopes (1: proportional): " + ", ".join(f"{name} {slope:.2f}" for name, slope in slopes.items()) + ".",
-        "## Where the time goes",
-        "Milliseconds a frame, medians of each step. Of the refinement rows `whole` is all but the surface, with what "
-        "Python does around the kernels.",
-        steps_table(rows),
-        *profiles.section(profiles.FILE),
-        "## Other figures",
-        figures_table(rows),
-        "## What the rows are",
-        "\n".join(f"* `{name}`: {MEANING[name]}" for name in dict.fromkeys(row.name for row in rows)),
-    ]
-    if notes:
-        parts += ["## Left out", "\n".join(f"* {note}" for note in notes)]
-    return "\n\n".join(parts) + "\n"
-
-
-def table(rows: list[Row]) -> str:
-    lines = [
-        "| row | size | ms | first | baseline | ms | ratio | goal | |",
-        "| --- " + "| ---: " * 3 + "| --- " + "| ---: " * 3 + "| --- |",
-    ]
-    for row in rows:
-        goal, missed = goal_of(row.name, row.size), missed_by(row)
-        verdict = "" if goal is None or row.ratio is None else "met" if missed is None else f"missed by {missed:.0%}"
-        cells = [
-            row.name,
-            f"{row.size:,}",
-            number(row.ms),
-            number(row.first_ms),
-            "" if row.ratio is None else row.baseline or "",
-            number(row.baseline_ms),
-            "" if row.ratio is None else f"{row.ratio:.3g}",
-            "" if goal is None else f"{goal:g}",
-            verdict,
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def misses(rows: list[Row]) -> str:
-    """Each row over its goal with what holds it, as far as that is known."""
-    over = [(row, missed_by(row)) for row in rows if missed_by(row) is not None]
-    if not over:
-        return "Nowhere."
-    lines = []
-    for row, part in over:
-        known, goal = recorded_of(row.name, row.size), goal_of(row.name, row.size)
-        why = f"Known ({known[0]:g}): {known[1]}" if known else "Not known before this run."
-        lines.append(f"* `{row.name}` at {row.size:,}: {row.ratio:.3g} for {goal:g}, {part:.0%} over. {why}")
-    rule = (
-        f"`bench --quick` fails when a ratio is more than {SLACK:g} times its goal; a row that is known to be beyond "
-        f"that (`RECORDED` in `benchmarks/goals.py`) may not be worse than {SLACK:g} times the ratio recorded for it. "
-        f"A row that fails is measured again after all others; {ATTEMPTS} failures in a row fail the run."
-    )
-    return rule + "\n\n" + "\n".join(lines)
-
-
-def steps_table(rows: list[Row]) -> str:
-    lines = [
-        f"| {row.name} | {row.size:,} | {', '.join(f'{step} {number(ms)}' for step, ms in row.steps.items())} |"
-        for row in rows
-        if row.steps
-    ]
-    return "\n".join(["| row | size | steps, ms |", "| --- | ---: | --- |", *lines])
-
-
-def figures_table(rows: list[Row]) -> str:
-    lines = [
-        f"| {row.name} | {row.size:,} | {', '.join(f'{name} {number(value)}' for name, value in row.figures.items())} |"
-        for row in rows
-        if row.figures
-    ]
-    return "\n".join(["| row | size | |", "| --- | ---: | --- |", *lines])
 
 
 def check_writable(path: Path) -> None:

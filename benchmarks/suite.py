@@ -11,7 +11,21 @@ from pathlib import Path
 from ..cbt_terrain.errors import TerrainError
 from ..operators.blender import need_bpy
 from ..operators.text.machine import machine
-from . import cycles, engine, files, fit_row, goals, in_blender, in_program, report, scale, scenes, start
+from . import (
+    cycles,
+    cycles_likeness,
+    engine,
+    files,
+    fit_row,
+    goals,
+    in_blender,
+    in_program,
+    performance_page,
+    report,
+    scale,
+    scenes,
+    start,
+)
 from .baselines import RoamRebuild, build_roam_rebuild
 from .measure import Row
 
@@ -25,7 +39,8 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
     Raises TerrainError at once if that cannot be written, and at the end of a quick run if a row is worse than goals.py
     allows.
     """
-    for path in ([json_file] if json_file else []) + ([docs / report.PAGE, docs / report.PLOT] if docs else []):
+    documents = [docs / name for name in performance_page.documents([], {}, [])] if docs else []
+    for path in ([json_file] if json_file else []) + documents:
         report.check_writable(path)
     notes: list[str] = []
 
@@ -38,7 +53,7 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
         described["Program"] = in_program.program_version(blender)
     for name, value in described.items():
         print(f"{name}: {value}")
-    with scratch_folder(1 if quick else 2) as folder:
+    with scratch_folder(1 if quick else 3 if with_cycles else 2) as folder:
         roam = build_roam_rebuild(folder, note)
         try:
             measures = everything(folder, quick, with_cycles, blender, roam, note)
@@ -49,7 +64,8 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
     if json_file is not None:
         report.write_json(rows, json_file)
     if docs is not None:
-        report.write_docs(rows, described, notes, docs)
+        for name, text in performance_page.documents(rows, described, notes).items():
+            report.write_text(docs / name, text)
     if quick and (failed := goals.failures(rows)):
         said = ", ".join(
             f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.most_allowed(row.name, row.size):.3g})"
@@ -130,6 +146,7 @@ def everything(
         yield partial(scale.frame_row, rough, store, sizes)
     if with_cycles and blender:
         yield partial(cycles.cycles_rows, store, tiff, folder)
+        yield partial(cycles_likeness.same_picture_rows, folder / "island")
     elif not with_cycles:
         note("The rows cycles are measured with --with-cycles only.")
 

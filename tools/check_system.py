@@ -30,6 +30,8 @@ LIBRARIES = {
 }
 # Loaded by name at run time, so nothing fails to link without it: the software renderer behind EGL.
 ALSO = ["libgl1-mesa-dri"]
+# What only tests need: a browser that opens the pages.
+TESTS = ["chromium-headless-shell"]
 
 
 def missing() -> list[str]:
@@ -47,7 +49,7 @@ def missing() -> list[str]:
 
 def main() -> int:
     if "--packages" in sys.argv:
-        print(" ".join(sorted({*LIBRARIES.values(), *ALSO})))
+        print(" ".join(sorted({*LIBRARIES.values(), *ALSO, *TESTS})))
         return 0
     if sys.version_info[:2] not in ((3, 11), (3, 13)):
         found = ".".join(map(str, sys.version_info[:3]))

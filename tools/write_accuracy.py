@@ -16,12 +16,12 @@ from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
 from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.demo.demo import FLIGHT
-from adaptive_terrain.operators.output.exporting import write_text
+from adaptive_terrain.operators.output.exporting import write_files, write_text
 from adaptive_terrain.operators.report import accuracy_page, accuracy_report
 from adaptive_terrain.operators.report.accuracy_subject import Subject, store_subject
 from adaptive_terrain.operators.text.console import Progress
 from adaptive_terrain.operators.text.machine import machine
-from adaptive_terrain.operators.text.page_blocks import Plot, Text, as_markdown
+from adaptive_terrain.operators.text.page_blocks import Text, as_markdown
 from matplotlib.cbook import get_sample_data
 
 ISLAND_SIZE = 2049
@@ -83,9 +83,7 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
 
 def write(subjects: list[Subject]) -> None:
     blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
-    for block in blocks:
-        if isinstance(block, Plot):
-            write_text(DOCS / block.name, block.svg)
+    write_files(DOCS, accuracy_page.pictures(blocks))
     write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))
     accuracy_report.check_bounds(subjects)
 

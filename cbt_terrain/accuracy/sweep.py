@@ -42,7 +42,7 @@ class Row:
     address space of all arrays of the engine, of which the system commits what is touched (None for a fit).
     `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
-    "ingest", writing a Blender mesh, comes on top.
+    "ingest", writing a Blender mesh, comes on top. `spread_ms`: the fastest and the slowest run, to the finished mesh.
     """
 
     setting: Setting
@@ -57,6 +57,7 @@ class Row:
     terms: Terms | None = None
     popping_px: Errors | None = None
     ms: dict[str, float] = field(default_factory=dict)
+    spread_ms: tuple[float, float] | None = None
 
     @property
     def bound(self) -> float:
@@ -80,6 +81,7 @@ class Row:
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
         figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
         figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
+        figures |= dict(zip(("ms_fastest", "ms_slowest"), self.spread_ms or (None, None), strict=True))
         figures |= {"surface_mb": self.surface_mb, "buffers_mb": self.buffers_mb}
         measured = {f.name: getattr(self.measured, f.name) for f in dataclasses.fields(self.measured)}
         for name, value in (measured | {"popping_px": self.popping_px}).items():
@@ -163,7 +165,7 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
         # The next update overwrites the surface.
-        surface = _copy(update.surface) if frame.after else update.surface
+        surface = update.surface.copy() if frame.after else update.surface
         updates.append(update)
         sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
         for view in frame.views or [None]:
@@ -199,7 +201,13 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
         updates[loosest].terms_px if bounds_px else updates[loosest].terms_m,
         worst(popped),
         median_by_step(runs),
+        spread_of([run["total"] + run.get("ingest", 0.0) for run in runs]),
     )
+
+
+def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
+    """The least and the most; None of a single time, which tells nothing about others."""
+    return (min(times_ms), max(times_ms)) if len(times_ms) > 1 else None
 
 
 def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Row:
@@ -252,12 +260,8 @@ def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Fram
     ]
 
 
-def _copy(surface: Surface) -> Surface:
-    return Surface(*(getattr(surface, f.name).copy() for f in dataclasses.fields(Surface)))
-
-
 def _bytes(surface: Surface) -> int:
-    return sum(getattr(surface, f.name).nbytes for f in dataclasses.fields(Surface))
+    return sum(array.nbytes for array in surface.arrays().values())
 
 
 def worst(parts: Sequence):

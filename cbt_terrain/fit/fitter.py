@@ -60,7 +60,7 @@ class Mesh:
 
     @property
     def triangles(self) -> int:
-        return len(self.surface.level)
+        return len(self.surface.triangles)
 
 
 class Fitter:
@@ -163,7 +163,7 @@ class Fitter:
         ]
 
     def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
-        triangles = len(surface.level)
+        triangles = len(surface.triangles)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
     def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
@@ -173,7 +173,7 @@ class Fitter:
         twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
         what holds already.
         """
-        lattice, triangles = self.field.lattice, len(surface.level)
+        lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
         of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(of_level, surface.level, worst)

@@ -32,7 +32,7 @@ class Sweeps:
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
         """Take over a welded mesh, with the heights that are known."""
-        triangles, vertices = len(surface.level), len(surface.positions)
+        triangles, vertices = len(surface.triangles), len(surface.positions)
         if triangles + triangles // 8 > self.m.room:
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
         self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0

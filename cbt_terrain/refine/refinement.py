@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.refine import curve
+from ...kernels.refine import replay as replay_kernels
 from ...kernels.refine import walk as kernels
 from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
@@ -156,10 +157,7 @@ class Refinement:
         functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
         asked for so few leaves, so they may well be too few; it only says what is tried first.
         """
-        cell_bits = max(max_depth, MIN_DEPTH)
-        if self.tree is None or cell_bits != self._cell_bits:
-            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
-            self._cell_bits = cell_bits
+        self._need_tree(max(max_depth, MIN_DEPTH))
         asked.limit, walks = 1.0, None
         most = max(max_leaves, 2 * self.lattice.squares)
         start, self._found = self._found, Found(0)
@@ -185,6 +183,29 @@ class Refinement:
                 leaves.after.after = None  # or all leaves of a flight would stay
         leaves.changed_cells = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
+
+    def replay(self, domain: Domain, depths: np.ndarray, cell_bits: int) -> tuple[Leaves, float]:
+        """The leaves of a saved tree, as the walk that found them gave them, and marked again.
+
+        depths: uint8, bisections of a square of each of its leaves, 1 .. cell_bits, square by square without a gap.
+        Returns the largest error of a leaf, too: metres before scaling.
+        """
+        self._need_tree(cell_bits)
+        self._last = self._found = None
+        self._make_room(len(depths))
+        walks = self._walks([0, self.lattice.squares << cell_bits], cell_bits, len(depths), self._capacity)
+        worst = self.buffers.get("replay_worst", 1, wp.float32)
+        launch.once(replay_kernels.replay, [domain, walks[0], shared(depths, wp.uint8), worst], step="refine")
+        counts = self.buffers.numpy("counts")[:4].reshape(1, 4).copy()
+        leaves = self._leaves(walks, counts)
+        leaves.changed_cells = self._mark(walks, counts)
+        return leaves, float(self.buffers.numpy("replay_worst")[0])
+
+    def _need_tree(self, cell_bits: int) -> None:
+        """A tree with so many levels below a square; another one is forgotten."""
+        if self.tree is None or cell_bits != self._cell_bits:
+            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
+            self._cell_bits = cell_bits
 
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, expected: int = 0):
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""

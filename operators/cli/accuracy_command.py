@@ -40,6 +40,7 @@ def measure(subjects: list[Subject], show_progress: bool | None = None) -> None:
                 on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
                 on_progress=lambda fraction, done=done: bar.to(done + fraction),
             )
+            accuracy_report.draw(subject)
     finally:
         bar.close()
         accuracy_report.ingest_end()

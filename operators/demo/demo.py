@@ -7,11 +7,15 @@ import platform
 import time
 from pathlib import Path
 
+from ...cbt_terrain.accuracy.crops import crops
+from ...cbt_terrain.accuracy.timed_runs import Frame
 from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.run import warmup
+from ...cbt_terrain.terrain import Terrain
 from ..blender import need_bpy
 from ..output.exporting import export_frames, make_folder, write_text
 from ..output.frame_sources import StoreFrames
@@ -28,7 +32,9 @@ ERROR_PX = 1.0
 # A triangle should be wide enough to be seen as one.
 LEVELS_ERROR_PX = 6.0
 # How long the steps take, relative to each other, for the time that is left.
-WEIGHT = {"import": 8.0, "meshes": 10.0, "picture": 16.0, "levels": 8.0}
+WEIGHT = {"import": 8.0, "meshes": 10.0, "crops": 5.0, "picture": 16.0, "levels": 8.0}
+# What the page shows side by side.
+CROPS_PX = (4.0, 2.0, 1.0, 0.5)
 FLIGHT = {
     "fov": 50,
     "clip": [1, 100000],
@@ -64,9 +70,12 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         triangles = [summary["terrains"][0]["triangles"] for summary in summaries]
         line = f"meshes: {len(FRAMES)} frames, {min(triangles):,} to {max(triangles):,} triangles"
         done(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
+        flight = read_camera_path(out / "flight.json")
+        shown = crops(Terrain(open_store(store)), Frame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
+        done("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
         from . import scene as demo_scene
 
-        scene, obj = demo_scene.build(out, store, read_camera_path(out / "flight.json"), FRAMES, RESOLUTION, criterion)
+        scene, obj = demo_scene.build(out, store, flight, FRAMES, RESOLUTION, criterion)
         pictures = [(frame, f"frame_{frame:02d}.png") for frame in PICTURE_FRAMES]
         for frame, name in pictures:
             scene.frame_set(frame)
@@ -84,6 +93,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         error_px=ERROR_PX,
         summaries=summaries,
         pictures=pictures,
+        crops=shown,
         levels={"frame": LEVELS_FRAME, "error_px": LEVELS_ERROR_PX, "triangles": levels},
         steps=steps,
     )

@@ -154,15 +154,16 @@ def check_room(path: Path, size: int) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, atomically; raises TerrainError where that cannot be."""
-    write_texts(path.parent, {path.name: text})
+    write_files(path.parent, {path.name: text})
 
 
-def write_texts(folder: Path, texts: dict[str, str]) -> None:
-    """Write text files, by name, into a folder: old ones are replaced once all are written, else none."""
+def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
+    """Write files, by name, into a folder: old ones are replaced once all are written, else none."""
     with ExitStack() as stack:
-        for path, text in ((folder / name, text) for name, text in texts.items()):
+        for path, content in ((folder / name, content) for name, content in contents.items()):
             stack.enter_context(_written(path))
-            stack.enter_context(written_beside(path)).write_text(text, encoding="utf-8")
+            whole = content if isinstance(content, bytes) else content.encode()
+            stack.enter_context(written_beside(path)).write_bytes(whole)
 
 
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
@@ -191,7 +192,7 @@ def figures(piece: Piece) -> dict:
     update = piece.update
     return {
         "name": piece.name,
-        "triangles": len(piece.surface.level),
+        "triangles": len(piece.surface.triangles),
         "vertices": len(piece.surface.positions),
         **bounds_of(update),
         "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
@@ -282,7 +283,7 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
 
 def _need_count(piece: Piece, path: Path, found: int) -> None:
     """Raise TerrainError where a file would hold another mesh than its summary says."""
-    expected = len(piece.surface.level)
+    expected = len(piece.surface.triangles)
     if found != expected:
         raise TerrainError(
             f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "

@@ -10,49 +10,99 @@ from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-from ..text.page_blocks import Figures, Heading, Plot, Table, Text, as_html, as_markdown
+from ..text.page_blocks import (
+    Figures,
+    Heading,
+    Lead,
+    Picture,
+    Plot,
+    Strip,
+    Table,
+    Text,
+    Words,
+    as_html,
+    as_markdown,
+)
+from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .accuracy_plots import label, pareto_rows, plots
 
 TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
 NOISE = 0.05
-MEANING = (
-    "*Asked* is the error that the mesh was refined for. *Bound* is what the refinement promises: no visible point of "
-    "the terrain (pixels), no point at all (metres) is further from its place, what resampling at import has moved, "
-    "what float32 rounds and what the source had rounded included. *Measured* is the largest error that was found "
-    "against the height field of the store (what importing moved and the source rounded is in the bound, not in the "
-    "measurement): in pixels over visible points, at least one a pixel and every sample in view; in metres the exact "
-    "largest distance in height between mesh and reference surface. Times are medians of warm updates between which "
-    "the camera moves by two thousandths of the terrain, as in a flight; of a fit, its one run."
-)
-WORDS = (
-    "*Depth* limits bisections of a root square; *meshlet* m draws each leaf as 4^m triangles; *fitted*: vertices are "
-    "moved off the surface, within the bound. *Geometric*, *resampling*, *precision* and *source* are the parts of a "
-    "bound at the one triangle that decides it: what triangles leave out, what importing moved there, what float32 "
-    "positions are off, by how much the source's own heights may be rounded. *Hidden* points lie in the picture "
-    "behind other ground. *Silhouette*: how far the outline is displaced; it is followed by rays a pixel apart, so it "
-    "alone may pass the bound where outlines are finer than that. *Popping*: how far points jump from one frame's "
-    "mesh to the next frame's; no figure where no frame follows. *Rounding*: what float32 has changed of the measured "
-    "error. *Faces*: angles of triangles to the surface's normals; *shading*: of the normals that are rendered. "
-    "*Pareto front* (rings): every setting that costs less, with the same interpolation, has an error that is larger "
-    "by a fiftieth at least; fits, which are made once, take part for triangles only. A sweep makes no mesh of more "
-    "than 8.4 million triangles: beyond it rows are held back by the triangle limit. Steps: *refine* decides and lists "
-    "the leaves, *mark* writes the tree, *weld* makes vertices and edges, *displace* positions and normals, *ingest* "
-    "Blender's mesh; *engine* is all but ingest, with what lies between its steps."
-)
+# Errors in pixels that the strip shows, where they were measured.
+STRIP_PX = (4.0, 2.0, 1.0, 0.5)
+WORDS = [
+    ("asked", "The error that the mesh was refined for."),
+    (
+        "bound",
+        "What the refinement promises: no visible point of the terrain (pixels), no point at all (metres) is further "
+        "from its place. What float32 rounds and what the source had rounded are in it.",
+    ),
+    (
+        "measured",
+        "The largest error that was found against the height field of the store, which has the source's rounding in "
+        "it. In pixels: over visible points, at least one a pixel and every sample in view. In metres: the exact "
+        "largest distance in height between mesh and reference surface.",
+    ),
+    (
+        "ms",
+        "The median of warm updates between which the camera moves by two thousandths of the terrain, as in a flight. "
+        "A pale bar in a plot goes from the fastest to the slowest of them. A fit is made once; its time is that run.",
+    ),
+    ("depth", "A limit of bisections of a root square."),
+    ("meshlet m", "Each leaf is drawn as 4^m triangles."),
+    ("fitted", "Vertices are moved off the surface, within the bound."),
+    (
+        "geometric, precision, source",
+        "The parts of a bound: what triangles leave out, what float32 positions are off, by how much the source's own "
+        "heights may be rounded.",
+    ),
+    ("hidden", "Points that lie in the picture behind other ground."),
+    (
+        "silhouette",
+        "How far the outline is displaced. It is followed by rays a pixel apart, so it alone may pass the bound where "
+        "outlines are finer than that.",
+    ),
+    ("popping", "How far points jump from one frame's mesh to the next frame's; no figure where no frame follows."),
+    ("rounding", "What float32 has changed of the measured error."),
+    ("faces, shading", "Angles of triangles to the surface's normals, and of the normals that are rendered."),
+    (
+        "Pareto front",
+        "Rings in a plot. Every setting that costs less, with the same interpolation, has an error that is larger by a "
+        "fiftieth at least. Fits, which are made once, take part for triangles only.",
+    ),
+    (
+        "the triangle limit",
+        "A sweep makes no mesh of more than 8.4 million triangles; finer rows are held back by that.",
+    ),
+    (
+        "steps",
+        "refine decides and lists the leaves; mark writes the tree; weld makes vertices and edges; displace positions "
+        "and normals; ingest Blender's mesh. engine is all but ingest, with what lies between its steps.",
+    ),
+]
 
 
-def files(subjects, machine: dict[str, str]) -> dict[str, str]:
+def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
     """Every file of a report by its name. `subjects`: accuracy_subject.Subject, measured."""
-    blocks = page(subjects, machine)
-    plots = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
-    return plots | {
+    title, blocks = title_of(subjects), page(subjects, machine)
+    return pictures(blocks) | {
         "accuracy.csv": as_csv(subjects),
         "accuracy.json": as_json(subjects, machine),
-        "accuracy.md": as_markdown(TITLE, blocks),
-        "index.html": as_html(TITLE, blocks),
+        "accuracy.md": as_markdown(title, blocks),
+        "index.html": as_html(title, blocks),
     }
+
+
+def pictures(blocks: list) -> dict[str, str | bytes]:
+    """The files that a page's Markdown shows, by name."""
+    drawn = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
+    return drawn | {p.name: p.png for block in blocks if isinstance(block, Strip) for p in block.pictures}
+
+
+def title_of(subjects) -> str:
+    return " and ".join(subject.title for subject in subjects)
 
 
 def as_csv(subjects) -> str:
@@ -84,53 +134,102 @@ def as_json(subjects, machine: dict[str, str]) -> str:
 
 
 def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
-    """The page as blocks; `prefix` begins the names of its plots."""
-    blocks = [
-        Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."),
-        Text(MEANING),
-        Text(WORDS),
-    ]
+    """The page as blocks: first what an artist asks for, then tables, definitions last. `prefix` begins the names of
+    its plots and pictures."""
+    several, blocks = len(subjects) > 1, []
     for subject in subjects:
-        blocks += section(subject, prefix)
-    return blocks
+        blocks += [Heading(subject.title)] if several else []
+        blocks += front(subject, prefix)
+    for subject in subjects:
+        blocks += tables(subject, f" of {subject.title}" if several else "")
+    measured_on = "Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."
+    return [*blocks, Heading("What the words mean"), Words(WORDS), Text(measured_on)]
 
 
-def section(subject, prefix: str) -> list:
-    """All about one terrain."""
-    heights, rows = subject.heights, subject.rows
-    lattice = heights.lattice
-    relief = heights.max_height - heights.min_height
+def front(subject, prefix: str) -> list:
+    """Five figures, what errors look like, what they cost."""
+    rows = subject.rows
+    current = next((row for row in rows if row.setting == subject.current), None)
+    shown = current or next((row for row in rows if row.setting.plain), rows[0])
+    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
+    lattice = subject.heights.lattice
     across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
+    blocks = [
+        Lead(
+            f"{across:,.0f} x {up:,.0f} m of ground from {lattice.width:,} x {lattice.height:,} samples, seen "
+            f"{subject.seen}{frames if subject.numbers else ''}."
+        ),
+        Figures(figures(shown)),
+        *strip(subject, prefix),
+        *(Text(sentence) for sentence in sentences(subject)),
+    ]
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        blocks += plots(subject, unit, current, prefix)
+    return blocks + [Text(note) for note in subject.notes]
+
+
+def figures(row: Row) -> list[tuple[str, str]]:
+    """The five that matter, of one setting."""
+    unit = row.setting.unit
+    return [
+        (f"{row.triangles:,}", "triangles"),
+        (f"{row.whole_ms:.3g} ms", "a frame, from the camera to the finished mesh"),
+        (bound_text(row.bound, unit), f"the bound; {label(row.setting)} was asked for"),
+        (f"{row.error:.3g} {unit}", "the largest error that was measured"),
+        (f"{row.surface_mb:.3g} MB", "the mesh in memory"),
+    ]
+
+
+def strip(subject, prefix: str) -> list[Strip]:
+    """The same part of the picture at several errors, with what each costs; none where nothing was drawn."""
+    costs = {row.setting.error: row for row in strip_rows(subject)}
+    shown = [
+        Picture(
+            f"{prefix}{subject.name}_{crop.error_px:g}px.png",
+            f"{crop.triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
+            f"{crop.error_px:g} px",
+            png(crop.pixels),
+        )
+        for crop in subject.crops
+    ]
+    said = (
+        "The part of the picture in which these errors differ most, pixel by pixel; the edges of the triangles are "
+        "drawn in its lower left half."
+    )
+    return [Strip(shown), Text(said)] if shown else []
+
+
+def strip_rows(subject) -> list[Row]:
+    """The rows that the strip has pictures of, the coarsest first."""
+    plain = {row.setting: row for row in subject.rows if row.setting.plain}
+    settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
+    return [plain[setting] for setting in settings if setting in plain]
+
+
+def tables(subject, of: str) -> list:
+    """Every figure of one terrain. `of`: its name in headings, where there are others."""
+    heights, rows = subject.heights, subject.rows
+    relief = heights.max_height - heights.min_height
     made = heights.provenance
     source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
-    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
-    frames = frames if subject.numbers else ""
     several = (
         " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
     )
     between = interpolation(heights)
-    blocks = [
-        Heading(subject.name),
-        Text(
-            f"{lattice.width} x {lattice.height} samples over {across:,.0f} x {up:,.0f} m, {relief:,.5g} m from the "
-            f"lowest to the highest{source}; seen {subject.seen}{frames}.{several}"
-        ),
+    return [
+        Heading(f"Every row{of}"),
+        Text(f"{relief:,.5g} m from the lowest to the highest{source}.{several}"),
         Text(
             f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
             f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
             f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
         ),
+        overview(rows, subject.current),
+        Heading(f"What the errors{of} are made of"),
+        *error_tables(rows),
+        Heading(f"Where the time{of} goes"),
+        steps_table(rows),
     ]
-    current = next((row for row in rows if row.setting == subject.current), None)
-    if current is not None:
-        blocks.append(Figures(current_figures(current)))
-    blocks += [Text(sentence) for sentence in sentences(subject)]
-    for unit in dict.fromkeys(row.setting.unit for row in rows):
-        blocks += plots(subject, unit, current, prefix)
-    blocks += [Heading(f"Every row of {subject.name}"), overview(rows, subject.current)]
-    blocks += [Heading(f"What the errors of {subject.name} are made of"), *error_tables(rows)]
-    blocks += [Heading(f"Where the time goes on {subject.name}"), steps_table(rows)]
-    return blocks + [Text(note) for note in subject.notes]
 
 
 def other_interpolation(heights) -> str:
@@ -173,17 +272,6 @@ def sentences(subject) -> list[str]:
 def time_text(difference_ms: float, whole_ms: float) -> str:
     """A difference of times; one within the noise of a measurement is not given as a figure."""
     return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
-
-
-def current_figures(row: Row) -> list[tuple[str, str]]:
-    unit = row.setting.unit
-    return [
-        (label(row.setting), "asked, the current setting"),
-        (bound_text(row.bound, unit), "bound"),
-        (f"{row.error:.3g} {unit}", "measured"),
-        (f"{row.triangles:,}", "triangles"),
-        (f"{row.whole_ms:.3g} ms", "to the finished mesh"),
-    ]
 
 
 def overview(rows: list[Row], current: Setting | None) -> Table:

@@ -9,10 +9,9 @@ from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..text.log_plot import CROSS, RING, Curve, draw
 from ..text.page_blocks import Plot
+from ..text.svg import BLUE, GOLD, GREEN, INK, PURPLE, RED, SOFT, TEAL
 
-GREY, TEAL, RED, GREEN, BLUE, BROWN, PURPLE, INK = (
-    *("#888888", "#2f6f73", "#b4431e", "#7a9a1f", "#4a5fa8", "#c08a1e", "#8a4f9e", "#1c1f26"),
-)
+SPREAD = " Pale bars: from the fastest to the slowest run."
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 
 
@@ -23,7 +22,8 @@ def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
     for cost, axis in (("ms", "ms to the finished mesh"), ("triangles", "triangles")):
         shown = [row for row in rows if cost == "triangles" or not row.setting.fitted]
         drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
-        caption = f"{subject.name}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
+        caption = f"{subject.title}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
+        caption += SPREAD if cost == "ms" else ""
         found.append(Plot(f"{prefix}{subject.name}_{unit}_{cost}.svg", caption, drawing))
     return found
 
@@ -48,19 +48,25 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     other_name = other[0].setting.interpolation if other else ""
     front = pareto_rows(rows, cost)
     found = [
-        Curve("asked", GREY, points(plain, lambda row: row.setting.error), dash="2 4"),
+        Curve("asked", SOFT, points(plain, lambda row: row.setting.error), dash="2 4"),
         Curve("bound", TEAL, points(plain, bound)),
-        Curve("measured", RED, points(plain, measured)),
+        Curve("measured", RED, points(plain, measured), spans=spreads(plain, cost)),
         Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
         Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
         Curve("fitted, measured", GREEN, points(fitted, measured)),
         Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
-        Curve("less depth, measured", BROWN, points([r for r in rows if r.setting.max_depth], measured), "", False),
+        Curve("less depth, measured", GOLD, points([r for r in rows if r.setting.max_depth], measured), "", False),
         Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
     ]
     if current in rows:
         found.append(Curve(f"current, {label(current.setting)}", INK, points([current], measured), "", False, CROSS))
     return found
+
+
+def spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
+    """The fastest and the slowest time of each row, in the order of its curve; none for triangles."""
+    coarse_first = sorted(rows, key=lambda row: -row.setting.error)
+    return [row.spread_ms or (row.whole_ms, row.whole_ms) for row in coarse_first] if cost == "ms" else []
 
 
 def pareto_rows(rows: list[Row], cost: str) -> list[Row]:

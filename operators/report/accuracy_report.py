@@ -6,8 +6,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...cbt_terrain.accuracy.crops import crops
 from ...cbt_terrain.errors import TerrainError
-from ..output.exporting import check_room, check_target, make_folder, write_texts
+from ...cbt_terrain.terrain import Terrain
+from ..output.exporting import check_room, check_target, make_folder, write_files
 from ..text.machine import machine
 from . import accuracy_page
 from .accuracy_plots import label
@@ -15,7 +17,7 @@ from .accuracy_subject import Subject
 
 PAGE = "index.html"
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", PAGE)
-REPORT_BYTES = 1 << 19  # more than it is
+REPORT_BYTES = 1 << 21  # more than it is
 SCRATCH = "adaptive_terrain_scratch"  # property of the mesh that is written into
 
 
@@ -30,7 +32,13 @@ def prepare(out: Path) -> None:
 def write(subjects: Sequence[Subject], out: Path) -> None:
     """Write FILES and the plots of measured subjects into the folder `out`, all or none; raises TerrainError."""
     make_folder(out)  # which may be gone since `prepare`
-    write_texts(out, accuracy_page.files(subjects, machine()))
+    write_files(out, accuracy_page.files(subjects, machine()))
+
+
+def draw(subject: Subject) -> None:
+    """Draw what the errors that a page shows side by side look like."""
+    errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
+    subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 
 
 def check_bounds(subjects: Sequence[Subject]) -> None:

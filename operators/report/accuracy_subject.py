@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...cbt_terrain.accuracy.crops import Crop
 from ...cbt_terrain.accuracy.sweep import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import Frame
@@ -30,7 +31,8 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 @dataclass
 class Subject:
     """One terrain that is measured. `numbers`: of the frames. `seen`: from where, in words. `current`: the setting that
-    the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from."""
+    the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from.
+    `crops`: what some of the errors look like. `called`: the object's name, where there is one."""
 
     name: str
     heights: HeightField
@@ -41,6 +43,14 @@ class Subject:
     base: Criterion = field(default_factory=Criterion)
     rows: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    crops: list[Crop] = field(default_factory=list)
+    called: str = ""
+
+    @property
+    def title(self) -> str:
+        """The file that the heights are from, as its owner knows it; and the object, where it has a name of its own."""
+        file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
+        return file if slug(self.called or Path(file).stem) == slug(Path(file).stem) else f"{file}: {self.called}"
 
     @property
     def settings(self) -> list[Setting]:
@@ -101,6 +111,7 @@ class Look:
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), current_setting(request)
         found = Subject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
+        found.called = self.name
         found.notes += notes_on(request.criterion)
         return found
 

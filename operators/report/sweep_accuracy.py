@@ -88,6 +88,7 @@ def measured(look: Look, through: str, job: Job) -> Subject:
         write=lambda surface: job.on_main(lambda: accuracy_report.ingest_ms(surface)),
         on_progress=on_progress,
     )
+    accuracy_report.draw(subject)
     return subject
 
 

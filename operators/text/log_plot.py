@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Curves over two logarithmic axes, as an SVG that needs nothing else."""
 
-import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from .svg import LINE, dot, path, picture, text
+
 WIDTH, HEIGHT = 860, 520
 LEFT, RIGHT, TOP, BOTTOM = 64, 226, 32, 48
-INK, GRID = "#333333", "#dddddd"
 # What is so many times less than the largest value would make an axis that shows nothing else.
 NOTHING = 1e-9
 DOT, RING, CROSS = "dot", "ring", "cross"
@@ -18,7 +18,8 @@ DOT, RING, CROSS = "dot", "ring", "cross"
 class Curve:
     """`points`: (x, y) in the order in which they are joined; left out is what is not above 0 and so has no place, and
     what is so far below the rest that it is as good as 0. `dash`: an SVG pattern of the line, "" for a whole one.
-    `joined`: whether there is a line. `marker`: DOT, RING or CROSS."""
+    `joined`: whether there is a line. `marker`: DOT, RING or CROSS. `spans`: (least, most) x that was measured at each
+    point, drawn through it."""
 
     label: str
     colour: str
@@ -26,51 +27,66 @@ class Curve:
     dash: str = ""
     joined: bool = True
     marker: str = DOT
+    spans: Sequence[tuple[float, float]] = ()
 
 
 def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
     """The plot; an empty picture where no curve has a point."""
     curves = _placed(curves)
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}"'
+    label = f"{y_label} against {x_label}, both logarithmic"
     if not curves:
-        return f"{head}/>\n"
-    xs, ys = zip(*(point for curve in curves for point in curve.points), strict=True)
+        return picture(WIDTH, HEIGHT, label, [])
+    xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]
+    xs += [most for curve in curves for _, most in curve.spans]
+    ys = [y for curve in curves for _, y in curve.points]
     x_axis, y_axis = _Axis(xs, LEFT, WIDTH - RIGHT), _Axis(ys, HEIGHT - BOTTOM, TOP)
-    parts = [
-        f'{head} font-family="system-ui, sans-serif" font-size="13">',
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>',
-    ]
+    parts = []
     for decade in x_axis.decades():
         x = x_axis(10.0**decade)
-        parts.append(_line(x, TOP, x, HEIGHT - BOTTOM))
-        parts.append(_text(x, HEIGHT - BOTTOM + 20, _power(decade), "middle"))
+        parts.append(path([(x, TOP), (x, HEIGHT - BOTTOM)], LINE, 1))
+        parts.append(text(x, HEIGHT - BOTTOM + 20, _power(decade), "middle"))
     for decade in y_axis.decades():
         y = y_axis(10.0**decade)
-        parts.append(_line(LEFT, y, WIDTH - RIGHT, y))
-        parts.append(_text(LEFT - 8, y + 4, _power(decade), "end"))
-    parts.append(_text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 8, x_label, "middle"))
-    parts.append(_text(LEFT - 8, TOP - 14, y_label, "end" if len(y_label) < 8 else "start"))
+        parts.append(path([(LEFT, y), (WIDTH - RIGHT, y)], LINE, 1))
+        parts.append(text(LEFT - 8, y + 4, _power(decade), "end"))
+    parts.append(text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 8, x_label, "middle"))
+    parts.append(text(LEFT - 8, TOP - 14, y_label, "end" if len(y_label) < 8 else "start"))
     for i, curve in enumerate(curves):
-        places = [(x_axis(x), y_axis(y)) for x, y in curve.points]
-        dash = f' stroke-dasharray="{curve.dash}"' if curve.dash else ""
-        stroke = f'fill="none" stroke="{curve.colour}" stroke-width="2"{dash}'
-        y = TOP + 16 + 24 * i
-        if curve.joined:
-            parts.append(f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in places)}" {stroke}/>')
-            parts.append(f'<path d="M{WIDTH - RIGHT + 16} {y}h28" {stroke}/>')
-        else:
-            parts.append(_marker(WIDTH - RIGHT + 30, y, curve))
-        parts += [_marker(*place, curve) for place in places]
-        parts.append(_text(WIDTH - RIGHT + 52, y + 4, curve.label, "start"))
-    return "\n".join([*parts, "</svg>"]) + "\n"
+        parts += _drawn(curve, x_axis, y_axis, TOP + 16 + 24 * i)
+    return picture(WIDTH, HEIGHT, label, parts)
+
+
+def _drawn(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> list[str]:
+    """The curve, and its line in the legend."""
+    places = [(x_axis(x), y_axis(y)) for x, y in curve.points]
+    dash = f'stroke-dasharray="{curve.dash}"' if curve.dash else ""
+    left = WIDTH - RIGHT
+    parts = []
+    for (least, most), (_, y) in zip(curve.spans, places, strict=False):
+        ends = x_axis(least), x_axis(most)
+        parts.append(path([(x, y) for x in ends], curve.colour, 7, more='stroke-opacity="0.3"'))
+    if curve.joined:
+        parts.append(path(places, curve.colour, 2, more=dash))
+        parts.append(path([(left + 16, legend_y), (left + 44, legend_y)], curve.colour, 2, more=dash))
+    else:
+        parts.append(_marker(left + 30, legend_y, curve))
+    parts += [_marker(*place, curve) for place in places]
+    return [*parts, text(left + 52, legend_y + 4, curve.label)]
 
 
 def _placed(curves: Sequence[Curve]) -> list[Curve]:
     """The curves with the points that have a place, without those that then have none."""
     places = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
     least = [NOTHING * max(values) for values in zip(*places, strict=True)]
-    kept = [[p for p in curve.points if p in places and p[0] > least[0] and p[1] > least[1]] for curve in curves]
-    return [replace(curve, points=points) for curve, points in zip(curves, kept, strict=True) if points]
+    found = []
+    for curve in curves:
+        kept = [p in places and p[0] > least[0] and p[1] > least[1] for p in curve.points]
+        points, spans = (
+            [value for value, keep in zip(values, kept, strict=False) if keep] for values in (curve.points, curve.spans)
+        )
+        if points:
+            found.append(replace(curve, points=points, spans=spans))
+    return found
 
 
 class _Axis:
@@ -96,13 +112,6 @@ def _marker(x: float, y: float, curve: Curve) -> str:
     if curve.marker == CROSS:
         look = f'stroke="{curve.colour}" stroke-width="2"'
         return f'<path d="M{x - 9:.1f} {y:.1f}h18M{x:.1f} {y - 9:.1f}v18" {look}/>'
-    look = f'r="8" fill="none" stroke="{curve.colour}"' if curve.marker == RING else f'r="3.5" fill="{curve.colour}"'
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" {look}/>'
-
-
-def _line(x1: float, y1: float, x2: float, y2: float) -> str:
-    return f'<path d="M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}" stroke="{GRID}"/>'
-
-
-def _text(x: float, y: float, text: str, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{INK}">{html.escape(text)}</text>'
+    if curve.marker == RING:
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="{curve.colour}"/>'
+    return dot((x, y), curve.colour, 3.5)

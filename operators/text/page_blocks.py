@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A page as blocks, and the same page as HTML and as Markdown."""
 
+import base64
 import html
 import re
 from dataclasses import dataclass, field
 
-STYLE = """
-:root { --ink: #1c1f26; --soft: #5d6470; --line: #d9d6cd; --paper: #faf9f5; --mark: #b4431e; --bar: #2f6f73; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e9e6df; --soft: #a0a6b0; --line: #3a3e46; --paper: #16181c; --mark: #ef8a5c; --bar: #5fb3a8; }
-}
+from .svg import PALETTE
+
+STYLE = (
+    PALETTE
+    + """
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 17px/1.55 Charter, "Bitstream Charter",
   "Iowan Old Style", Georgia, serif; }
@@ -35,11 +36,17 @@ th, td { font-size: 14px; text-align: right; padding: 5px 12px; border-bottom: 1
 th { font-weight: 600; color: var(--soft); }
 th:first-child, td:first-child { text-align: left; padding-left: 0; white-space: nowrap; }
 .scroll { overflow-x: auto; }
+dl { margin: 0; max-width: 48em; }
+dt { font-weight: 600; margin-top: 10px; }
+dd { margin: 0; color: var(--soft); }
+.strip { display: grid; grid-template-columns: repeat(auto-fit, minmax(200px, 1fr)); gap: 12px; margin: 28px 0; }
+.strip figure { margin: 0; }
+.strip b { display: block; font-size: 17px; color: var(--ink); }
 svg { display: block; width: 100%; height: auto; }
-svg text { font-size: 12px; fill: var(--soft); }
 pre { font: 14px/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; padding: 16px 20px; overflow-x: auto;
-  border-left: 3px solid var(--bar); background: color-mix(in srgb, var(--bar) 8%, transparent); }
+  border-left: 3px solid var(--teal); background: color-mix(in srgb, var(--teal) 8%, transparent); }
 """
+)
 
 EMPHASIS = re.compile(r"\*(\w[\w ]*)\*")
 
@@ -53,6 +60,44 @@ class Heading:
 class Text:
     """`*word*` is emphasised."""
 
+    text: str
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The first sentence below a title."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Words:
+    """What words mean: (word, meaning)."""
+
+    pairs: list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file, and what is said below it: `title` in large letters, if it has one. `png`: what is in the file, for a
+    page that needs no other; None where the file stands beside the page."""
+
+    name: str
+    caption: str
+    title: str = ""
+    png: bytes | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Pictures side by side, equally wide; `first_wide`: two, the first of which is wider than high."""
+
+    pictures: list[Picture]
+    first_wide: bool = False
+
+
+@dataclass(frozen=True)
+class Code:
     text: str
 
 
@@ -79,40 +124,69 @@ class Plot:
 
 
 def as_markdown(title: str, blocks: list) -> str:
-    parts = [f"# {title}"]
-    for block in blocks:
-        if isinstance(block, Heading):
-            parts.append(f"## {block.text}")
-        elif isinstance(block, Text):
-            parts.append(block.text)
-        elif isinstance(block, Figures):
-            parts.append("\n".join(f"* {what}: {value}" for value, what in block.pairs))
-        elif isinstance(block, Plot):
-            parts.append(f"![{block.caption}]({block.name})")
-        else:
-            rule = "| --- " + "| ---: " * (len(block.head) - 1) + "|"
-            lines = [f"| {' | '.join(cells)} |" for cells in (block.head, *block.rows)]
-            parts.append("\n".join([lines[0], rule, *lines[1:]]))
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join([f"# {title}", *map(_markdown, blocks)]) + "\n"
+
+
+def _markdown(block) -> str:
+    match block:
+        case Heading(text):
+            return f"## {text}"
+        case Text(text) | Lead(text):
+            return text
+        case Words(pairs):
+            return "\n".join(f"* **{word}**: {meaning}" for word, meaning in pairs)
+        case Figures(pairs):
+            return "\n".join(f"* {what}: {value}" for value, what in pairs)
+        case Picture(name, caption):
+            return f"![{caption}]({name})"
+        case Code(text):
+            return f"```python\n{text}\n```"
+        case Strip(pictures):
+            rows = ([f"**{p.title}**<br>{p.caption}" for p in pictures], [f"![{p.title}]({p.name})" for p in pictures])
+            return _markdown_table(*rows, rule=" :-: ")
+        case Plot(name, caption):
+            return f"![{caption}]({name})"
+    return _markdown_table(block.head, *block.rows)
+
+
+def _markdown_table(head: list[str], *rows: list[str], rule: str = "") -> str:
+    rules = [rule] * len(head) if rule else [" --- ", *[" ---: "] * (len(head) - 1)]
+    lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
+    return "\n".join([lines[0], f"|{'|'.join(rules)}|", *lines[1:]])
 
 
 def as_html(title: str, blocks: list) -> str:
-    body = [f"<h1>{html.escape(title)}</h1>"]
-    for block in blocks:
-        if isinstance(block, Heading):
-            body.append(f"<h2>{html.escape(block.text)}</h2>")
-        elif isinstance(block, Text):
-            body.append("<p>" + EMPHASIS.sub(r"<em>\1</em>", html.escape(block.text)) + "</p>")
-        elif isinstance(block, Figures):
-            cells = (f"<div><b>{html.escape(v)}</b><span>{html.escape(w)}</span></div>" for v, w in block.pairs)
-            body.append(f'<div class="figures">{"".join(cells)}</div>')
-        elif isinstance(block, Plot):
-            body.append(f"<figure>{block.svg}<figcaption>{html.escape(block.caption)}</figcaption></figure>")
-        else:
-            lines = [("th", block.head), *(("td", cells) for cells in block.rows)]
-            rows = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) for tag, cells in lines)
-            body.append(f'<div class="scroll"><table>{"".join(f"<tr>{row}</tr>" for row in rows)}</table></div>')
-    return document(title, body)
+    return document(title, [f"<h1>{html.escape(title)}</h1>", *map(_html, blocks)])
+
+
+def _html(block) -> str:
+    match block:
+        case Heading(text):
+            return f"<h2>{html.escape(text)}</h2>"
+        case Text(text):
+            return "<p>" + EMPHASIS.sub(r"<em>\1</em>", html.escape(text)) + "</p>"
+        case Lead(text):
+            return f'<p class="lead">{html.escape(text)}</p>'
+        case Words(pairs):
+            terms = (f"<dt>{html.escape(word)}</dt><dd>{html.escape(meaning)}</dd>" for word, meaning in pairs)
+            return f"<dl>{''.join(terms)}</dl>"
+        case Figures(pairs):
+            cells = (f"<div><b>{html.escape(v)}</b><span>{html.escape(w)}</span></div>" for v, w in pairs)
+            return f'<div class="figures">{"".join(cells)}</div>'
+        case Strip(pictures, first_wide):
+            return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_html, pictures))}</div>'
+        case Picture(name, caption, title, png):
+            source = f"data:image/png;base64,{base64.b64encode(png).decode()}" if png else html.escape(name)
+            said = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)
+            shown = f'<img src="{source}" alt="{html.escape(title or caption)}">'
+            return f"<figure>{shown}<figcaption>{said}</figcaption></figure>"
+        case Code(text):
+            return f"<pre>{html.escape(text)}</pre>"
+        case Plot(_, caption, svg):
+            return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
+    lines = [("th", block.head), *(("td", cells) for cells in block.rows)]
+    rows = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) for tag, cells in lines)
+    return f'<div class="scroll"><table>{"".join(f"<tr>{row}</tr>" for row in rows)}</table></div>'
 
 
 def document(title: str, body: list[str]) -> str:

@@ -134,7 +134,8 @@ def test_every_row_that_falls_short_has_its_profile():
     profiled = {(item["row"], item["size"]) for item in content["profiles"]}
     names = {row for row, _ in profiled}
     for name, size in goals.RECORDED:
-        name = name.removesuffix("_memory")
+        if name.endswith("_memory"):
+            continue  # a profile is of time
         assert name in names if size == goals.ANY_SIZE else (name, size) in profiled
     for item in content["profiles"]:
         assert set(item["parts"]) <= set(profiles.MEANING) and sum(item["parts"].values()) == pytest.approx(1.0)

@@ -5,11 +5,13 @@ import json
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from adaptive_terrain.benchmarks import goals, profiles, report
+from adaptive_terrain.benchmarks import goals, performance_page, plot, profiles, report
 from adaptive_terrain.benchmarks.measure import Row, Timed, alternate, median_by_step
 from adaptive_terrain.benchmarks.scale import slope
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators.text import svg
 
+SPACE = "{http://www.w3.org/2000/svg}"
 MACHINE = {"Processor": "Abacus 3", "Threads": "2"}
 
 
@@ -53,25 +55,50 @@ def test_a_line_says_by_how_much_a_goal_is_missed(rows):
     assert lines[4].endswith("first_update_ms 40")
 
 
-def test_the_page_has_every_row_the_misses_and_the_reason(rows, tmp_path):
-    report.write_docs(rows, MACHINE, ["There is no C compiler here."], tmp_path)
-    page = (tmp_path / "performance.md").read_text()
+def test_the_page_has_every_row_the_misses_and_the_reason(rows):
+    documents = performance_page.documents(rows, MACHINE, ["There is no C compiler here."])
+    page, every = documents["performance.md"], documents["performance_table.md"]
     for row in rows:
-        assert f"| {row.name} | {row.size:,} |" in page and f"* `{row.name}`: " in page
-    assert "Processor Abacus 3, Threads 2." in page
+        assert f"| {row.name} | {row.size:,} |" in every and f"* `{row.name}`: " in every
+    assert all("Processor Abacus 3, Threads 2." in text for text in (page, every))
+    assert json.loads(documents["performance.json"])["rows"] == [report.as_json(row) for row in rows]
     assert "* `refine_1t` at 1,000,000: 0.25 for 0.15, 67% over. Known (0.25): a loop in Python" in page
     assert "* `meshlets` at 1,000,000: 0.625 for 0.4, 56% over. Not known before this run." in page
-    assert "refine 1.03" in page and "* There is no C compiler here." in page
-    assert {len(line.split("|")) for line in page.splitlines() if line.startswith("| refine_1t | 1,0")} == {11}
+    assert "refine 1.03" in page and "* There is no C compiler here." in every
+    for text in (page, every):
+        tables = [paragraph.splitlines() for paragraph in text.split("\n\n") if paragraph.startswith("|")]
+        assert tables and all(len({line.count("|") for line in lines}) == 1 for lines in tables)
 
 
-def test_the_plot_is_an_image_with_every_curve(rows, tmp_path):
-    report.write_docs(rows, MACHINE, [], tmp_path)
-    plot = ElementTree.parse(tmp_path / "images" / "performance.svg").getroot()
-    space = "{http://www.w3.org/2000/svg}"
-    texts = {text.text for text in plot.iter(f"{space}text")}
+def test_the_page_has_the_six_rows_that_were_measured(rows, monkeypatch):
+    monkeypatch.setattr(goals, "GOALS", {("frame", 1_000_000): 0.35, ("same_picture", goals.ANY_SIZE): 0.3})
+    measured = [Row(name, 1_000_000, 10.0, "base", 40.0) for name in ("import", "frame", "still", "surface")]
+    measured += [Row("refine_error", 1_000_000, 10.0, "base", 40.0), Row("frame", 50_000, 7.0)]
+    measured.append(Row("same_picture", 1_632_029, 1363.0, "cycles dicing", 5087.0))
+    table = performance_page.headlines([*rows, *measured]).splitlines()[2:]
+    assert len(table) == len(performance_page.HEADLINES) == 6
+    assert table[0].endswith("| 1,000,000 | 10 | base | 40 | 0.25 | 0.35 |")
+    assert table[4].endswith("| 1,632,029 | 1,363 | cycles dicing | 5,087 | 0.268 | 0.3 |")
+    assert len(performance_page.headlines(measured[:3]).splitlines()) == 5
+
+
+def test_the_bars_of_a_frame_are_its_steps_and_end_at_its_time():
+    steps = {"refine": 2.0, "mark": 1.0, "weld": 1.0, "displace": 3.0, "mesh": 5.0, "blender": 3.0}
+    frames = [Row("frame", 50_000, 10.0, steps={"refine": 10.0}), Row("frame", 1_000_000, 20.0, steps=steps)]
+    chart = ElementTree.fromstring(plot.write_bars(frames))
+    wide = [float(box.get("width")) for box in chart.iter(f"{SPACE}rect") if box.get("height") == "30.0"]
+    short, long = wide[: len(plot.STEPS)], wide[len(plot.STEPS) :]
+    assert sum(short) == pytest.approx(sum(long) / 2, abs=0.5)
+    assert [w / sum(long) for w in long] == pytest.approx([0.1, 0.05, 0.05, 0.15, 0.25, 0.15, 0.25], abs=0.01)
+    assert {"50,000", "1,000,000", "20 ms"} <= {text.text for text in chart.iter(f"{SPACE}text")}
+
+
+def test_the_plot_is_an_image_with_every_curve(rows):
+    chart = ElementTree.fromstring(performance_page.documents(rows, MACHINE, [])["images/performance.svg"])
+    texts = {text.text for text in chart.iter(f"{SPACE}text")}
     assert {"refine, slope 1.03", "roam_rebuild", "triangles", "ms", "1,000,000"} <= texts
-    curves = [line.get("points").split() for line in plot.iter(f"{space}polyline")]
+    lines = [line for line in chart.iter(f"{SPACE}polyline") if line.get("stroke") in (svg.TEAL, svg.SOFT)]
+    curves = [line.get("points").split() for line in lines[::2]]  # each has another in the legend
     assert [len(points) for points in curves] == [3, 2]
     x = [float(point.split(",")[0]) for point in curves[0]]
     y = [float(point.split(",")[1]) for point in curves[0]]
@@ -81,7 +108,7 @@ def test_the_plot_is_an_image_with_every_curve(rows, tmp_path):
 def test_a_page_that_cannot_be_written_is_one_sentence(rows, tmp_path):
     (tmp_path / "docs").write_text("a file")
     with pytest.raises(TerrainError, match="cannot be written"):
-        report.write_docs(rows, MACHINE, [], tmp_path / "docs")
+        report.write_text(tmp_path / "docs" / "performance.md", "a page")
     with pytest.raises(TerrainError, match="cannot be written"):
         report.write_json(rows, tmp_path)
 

@@ -20,8 +20,10 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.cli import accuracy_command, command_line
-from adaptive_terrain.operators.output.exporting import write_texts
+from adaptive_terrain.operators.output.exporting import write_files
 from adaptive_terrain.operators.report import accuracy_plots, accuracy_subject
+from browser import needs_chromium, opened
+from PIL import Image
 
 FLIGHT = {
     "clip": [1, 50000],
@@ -118,7 +120,8 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
     code, said, folder = accuracy()
     assert code == 0, said.err
     page = (folder / "index.html").read_text()
-    assert re.findall(r'(?:src|href)="', page) == [] and "<script" not in page and "@import" not in page
+    assert re.findall(r'(?:src|href)="(?!data:image/png;base64,)', page) == []
+    assert "<script" not in page and "@import" not in page
     assert set(re.findall(r"https?://[^\"' ]+", page)) == {"http://www.w3.org/2000/svg"}
     text = (folder / "accuracy.md").read_text()
     for row in known_rows():
@@ -134,8 +137,35 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
         assert f"({name})" in text
         ElementTree.parse(folder / name)
     columns = [{line.count("|") for line in table.splitlines()} for table in text.split("\n\n") if table[0] == "|"]
-    assert "<em>Pareto front</em>" in page and not re.findall(r"\*[A-Za-z ]+\*", page)
-    assert len(columns) == 5 and all(len(counts) == 1 for counts in columns)
+    assert "<dt>Pareto front</dt>" in page and not re.findall(r"\*[A-Za-z ]+\*", page)
+    assert len(columns) == 6 and all(len(counts) == 1 for counts in columns)
+    assert page.startswith("<!doctype html>") and "<h1>hills.npy</h1>" in page and text.startswith("# hills.npy\n")
+
+
+@needs_chromium
+def test_a_browser_shows_the_page_with_every_picture(measured, accuracy, tmp_path):
+    code, said, folder = accuracy("--resolution", "320x180")
+    assert code == 0, said.err
+    seen = opened(folder / "index.html", tmp_path / "chromium")
+    assert not seen.errors and seen.wide <= 0
+    assert len(seen.pictures) == 3 + 4 and all(there for _, there in seen.pictures)
+    order = ["hills.npy", "largest error that was measured", "Halving", "Every row", "What the words mean"]
+    assert [seen.text.index(words) for words in order] == sorted(seen.text.index(words) for words in order)
+
+
+def test_the_strip_shows_the_same_part_at_four_errors(measured, accuracy):
+    code, said, folder = accuracy("--resolution", "320x180")
+    assert code == 0, said.err
+    text = (folder / "accuracy.md").read_text()
+    shown = [np.asarray(Image.open(folder / f"hills_{px}px.png")).astype(int) for px in (4, 2, 1)]
+    assert sorted(path.name for path in folder.glob("*.png")) == ["hills_1px.png", "hills_2px.png", "hills_4px.png"]
+    assert "| ![4 px](hills_4px.png) | ![2 px](hills_2px.png) | ![1 px](hills_1px.png) |" in text
+    assert "**2 px**<br>" in text and " triangles, 2 ms a frame" in text, "what the row of that error has cost"
+    coarse, middle, fine = shown
+    assert coarse.shape == (180, 180, 3)
+    right = np.add.outer(np.arange(180)[::-1], np.arange(180)) > 185  # no edges are drawn there
+    apart = [np.abs(picture - fine)[right].mean() for picture in (coarse, middle)]
+    assert apart[0] > apart[1] > 0
 
 
 def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight):
@@ -276,17 +306,17 @@ def test_files_of_a_report_are_replaced_together_or_not_at_all(tmp_path, monkeyp
     texts = {"a.svg": "new", "b.csv": "new", "c.html": "new"}
     for name in texts:
         (tmp_path / name).write_text("old")
-    write = Path.write_text
+    write = Path.write_bytes
 
-    def full(path, text, **how):
+    def full(path, content):
         if path.name.endswith("b.csv"):
             raise OSError(errno.ENOSPC, "No space left on device")
-        return write(path, text, **how)
+        return write(path, content)
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(TerrainError, match="b.csv cannot be written .No space left on device"):
-        write_texts(tmp_path, texts)
+        write_files(tmp_path, texts)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(texts, "old")
-    monkeypatch.setattr(Path, "write_text", write)
-    write_texts(tmp_path, texts)
+    monkeypatch.setattr(Path, "write_bytes", write)
+    write_files(tmp_path, texts)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == texts

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
+from adaptive_terrain.cbt_terrain.accuracy import sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -84,12 +85,38 @@ def test_the_page_says_what_the_source_has_rounded():
     assert accuracy_page.imported_text(from_array(heights)) == ""
 
 
+def curve_of(plot) -> list[str]:
+    """The places that the plot's first curve goes through."""
+    lines = (line for line in plot.iter(f"{SVG}polyline") if line.get("stroke") == "#000")
+    return next(line.get("points") for line in lines if not line.get("stroke-opacity")).split()
+
+
+def test_a_plot_draws_from_the_fastest_to_the_slowest_run():
+    points, spans = [(10.0, 4.0), (100.0, 0.0), (100.0, 1.0)], [(8.0, 14.0), (1.0, 2.0), (80.0, 300.0)]
+    plot = ElementTree.fromstring(draw([Curve("ms", "#000", points, spans=spans)], "x", "y"))
+    bars = [line.get("points") for line in plot.iter(f"{SVG}polyline") if line.get("stroke-opacity")]
+    ends = [[float(place.split(",")[0]) for place in bar.split()] for bar in bars]
+    (first, _), (second, _) = ([float(n) for n in place.split(",")] for place in curve_of(plot)[-2:])
+    assert len(ends) == 2, "a point without a place has no bar"
+    assert ends[0][0] < first < ends[0][1] < ends[1][0] < second < ends[1][1]
+    rows = [row for row in known_rows() if row.setting.unit == "px"]
+    known = [dataclasses.replace(rows[0], spread_ms=(0.5, 3.0)), *rows[1:]]
+    measured = {unit: accuracy_plots.plot_curves(known, unit, None) for unit in ("ms", "triangles")}
+    spans = {unit: next(c.spans for c in curves if c.label == "measured") for unit, curves in measured.items()}
+    assert spans == {"ms": [(0.5, 3.0), (2.0, 2.0), (5.0, 5.0)], "triangles": []}
+
+
+def test_the_times_of_a_row_have_their_extremes():
+    assert sweep.spread_of([3.0, 1.0, 2.0]) == (1.0, 3.0) and sweep.spread_of([3.0]) is None
+
+
 def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
-    assert ElementTree.fromstring(draw([Curve("none", "#000", [(0.0, 1.0), (1.0, -1.0)])], "x", "y")).findall("*") == []
+    empty = ElementTree.fromstring(draw([Curve("none", "#000", [(0.0, 1.0), (1.0, -1.0)])], "x", "y"))
+    assert not [part for part in empty.iter() if part.tag in (f"{SVG}polyline", f"{SVG}circle", f"{SVG}text")]
     points = [(1.0, 0.0), (10.0, 2.0), (100.0, math.inf), (1000.0, 20.0)]
     plot = ElementTree.fromstring(draw([Curve("a < b", "#000", points)], "x", "y"))
-    line = plot.find(f"{SVG}polyline").get("points").split()
+    line = curve_of(plot)
     tiny = ElementTree.fromstring(draw([Curve("tiny", "#000", [*points, (5.0, 1e-89)])], "x", "y"))
-    assert tiny.find(f"{SVG}polyline").get("points").split() == line
+    assert curve_of(tiny) == line
     assert len(line) == 2 and len(plot.findall(f"{SVG}circle")) == 2
     assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}

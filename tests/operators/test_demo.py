@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The demo, small: every file is there, pictures show something, the page names what it shows."""
 
+import contextlib
+import io
 import re
 
 import numpy as np
@@ -13,31 +15,48 @@ from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.demo import demo
 from adaptive_terrain.operators.demo import scene as demo_scene
+from browser import needs_chromium, opened
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """A coarse island and small pictures of few samples."""
-    monkeypatch.setattr(demo, "SIZE", 257)
-    monkeypatch.setattr(demo, "RESOLUTION", (160, 90))
-    monkeypatch.setattr(demo, "PLAN_RESOLUTION", (100, 100))
-    monkeypatch.setattr(demo_scene, "SAMPLES", 1)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A demo of a coarse island, with small pictures of few samples: its folder."""
+    out = tmp_path_factory.mktemp("demo") / "demo"
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
+        patch.setattr(demo, "SIZE", 257)
+        patch.setattr(demo, "RESOLUTION", (160, 90))
+        patch.setattr(demo, "PLAN_RESOLUTION", (100, 100))
+        patch.setattr(demo_scene, "SAMPLES", 1)
+        assert command_line.main(["demo", "--out", str(out)]) == 0
+    assert printed.getvalue().splitlines()[-1].startswith(f"{out / 'index.html'} shows it")
+    return out
 
 
-def test_demo_makes_its_page_and_all_that_it_shows(small, tmp_path, capsys):
-    out = tmp_path / "demo"
-    assert command_line.main(["demo", "--out", str(out)]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{out / 'index.html'} shows it")
-    page = (out / "index.html").read_text(encoding="utf-8")
-    shown = re.findall(r'src="([^"]+)"', page)
+def test_demo_makes_its_page_and_all_that_it_shows(made):
+    page = (made / "index.html").read_text(encoding="utf-8")
+    shown = re.findall(r'src="(?!data:)([^"]+)"', page)
     assert shown == ["frame_01.png", "frame_12.png", "frame_24.png", "levels.png", "plan.png"]
+    assert page.count('src="data:image/png') == len(demo.CROPS_PX)
     for name in shown:
-        assert np.asarray(Image.open(out / name).convert("L")).std() > 5, name
-    assert "http" not in page, "the page needs nothing from elsewhere"
+        assert np.asarray(Image.open(made / name).convert("L")).std() > 5, name
+    elsewhere = set(re.findall(r"https?://[^\"' ]+", page)) - {"http://www.w3.org/2000/svg"}
+    assert not elsewhere, "the page needs nothing from elsewhere"
     bounds = []
     for frame in range(1, 25):
-        info = read_npz(out / "meshes" / f"terrain_{frame:04d}.npz")["info"]
+        info = read_npz(made / "meshes" / f"terrain_{frame:04d}.npz")["info"]
         bounds.append(info["bound_px"])
         assert f"{info['triangles']:,}" in page
     assert 0 < max(bounds) <= 1.0
-    assert (out / "island.blend").stat().st_size > 10_000
+    assert (made / "island.blend").stat().st_size > 10_000
+
+
+@needs_chromium
+def test_a_browser_shows_the_page_with_every_picture(made, tmp_path):
+    seen = opened(made / "index.html", tmp_path)
+    assert not seen.errors and seen.wide <= 0
+    assert len(seen.pictures) == 5 + len(demo.CROPS_PX) + 1 and all(there for _, there in seen.pictures)
+    assert seen.text.startswith("An island, seen from the air") and "Screen bound" in seen.text
+    (made / "frame_12.png").rename(made / "elsewhere.png")
+    lacking = opened(made / "index.html", tmp_path)
+    assert lacking.errors and [there for _, there in lacking.pictures].count(False) == 1
+    (made / "elsewhere.png").rename(made / "frame_12.png")

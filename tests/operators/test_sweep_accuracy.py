@@ -88,7 +88,7 @@ def test_it_sweeps_every_kind_of_setting_and_writes_page_plots_and_table(terrain
     popping = [float(row["popping_px_max"]) for row in rows if row["unit"] == "px"]
     assert max(popping) > 0.0, "the camera moves to the next frame"
     folder = sweep_accuracy.report_folder(terrain)
-    assert {path.suffix for path in folder.iterdir()} == {".html", ".md", ".csv", ".json", ".svg"}
+    assert {path.suffix for path in folder.iterdir()} == {".html", ".md", ".csv", ".json", ".svg", ".png"}
     page = (folder / "index.html").read_text()
     assert "2 px (current)" in page and "through the camera of the scene, 160 x 90 pixels, frame 4." in page
 

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The same part of a frame at several errors, drawn: what an error looks like, beside what it costs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels.accuracy import drawing as kernels
+from ..ask.criterion import Criterion
+from ..ask.view import PANORAMIC, PERSPECTIVE, View
+from ..mesh.surface import Surface
+from ..run import launch
+from ..run.buffers import shared
+from ..terrain import Terrain
+from .sweep_settings import Setting
+from .timed_runs import Frame
+
+# Pixels of the frame that a crop shows each way; samples in one of them, each way; pixels in one of the small pictures
+# that tell where to look.
+SIDE, SAMPLES, SMALL = 256, 2, 4
+# The light of shaded maps, from the north-west, and colours; linear.
+SUN = np.array([-0.71, 0.45, 0.54])
+SUNLIGHT, SKYLIGHT, GROUND, SKY, INK = np.array(
+    [(0.85, 0.79, 0.70), (0.16, 0.19, 0.25), (0.80, 0.76, 0.70), (0.61, 0.70, 0.79), (0.02, 0.06, 0.07)]
+)
+LINE_PX, OPACITY = 0.65, 0.75
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A part of a frame at one error, uint8 [side, side, 3] from the top; `triangles` of the whole mesh."""
+
+    error_px: float
+    triangles: int
+    pixels: np.ndarray
+
+
+def crops(terrain: Terrain, frame: Frame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
+    """One for each error, through the frame's first view, with the edges of triangles in its lower left half.
+
+    The part is the one in which the first and the last error differ most. None of a panorama.
+    """
+    if not errors_px or not frame.views or frame.views[0].kind == PANORAMIC:
+        return []
+    [view, *_] = frame.views
+    surfaces = []
+    for error in errors_px:
+        update = terrain.update(Setting("px", error).criterion(base or Criterion()), [view], *frame.heights)
+        surfaces.append(update.surface.copy())
+    drawn = [_Drawn(surface, view, frame.placement) for surface in surfaces]
+    width, height = (int(pixels) // SMALL for pixels in view.resolution)
+    side = min(SIDE // SMALL, width, height)
+    apart = [picture.shaded(0, 0, width, height, 1 / SMALL, False) for picture in (drawn[0], drawn[-1])]
+    x, y = _most(np.abs(apart[0] - apart[1]).sum(axis=2), side)
+    place = SMALL * x, SMALL * y, SMALL * side, SMALL * side
+    found = []
+    for error, picture in zip(errors_px, drawn, strict=True):
+        x, y, wide, high = (SAMPLES * pixels for pixels in place)
+        colours = picture.shaded(x, y, wide, high, SAMPLES, True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
+        pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
+        found.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
+    return found
+
+
+def _most(values: np.ndarray, side: int) -> tuple[int, int]:
+    """Column and row of the square of `side` pixels with the largest sum."""
+    sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    inside = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+    row, column = np.unravel_index(inside.argmax(), inside.shape)
+    return int(column), int(row)
+
+
+class _Drawn:
+    """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
+
+    def __init__(self, surface: Surface, view: View, placement: np.ndarray | None):
+        camera = view.world_to_camera if placement is None else view.world_to_camera @ np.asarray(placement)
+        points = np.c_[surface.positions, np.ones(len(surface.positions))] @ camera.T
+        clip = points @ view.projection.T
+        perspective = view.kind == PERSPECTIVE
+        ahead = clip[:, 3] > 0
+        w = np.where(ahead, clip[:, 3], 1.0)
+        self._pixels = (clip[:, :2] / w[:, None] + 1) / 2 * np.array(view.resolution)
+        self._weight = 1 / w  # of what is interpolated over a triangle
+        self._nearness = 1 / w if perspective else points[:, 2]
+        self._normals = surface.normals
+        self._corners = surface.triangles[ahead[surface.triangles].all(axis=1)]
+        self.triangles = len(surface.triangles)
+
+    def shaded(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
+        """float64 [height, width, 3], linear, row 0 below: pixels of a picture that is `scale` times the frame."""
+        places = np.c_[self._pixels * scale - (x, y), self._nearness]
+        ends = places[self._corners]
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        inside = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
+        corners = np.ascontiguousarray(self._corners[inside])
+        shown = np.full(height * width, -1, np.int32)
+        nearness = np.full(height * width, -np.inf)
+        arrays = [shared(corners.reshape(-1), wp.int32), shared(places, wp.vec3d), width, height]
+        arrays += [shared(nearness, wp.float64), shared(shown, wp.int32)]
+        bands, threads = -(-height // int(kernels.BAND)), launch.default_threads()
+        launch.spread(kernels.draw_triangles, bands, arrays, step="draw", threads=threads, cost=1e4)
+        colours = np.broadcast_to(SKY, (height, width, 3)).copy()
+        rows, columns = np.divmod(np.flatnonzero(shown >= 0), width)
+        hit = corners[shown[shown >= 0]]
+        parts, edge_px = _barycentric(places[hit], columns + 0.5, rows + 0.5)
+        weights = parts * self._weight[hit]
+        normals = (self._normals[hit] * weights[..., None]).sum(axis=1)
+        normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
+        light = np.maximum(normals @ SUN, 0)[:, None] * SUNLIGHT + (0.5 + 0.5 * normals[:, 2:]) * SKYLIGHT
+        ground = light * GROUND
+        if lines:
+            left = columns / width + rows / height < 1
+            share = OPACITY * np.clip(1.5 * LINE_PX - edge_px, 0, 1) * left
+            ground += share[:, None] * (INK - ground)
+        colours[rows, columns] = ground
+        return colours
+
+
+def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of points in triangles [n, 3, >= 2]: parts of the corners [n, 3], and pixels to the nearest edge [n]."""
+    corners, at = ends[..., :2], np.stack([x, y], axis=1)[:, None]
+    from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner
+    along, out = to - from_, at - from_
+    twice = along[..., 0] * out[..., 1] - along[..., 1] * out[..., 0]
+    lengths = np.sqrt((along**2).sum(axis=2))
+    return twice / twice.sum(axis=1, keepdims=True), np.abs(twice / lengths).min(axis=1)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles on a picture: which one is nearest at each pixel."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+BAND = wp.constant(32)  # rows of pixels that one thread draws
+
+
+@wp.kernel
+def draw_triangles(
+    first: wp.int32,
+    corners: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec3d),
+    width: wp.int32,
+    height: wp.int32,
+    nearness: wp.array(dtype=wp.float64),
+    shown: wp.array(dtype=wp.int32),
+):
+    """BAND rows of pixels: `shown` gets the triangle at the middle of each; where there is none, it stays as it is.
+
+    `corners`: places of three a triangle. `places`: pixels from the left and from below, and a nearness that is linear
+    over the picture and larger for what is nearer. `nearness` [height * width] begins with -inf.
+    """
+    bottom = (first + wp.tid()) * BAND
+    top = wp.min(bottom + BAND, height) - 1
+    half = wp.float64(0.5)
+    for t in range(corners.shape[0] // 3):
+        a = places[corners[3 * t]]
+        b = places[corners[3 * t + 1]]
+        c = places[corners[3 * t + 2]]
+        low = wp.max(wp.int32(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])) - half)), bottom)
+        high = wp.min(wp.int32(wp.floor(wp.max(a[1], wp.max(b[1], c[1])) - half)), top)
+        left = wp.max(wp.int32(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])) - half)), 0)
+        right = wp.min(wp.int32(wp.floor(wp.max(a[0], wp.max(b[0], c[0])) - half)), width - 1)
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == wp.float64(0.0):
+            high = low - 1  # seen from its edge
+        for y in range(low, high + 1):
+            for x in range(left, right + 1):
+                px = wp.float64(x) + half
+                py = wp.float64(y) + half
+                u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) / area
+                v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) / area
+                w = wp.float64(1.0) - u - v
+                near = u * a[2] + v * b[2] + w * c[2]
+                if wp.min(u, wp.min(v, w)) >= wp.float64(0.0) and near > nearness[y * width + x]:
+                    nearness[y * width + x] = near
+                    shown[y * width + x] = t

@@ -2,10 +2,37 @@
 """Adaptive Terrain: a terrain of any size at exactly the detail that the camera can see, as an ordinary Blender mesh.
 
 The repository's root is this package. Blender calls `register` and `unregister`; nothing here imports bpy before that,
-so that the engine runs, tests and benchmarks without Blender.
+so that the engine runs, tests and benchmarks without Blender. For programs, the names below are all that most need:
+
+    from adaptive_terrain import Criterion, Terrain, View, bake, import_source, open_store
+
+They are imported when they are first asked for, so that Blender starts as fast as without them. `examples/` uses each.
 """
 
 __version__ = "0.1.0"
+
+# Name -> the module that it is from.
+_FRONT_DOOR = {
+    "import_source": "importing.import_process",  # a height map to a store
+    "ImportSettings": "importing.raster",  # ... and how
+    "open_store": "field.store",  # a store to a height field
+    "Terrain": "terrain",  # a height field to its mesh for
+    "View": "ask.view",  # what cameras see
+    "Criterion": "ask.criterion",  # and how fine that is to be
+    "bake": "fit.bake",  # a height field to a mesh without a camera
+}
+
+
+def __getattr__(name: str):
+    if name not in _FRONT_DOOR:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".cbt_terrain.{_FRONT_DOOR[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_FRONT_DOOR])
 
 
 def register() -> None:

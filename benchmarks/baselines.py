@@ -85,7 +85,7 @@ def plain_ingest(obj, surface) -> float:
     """
     import bpy
 
-    mesh, triangles = obj.data, len(surface.level)
+    mesh, triangles = obj.data, len(surface.triangles)
     with stopwatch() as elapsed:
         mesh.clear_geometry()
         mesh.vertices.add(len(surface.positions))

@@ -93,7 +93,7 @@ def _terrain(store: str, px: float):
 
 def _grid(store: str):
     """Every sample a vertex, every cell a smooth quadrilateral: what a terrain without levels of detail would be."""
-    heights = open_store(store).samples
+    heights = open_store(store).heights()
     rows, columns = heights.shape
     obj = new_object("Grid")
     mesh = obj.data

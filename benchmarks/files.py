@@ -45,7 +45,7 @@ def import_rows(tiff: Path, folder: Path) -> Iterator[Row]:
 def write_tiff(field: HeightField, path: Path) -> Path:
     """A GeoTIFF of metres in UTM, written by a process of its own: GDAL and Blender do not meet."""
     array = path.with_suffix(".npy")
-    np.save(array, field.samples)
+    np.save(array, field.heights())
     run_child("tiff", array, path, field.lattice.step_x)
     array.unlink()
     return path

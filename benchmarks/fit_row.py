@@ -62,7 +62,7 @@ def fit_row(name: str, field: HeightField, error_m: float, greedy=None) -> Row:
 
     def inserted() -> float:
         with stopwatch() as elapsed:
-            count["greedy"] = len(greedy(field.samples, max_error=error_m).triangles)
+            count["greedy"] = len(greedy(field.heights(), max_error=error_m).triangles)
         return elapsed[0]
 
     timed = alternate(fitted, inserted if greedy else None)

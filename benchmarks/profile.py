@@ -55,7 +55,7 @@ LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
 # A function that the walk calls, to its part.
 CALLED = {
     **dict.fromkeys(("error_at", "fetch_ahead", "leaves_tile"), ERRORS),
-    **dict.fromkeys(("metres2_of"), BAND_TEST),
+    **dict.fromkeys(("metres2_of", "quiet"), BAND_TEST),
     "diamond_at": BOX,
     **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
     **dict.fromkeys(("band_below", "remembered_at"), BAND),

@@ -16,12 +16,15 @@ from .ask.spans import Plan, Spans, spans_of
 from .ask.view import View
 from .errors import TerrainError
 from .field.heightfield import HeightField
-from .mesh.surface import Surface, SurfaceBuilder
+from .mesh.pieces import Pieces, middles
+from .mesh.surface import Surface, SurfaceBuilder, TornMesh
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding, weighed_as
 from .run import launch
 from .run.buffers import Buffers
+from .tree.location import locate
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Update:
 
     @property
     def triangles(self) -> int:
-        return len(self.surface.level)
+        return len(self.surface.triangles)
 
 
 class Terrain:
@@ -72,6 +75,7 @@ class Terrain:
         self._shape_key = None
         self._last: Update | None = None
         self._stamp: object = None
+        self._pieces: Pieces | None = None  # of the surface that was last asked for a place
 
     @property
     def tree(self):
@@ -104,6 +108,73 @@ class Terrain:
             update = self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
         self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
         return update
+
+    def restore(
+        self, tree: bytes, *, meshlet: int = 0, vertical_scale: float = 1.0, vertical_offset: float = 0.0
+    ) -> Update:
+        """The mesh of a tree that `tree.to_bytes()` has saved, without a criterion and a camera.
+
+        With the meshlet level and the heights of the update that left the tree it is the same mesh, byte for byte. Only
+        its bound in metres is known. Raises TerrainError for what is no tree of this height field.
+        """
+        key = (tree, meshlet, vertical_scale, vertical_offset)
+        if key == self._asked_key and not self._edited():
+            return Update(**{**self._last.__dict__, "changed": False, "ms": {}})
+        with launch.stopwatch() as ms, launch.timed("total"):
+            update = self._restore(tree, meshlet, float(vertical_scale), float(vertical_offset), ms)
+        self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
+        return update
+
+    def _restore(self, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
+        box_of(self.field, vertical_scale, vertical_offset)
+        cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
+        depth = int(depths.max())
+        domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
+        shape = (meshlet, depth, vertical_scale, vertical_offset)
+        self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
+        edited = self._edited()
+        leaves, error = self._refinement.replay(domain, depths, cell_bits)
+        changed = bool(leaves.changed_cells) or shape != shape_key or edited
+        try:
+            surface = self._builder.build(leaves, domain, meshlet) if changed else self._last.surface
+        except TornMesh:
+            raise TerrainError(
+                "The saved tree has leaves that do not fit together, so no terrain had it; save it again."
+            ) from None
+        self._shape_key = shape
+        parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
+        most_m = sum(parts) * (1 + MARGIN)
+        return Update(
+            surface=surface,
+            leaves=leaves.total,
+            changed=changed,
+            bound_px=None,
+            bound_m=most_m,
+            bound_edge_px=None,
+            bound_area_px=None,
+            relaxed=1.0,
+            limited="",
+            terms_px=None,
+            terms_m=Terms.shares(most_m, *parts),
+            ms=ms,
+        )
+
+    def triangles_at(self, places: np.ndarray) -> np.ndarray:
+        """Which triangle of the last update's surface is at each place: int64 [n], -1 beyond the raster.
+
+        places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where a rim has
+        cut triangles, their pieces are looked through too, which are listed once for a surface.
+        """
+        if self._last is None:
+            raise TerrainError("The terrain has no triangles yet, so none is at a place; update it first.")
+        surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
+        places = np.asarray(places, np.float64).reshape(-1, 2)
+        found = locate(self.tree, lattice, places, meshlet)
+        if not lattice.is_padded:
+            return found
+        if self._pieces is None or self._pieces.surface is not surface:
+            self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
+        return self._pieces.at(found, places)
 
     def _edited(self) -> bool:
         """Whether the tree is another one than the last update left."""

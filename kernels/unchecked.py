@@ -20,11 +20,19 @@ def code_at(a: wp.array(dtype=wp.uint16), i: wp.int64) -> wp.uint16: ...
 
 
 @wp.func_native("return a.data[i];")
+def byte_at(a: wp.array(dtype=wp.uint8), i: wp.int64) -> wp.uint8: ...
+
+
+@wp.func_native("return a.data[i];")
 def pair_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.vec2i: ...
 
 
 @wp.func_native("__builtin_prefetch(a.data + i);")
-def prefetch_range(a: wp.array(dtype=wp.uint16), i: wp.int64): ...
+def prefetch_byte(a: wp.array(dtype=wp.uint8), i: wp.int64): ...
+
+
+@wp.func_native("__builtin_prefetch(a.data + i);")
+def prefetch_code(a: wp.array(dtype=wp.uint16), i: wp.int64): ...
 
 
 @wp.func_native("a.data[i] = value;")

@@ -21,7 +21,7 @@ def interpolation(field: HeightField, vertical_scale: float = 1.0) -> Errors:
         # the block's own rows, one before and two behind
         picked = np.arange(row - 1, min(row + ROWS, height) + 2)
         inside = np.clip(picked, 0, height - 1)
-        h = np.asarray(field.samples[inside], np.float64)
+        h = np.asarray(field.heights(inside), np.float64)
         if picked[0] < 0:
             h[0] = 2 * h[1] - h[2]
         beyond = height + 1 - row

@@ -12,6 +12,7 @@ from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
+from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
 from ..refine.refinement import PLANE_BITS
@@ -75,7 +76,7 @@ class Ground:
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y
         g.scale, g.offset = self.scale, self.offset
-        g.samples = shared(field.samples.reshape(-1), wp.float32)
+        g.samples = codes.packed(field.samples, field.steps)
 
     @property
     def point_ends(self) -> tuple[int, int]:

@@ -38,10 +38,8 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by 9/32 of their range
     at most, as that is what the samples' negative weights add up to.
     """
-    around = int(ground.packed.bicubic)
-    low, high = (
-        _reduce(_reduce(ground.field.samples, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum)
-    )
+    around, heights = int(ground.packed.bicubic), ground.field.heights()
+    low, high = (_reduce(_reduce(heights, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum))
     if around:
         more = 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))

@@ -165,7 +165,7 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
         # The next update overwrites the surface.
-        surface = _copy(update.surface) if frame.after else update.surface
+        surface = update.surface.copy() if frame.after else update.surface
         updates.append(update)
         sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
         for view in frame.views or [None]:
@@ -260,12 +260,8 @@ def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Fram
     ]
 
 
-def _copy(surface: Surface) -> Surface:
-    return Surface(*(getattr(surface, f.name).copy() for f in dataclasses.fields(Surface)))
-
-
 def _bytes(surface: Surface) -> int:
-    return sum(getattr(surface, f.name).nbytes for f in dataclasses.fields(Surface))
+    return sum(array.nbytes for array in surface.arrays().values())
 
 
 def worst(parts: Sequence):

@@ -32,9 +32,10 @@ from ...kernels.field import expand as expand_kernels
 from ...kernels.field import ranges as range_kernels
 from ..errors import TerrainError
 from ..run import launch
-from . import hierarchy, store
+from . import codes, hierarchy, store
+from .codes import LEAST_EXPONENT, MOST_EXPONENT
 from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField
-from .hierarchy import extent_of, flat, stored_at
+from .hierarchy import extent_of, flat, ranges_at, stored_at
 
 # Indices of Warp's arrays are int32.
 MOST_ENTRIES = 2**31 - 1
@@ -80,7 +81,8 @@ def bicubic(field: HeightField) -> HeightField:
         error=kept["error_c"],
         ranges=kept["ranges_c"],
         source_max=LEVERAGE * field.source_max,
-        **dict(zip(NUMBERS, kept["numbers_c"].tolist(), strict=True)),
+        **dict(zip(NUMBERS, kept["numbers_c"].tolist(), strict=False)),
+        exponents=[int(exponent) for exponent in kept["numbers_c"][len(NUMBERS) :]],
         key=field.key + BICUBIC_KEY,
         expanded={},
         surfaces={"bilinear": field},
@@ -102,16 +104,18 @@ def _load(field: HeightField) -> dict[str, np.ndarray] | None:
 
 def _sound(numbers: np.ndarray) -> bool:
     """Whether numbers from a file can be what was written."""
-    _, step, low, high, steep_x, steep_y = numbers
-    return bool(np.isfinite(numbers).all() and step > 0 and low <= high and steep_x >= 0 and steep_y >= 0)
+    _, step, low, high, steep_x, steep_y, *exponents = numbers
+    known = all(LEAST_EXPONENT <= exponent <= MOST_EXPONENT for exponent in exponents)
+    return bool(np.isfinite(numbers).all() and step > 0 and low <= high and steep_x >= 0 and steep_y >= 0 and known)
 
 
 def build(field: HeightField, threads: int) -> dict[str, np.ndarray]:
     """The arrays of a bicubic surface, by name; the same bytes for any number of threads."""
     made = {name: np.zeros(shape, dtype) for name, (shape, dtype) in _arrays(field).items()}
-    made["numbers_c"][:] = _numbers(field, threads)
-    _fill_ranges(field, *made["numbers_c"][:2].tolist(), made["ranges_c"], threads)
-    _fill_errors(field, made["error_c"], threads)
+    numbers, errors = _numbers(field, threads), np.zeros(len(made["error_c"]), np.float32)
+    _fill_ranges(field, *numbers[:2], made["ranges_c"], threads)
+    _fill_errors(field, errors, threads)
+    made["numbers_c"][:] = [*numbers, *codes.encode(field.lattice, errors, made["error_c"], threads)]
     return made
 
 
@@ -121,7 +125,7 @@ def _launch(kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -
 
 def _raster(field: HeightField) -> list:
     """The samples as kernels take them."""
-    return [flat(field.samples, wp.float32), field.lattice.width, field.lattice.height]
+    return [flat(field.heights(), wp.float32), field.lattice.width, field.lattice.height]
 
 
 def _numbers(field: HeightField, threads: int) -> list[float]:
@@ -140,12 +144,12 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
     """Ranges of the patches, and above them of all that they touch."""
     lattice, out = field.lattice, flat(ranges, wp.uint16)
     columns, rows = lattice.cells_x, lattice.cells_y
-    own = stored_at(lattice, lattice.cell_depth)
+    own = ranges_at(lattice, lattice.cell_depth)
     inputs = [*_raster(field), wp.float64(base), wp.float64(step), own, out]
     _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
-    if lattice.levels:
-        finest = stored_at(lattice, lattice.cell_depth - 1)
-        east, north = lattice.extent(lattice.cell_depth - 1)
+    if lattice.range_depth:
+        finest = ranges_at(lattice, lattice.range_depth)
+        east, north = lattice.extent(lattice.range_depth)
         inputs = [east, columns, rows, own, finest, out]
         _launch(range_kernels.patches_around, north + 1, inputs, threads, 4.0 * columns)
         hierarchy.unite_ranges(lattice, ranges, threads)
@@ -154,7 +158,8 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
 def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> None:
     """Errors and bends, by way of how far the bicubic surface is from the bilinear one."""
     lattice, off = field.lattice, np.zeros(field.lattice.node_count, np.float32)
-    out, apart, plain = (flat(array, wp.float32) for array in (errors, off, field.error))
+    known = codes.decode(lattice, field.error, field.table)
+    out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
     own, below = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     below.base = lattice.node_count
     inputs = [*_raster(field), own, own, below, apart, out]

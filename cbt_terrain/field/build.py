@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import launch
-from . import hierarchy, resample
+from . import codes, hierarchy, resample
 from .heightfield import HeightField
 from .holes import refine_borders
 from .lattice import Lattice, fit
@@ -60,8 +60,8 @@ def build(
 
     samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
     filled in place. step_x, step_y: metres between samples. holes: cut out what is missing. source_max: as in
-    HeightField. allocate(name, shape, dtype) provides the other arrays that stay. name: what errors call the raster.
-    Raises TerrainError.
+    HeightField. allocate(name, shape, dtype) provides the other arrays, of which "errors" has no use afterwards. name:
+    what errors call the raster. Raises TerrainError.
     """
     threads = threads or launch.default_threads()
     lattice = lattice_for(*samples.shape[::-1], step_x, step_y, name)
@@ -81,14 +81,17 @@ def build(
     ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     on_progress(0.4)
-    error = allocate("error", (lattice.node_count,), np.dtype(np.float32))
-    hierarchy.build_errors(samples, lattice, error, threads, lambda done: on_progress(0.4 + 0.6 * done), measured)
+    errors = allocate("errors", (lattice.node_count,), np.dtype(np.float32))
+    hierarchy.build_errors(samples, lattice, errors, threads, lambda done: on_progress(0.4 + 0.58 * done), measured)
     if valid is not None:
-        refine_borders(valid, lattice, error, threads)
+        refine_borders(valid, lattice, errors, threads)
+    error = allocate("error", (lattice.node_count,), np.dtype(np.uint8))
+    exponents = codes.encode(lattice, errors, error, threads)
     return HeightField(
         samples=samples,
         lattice=lattice,
         error=error,
+        exponents=exponents,
         ranges=ranges,
         range_base=base,
         range_step=step,

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
+from . import codes
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
@@ -18,12 +19,13 @@ BICUBIC_KEY = "-bicubic"
 class HeightField:
     """A terrain ready for refinement; arrays may be memory-mapped and are never written.
 
-    samples: float32 [height, width] metres, row 0 south, column 0 west.
+    samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
     interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
-    error: float32 [lattice.node_count] metres, saturated error of each diamond (see hierarchy.py; the order of both
-    is that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
-    ranges: uint16 [lattice.range_count, 2], diamonds above the raster's cells; a height is range_base + q * range_step
-    metres. Of a bicubic surface [lattice.node_count, 2]: those of the cells follow.
+    error: uint8 [lattice.node_count], a code of the saturated error of each diamond (see hierarchy.py; the order is
+    that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
+    exponents: by which the table of codes is multiplied for each group of depths (codes.py).
+    ranges: uint16 [lattice.range_count, 2], diamonds of 4 x 4 cells and more; a height is range_base + q * range_step
+    metres. Of a bicubic surface those of the raster's cells follow.
     min_height, max_height: metres between which the surface lies.
     steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
     source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
@@ -36,6 +38,7 @@ class HeightField:
     samples: np.ndarray
     lattice: Lattice
     error: np.ndarray
+    exponents: list[int]
     ranges: np.ndarray
     range_base: float
     range_step: float
@@ -44,6 +47,7 @@ class HeightField:
     steepest_x: float
     steepest_y: float
     key: str
+    steps: codes.Steps | None = None
     source_max: float = 0.0
     filled: int = 0
     valid: np.ndarray | None = None
@@ -60,6 +64,16 @@ class HeightField:
         """The key of the samples, whatever surface lies between them."""
         return self.key.removesuffix(BICUBIC_KEY)
 
+    @property
+    def table(self) -> np.ndarray:
+        """float32 [groups, 256] metres: what the codes of errors stand for."""
+        return codes.tables(self.exponents)
+
+    def heights(self, *index) -> np.ndarray:
+        """float32 metres: samples[index], or all of them."""
+        samples = self.samples[index]
+        return samples if self.steps is None else self.steps.heights(samples)
+
     def damage(self, what: str) -> TerrainError:
         """The error of a field whose arrays cannot be what an import has written."""
         where = f"The store {self.path}" if self.path else "The height field"
@@ -67,5 +81,6 @@ class HeightField:
 
     def check_samples(self) -> None:
         """Raise TerrainError if a sample is not finite: for what reads all of them, and takes longer than this."""
-        if not all(np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256)):
+        finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
+        if self.steps is None and not all(finite):
             raise self.damage("it has heights that are not finite")

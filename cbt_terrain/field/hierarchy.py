@@ -43,17 +43,25 @@ def flat(array: np.ndarray, dtype) -> wp.array:
 
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:
-    """Where the arrays hold the diamonds of one depth (1 .. cell_depth)."""
-    base, pages = lattice.layout()
-    group = lattice.group(depth)
+    """Where the errors hold the diamonds of one depth (1 .. cell_depth)."""
+    return _place(*lattice.layout(), lattice.cell_depth - depth)
+
+
+def ranges_at(lattice: Lattice, depth: int) -> Depth:
+    """Where the ranges do (1 .. range_depth, and cell_depth)."""
+    finer = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
+    return _place(*lattice.range_layout(), finer)
+
+
+def _place(base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
+    """Where images hold the diamonds `finer` bisections above the raster's cells."""
+    group = (finer - 1) // 4 if finer else len(pages) - 1
     place = Depth()
-    place.base, place.pages = int(base[group]), int(pages[group])
-    if depth == lattice.cell_depth:
-        place.first, place.step = 0, 1
-        return place
-    # Vertices of the group from a corner to the middle of a side: one, or two in the coarser half of the group.
-    half = 1 << (lattice.levels - 1 - (depth - 1) // 2) % 2
-    place.first, place.step = (half, 2 * half) if depth % 2 else (0, half)
+    place.base, place.pages, place.first, place.step = int(base[group]), int(pages[group]), 0, 1
+    if finer:
+        # Vertices of the group from a corner to the middle of a side: one, or two in the coarser half of the group.
+        half = 1 << (finer - 1) // 2 % 2
+        place.first, place.step = (0, half) if finer % 2 else (half, 2 * half)
     return place
 
 
@@ -134,13 +142,13 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
         # cells move in every other pass, by two bisections at once. Bends halve with each.
         if step % 2 == 0:
             columns, rows, count = extent_of(lattice, lattice.cell_depth)
-            first, part = (lattice.node_count, 0.5) if bicubic else (lattice.range_count, 0.25)
+            first, part = (lattice.node_count, 0.5) if bicubic else (lattice.cell_base, 0.25)
             old = wp.clone(out[first:])
             spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells, wp.float32(part)])
             if bicubic:
-                errors[lattice.node_count :] = errors[lattice.range_count : lattice.node_count]
+                errors[lattice.node_count :] = errors[lattice.cell_base : lattice.node_count]
         elif bicubic:
-            errors[lattice.range_count :] *= np.float32(0.5)
+            errors[lattice.cell_base :] *= np.float32(0.5)
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:
@@ -164,26 +172,30 @@ def climbs(samples: np.ndarray) -> tuple[float, float]:
 def build_ranges(
     samples: np.ndarray, lattice: Lattice, base: float, step: float, ranges: np.ndarray, threads: int
 ) -> None:
-    """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface."""
-    if lattice.levels == 0:
+    """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
+
+    Those of the two finest depths, three quarters of all, are not stored: a walk takes what their parents have in
+    common, which is nested, and costs one triangle in a thousand.
+    """
+    if lattice.range_depth == 0:
         return
-    columns, rows = lattice.extent(lattice.cell_depth - 1)
+    columns, rows = lattice.extent(lattice.range_depth)
     inputs = [flat(samples, wp.float32), lattice.width, lattice.height, columns, wp.float64(base), wp.float64(step)]
-    inputs += [stored_at(lattice, lattice.cell_depth - 1), flat(ranges, wp.uint16)]
-    cost = 3.0 * lattice.width
+    inputs += [ranges_at(lattice, lattice.range_depth), flat(ranges, wp.uint16)]
+    cost = 6.0 * lattice.width
     launch.spread(range_kernels.finest_ranges, rows + 1, inputs, step="height ranges", threads=threads, cost=cost)
     unite_ranges(lattice, ranges, threads)
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
-    """Fill the ranges of what is above the diamonds about single samples, of which all have theirs."""
-    out, finer = flat(ranges, wp.uint16), stored_at(lattice, lattice.cell_depth - 1)
+    """Fill the ranges of what is above the finest that are stored."""
+    out, finer = flat(ranges, wp.uint16), ranges_at(lattice, lattice.range_depth)
 
     def spread(kernel, count: int, inputs: list) -> None:
         launch.spread(kernel, count, [*inputs, out], step="height ranges", threads=threads)
 
-    for depth in range(lattice.cell_depth - 2, 0, -1):
-        own = stored_at(lattice, depth)
+    for depth in range(lattice.range_depth - 1, 0, -1):
+        own = ranges_at(lattice, depth)
         columns, rows, count = extent_of(lattice, depth)
         if depth % 2:
             spread(range_kernels.centre_ranges, count, [columns, *lattice.extent(depth + 1), finer, own])

@@ -112,14 +112,22 @@ class Lattice:
 
         The last of the first entries is the total. Inside a group the order is that of `kernels/field/layout.py`.
         """
+        return self._images(self.levels)
+
+    def range_layout(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the ranges of heights: of every other sample, since the two finest depths have none."""
+        return self._images(self.levels - 1)
+
+    def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
+        """Groups of depths as images of a grid with squares of 2**levels cells, and behind them the raster's cells."""
         sizes, pages = [0], []
-        for group in range(self.groups + 1):
-            if group == self.groups:
+        for group in range((levels + 1) // 2 + 1):
+            if group == (levels + 1) // 2:
                 wide, high = self.extent(self.cell_depth)
             else:
                 # The coarsest depth with middles of sides has the entries that are furthest out: see `extent`.
-                q = max(self.levels - 2 - 2 * group, 0)
-                side = self.levels - q - 2 * group
+                q = max(levels - 2 - 2 * group, 0)
+                side = levels - q - 2 * group
                 wide, high = ((n << side) + 1 for n in self.extent(2 * q + 1))
             pages.append(-(-wide // PAGE))
             sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
@@ -130,12 +138,14 @@ class Lattice:
 
         i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
         """
-        base, pages = self.layout()
         group = self.group(depth)
-        shift = 0 if depth == self.cell_depth else 2 * group
-        x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
-        page = (y >> 5) * pages[group] + (x >> 5)
-        return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
+        return _index(*self.layout(), group, 0 if depth == self.cell_depth else 2 * group, i, j)
+
+    def range_index(self, depth: int, i, j) -> np.ndarray:
+        """The same in the ranges of heights (depths 1 .. range_depth, and cell_depth)."""
+        group = (self.levels - 2 - (depth - 1) // 2) // 2
+        cells = (self.levels // 2, 0)
+        return _index(*self.range_layout(), *(cells if depth == self.cell_depth else (group, 1 + 2 * group)), i, j)
 
     @property
     def root_entries(self) -> np.ndarray:
@@ -148,17 +158,33 @@ class Lattice:
     @property
     def can_be_numbered(self) -> bool:
         """Whether indices of 31 bits can number it."""
-        return max(self.span) < MAX_SIDE and max(self.node_count, 2 * self.range_count) < MAX_ENTRIES
+        return max(self.span) < MAX_SIDE and self.node_count < MAX_ENTRIES
+
+    @property
+    def cell_base(self) -> int:
+        """Entries of an error hierarchy above the raster's cells, which follow."""
+        return int(self.layout()[0][-2])
+
+    @property
+    def range_depth(self) -> int:
+        """The deepest bisection whose ranges of heights are stored: a cell of 4 x 4 samples and its sides, if any."""
+        return max(2 * self.levels - 2, 0)
 
     @property
     def range_count(self) -> int:
-        """Entries of the array of height ranges: the groups, without the raster's cells."""
-        return int(self.layout()[0][-2])
+        """Entries of the ranges of heights, without the raster's cells, which follow for a bicubic surface."""
+        return int(self.range_layout()[0][-2])
 
     @property
     def node_count(self) -> int:
         """Entries of an error hierarchy."""
         return int(self.layout()[0][-1])
+
+
+def _index(base: np.ndarray, pages: np.ndarray, group: int, shift: int, i, j) -> np.ndarray:
+    x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
+    page = (y >> 5) * pages[group] + (x >> 5)
+    return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
 
 
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:

@@ -4,12 +4,12 @@
 import numpy as np
 
 from ..run import launch
-from . import hierarchy, store
+from . import codes, hierarchy, store
 from .heightfield import HeightField
 
 
 def error_for(field: HeightField, meshlet: int) -> np.ndarray:
-    """float32 [node_count]: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
+    """uint8 [node_count], of the field's table: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
 
     Computed once for each `meshlet`, and kept in the store if the field has one.
     """
@@ -22,12 +22,15 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
-    kept = store.load_kept(field, name, field.error.shape, np.float32)
+    kept = store.load_kept(field, name, field.error.shape, np.uint8)
     if kept is not None:
         return kept
-    errors = np.array(field.error)
-    if not (errors >= 0).all() or np.isinf(errors).any():
-        raise field.damage("it has errors that are negative or not finite")
-    hierarchy.expand_errors(field.lattice, errors, meshlet, launch.default_threads())
-    store.keep(field, name, errors)
-    return errors
+    errors, made, threads = (
+        codes.decode(field.lattice, field.error, field.table),
+        np.zeros_like(field.error),
+        launch.default_threads(),
+    )
+    hierarchy.expand_errors(field.lattice, errors, meshlet, threads)
+    codes.put(field.lattice, errors, field.table, made, threads)
+    store.keep(field, name, made)
+    return made

@@ -2,8 +2,8 @@
 """The store: a folder with one JSON file and, in a folder beside it, the memory-mapped arrays of a height field.
 
     STORE/store.json            what it holds, and the name of the folder of arrays
-    STORE/data-*/samples.npy    float32 [height, width]
-    STORE/data-*/error.npy      float32 [lattice.node_count], in the order of lattice.py
+    STORE/data-*/samples.npy    [height, width]: float32, or uint16 where the source has steps that 16 bits can number
+    STORE/data-*/error.npy      uint8 [lattice.node_count], codes (codes.py) in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
     STORE/data-*/valid.npy      uint8 [height, width], where what is missing is cut out
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
@@ -27,26 +27,29 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import partial_files
+from . import codes
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
 from .store_entries import LATTICE, check_entries, is_data_name
 
-VERSION = 5
+VERSION = 6
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
 MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
-    r"(samples|error|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"(samples|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
 
+# What an import needs on its way.
+_SCRATCH = ("raster", "errors")
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
-    *("source_max", "filled"),
+    *("source_max", "filled", "exponents"),
 )
 
 
@@ -101,10 +104,13 @@ def _open(path: Path) -> HeightField:
     folder = path / content["data"]
     if folder.is_symlink():
         raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
+    steps = codes.Steps(*content["steps"]) if content["steps"] else None
+    kind = np.uint16 if steps else np.float32
     return HeightField(
-        samples=map_array(folder / "samples.npy", shape, np.float32),
+        samples=map_array(folder / "samples.npy", shape, kind),
+        steps=steps,
         lattice=lattice,
-        error=map_array(folder / "error.npy", (lattice.node_count,), np.float32),
+        error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         valid=map_array(folder / "valid.npy", shape, np.uint8) if content["holes"] else None,
         **{name: content[name] for name in _NUMBERS},
@@ -140,12 +146,13 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
 
 def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
     """Names, shapes and dtypes of the arrays that a store may have kept."""
-    plain, cells = lattice.node_count, lattice.node_count - lattice.range_count
+    plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # Behind the errors of a bicubic surface are the bends of the raster's cells.
     errors = {"error": plain, "error_c": plain + cells}
-    kept = {f"{name}_m{m}": ((n,), np.float32) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
-    kept |= {"error_c": ((plain + cells,), np.float32), "ranges_c": ((plain, 2), np.uint16)}
-    return kept | {"numbers_c": ((6,), np.float64)}
+    kept = {f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
+    kept |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
+    # Six numbers, and the exponents of the groups, the cells and the bends.
+    return kept | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -255,8 +262,18 @@ class Draft:
                 os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
         return array
 
+    def remove(self, name: str) -> None:
+        del self._arrays[name]
+        (self.folder / f"{name}.npy").unlink()
+
+    def rename(self, name: str, new: str) -> None:
+        self._arrays[new] = self._arrays.pop(name)
+        os.replace(self.folder / f"{name}.npy", self.folder / f"{new}.npy")
+
     def publish(self, field: HeightField, digest: str, report: dict) -> None:
         """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
+        for name in [name for name in self._arrays if name in _SCRATCH]:
+            self.remove(name)
         for name, array in self._arrays.items():
             with (self.folder / f"{name}.npy").open("r+b") as file:
                 file.seek(PAGE_BYTES + array.nbytes)
@@ -268,6 +285,7 @@ class Draft:
             "key": field.key,
             "holes": field.valid is not None,
             "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
+            "steps": field.steps and [field.steps.first, field.steps.scale, field.steps.offset],
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 from ..errors import TerrainError
+from .codes import LEAST_EXPONENT, MOST_EXPONENT, exponent_of
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
 
@@ -64,7 +65,23 @@ def _is_report(value) -> bool:
     return isinstance(warnings, list) and all(map(_is_text, warnings))
 
 
+# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
+LARGEST_ERROR = 1000.0
 LARGEST = 1e39  # metres: float32 has no more, and squares and sums of it are far from overflow
+
+
+def _is_exponents(value) -> bool:
+    return isinstance(value, list) and all(type(e) is int and LEAST_EXPONENT <= e <= MOST_EXPONENT for e in value)
+
+
+def _is_steps(value) -> bool:
+    if value is None:
+        return True
+    if not isinstance(value, list) or len(value) != 3 or value[0] not in (0, -128, -32768):
+        return False
+    return type(value[0]) is int and value[1] != 0 and all(_is_number(v, -1e30, 1e30) for v in value)
+
+
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
 _SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
@@ -76,6 +93,8 @@ _ENTRIES = {
     "crs": (_is_text, "a text"),
     "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
     "holes": (lambda value: type(value) is bool, "true or false"),
+    "exponents": (_is_exponents, f"whole numbers between {LEAST_EXPONENT} and {MOST_EXPONENT}"),
+    "steps": (_is_steps, "null, or the first number, the scale and the offset of a source's steps"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,
@@ -110,4 +129,13 @@ def check_entries(file: Path, content: dict) -> None:
         raise TerrainError(
             f"The store {file} is damaged: its 'min_height' {content['min_height']} is above its 'max_height' "
             f"{content['max_height']}; import it again."
+        )
+    lattice, low, high = fit(**content["lattice"]), content["min_height"], content["max_height"]
+    extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
+    most = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
+    exponents = content["exponents"]
+    if len(exponents) != lattice.groups + 1 or max(exponents) > most:
+        raise TerrainError(
+            f"The store {file} is damaged: its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at "
+            "most; import it again."
         )

@@ -20,10 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from ...kernels.fitting import binding
+from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.diamond import Asked, LocalView
+from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface, SurfaceBuilder
 from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
@@ -59,7 +60,7 @@ class Mesh:
 
     @property
     def triangles(self) -> int:
-        return len(self.surface.level)
+        return len(self.surface.triangles)
 
 
 class Fitter:
@@ -74,6 +75,8 @@ class Fitter:
         on_progress: Callable[[float], None],
     ):
         box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
+        # The kernels of the fit read rows of floats.
+        field = replace(field, samples=field.heights(), steps=None)
         self.field, self.threads, self.on_progress = field, threads, on_progress
         self.rounds = 0
         self.placement = (float(vertical_scale), float(vertical_offset))
@@ -89,10 +92,11 @@ class Fitter:
         field, buffers = self.field, Buffers()
         refinement = Refinement(field, buffers, self.threads)
         builder = SurfaceBuilder(field, buffers, self.threads, whole=True)
-        errors = field.error * np.float32(1.0 / START)
-        domain = make_domain(replace(field, error=errors, expanded={}), 0, *self.placement)
+        error, table = self._codes(error_m)
+        domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
+        domain.table = shared(table, wp.float32)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
-        work = Sweeps(self, m, buffers, shared(errors, wp.float32))
+        work = Sweeps(self, m, buffers, shared(error, wp.uint8))
         for rounds in range(1, MAX_MESHES + 1):
             leaves, _ = refinement.run(domain, asked, self.depth, MAX_TRIANGLES)
             surface = builder.build(leaves, domain, 0)
@@ -137,6 +141,17 @@ class Fitter:
         m.aim, m.stretch = AIM, STRETCH
         return m
 
+    def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """The errors for the first mesh as codes that may be raised, and what these stand for, by group: powers of a
+        root of two about what is asked, to the nearest, since the fit measures what it makes."""
+        field, base = self.field, raising.LEAST * error_m / self.scale
+        values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
+        between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
+        found = np.empty_like(field.error)
+        for known, part in zip(field.table, codes.parts(field.lattice, len(found)), strict=True):
+            codes.translate(field.error[part], np.searchsorted(between, known / START), found[part])
+        return found, np.tile(values.astype(np.float32), len(field.table))
+
     def _nothing_known(self) -> list[wp.array]:
         """Of every sample, and of what continues them in the padding, the height of its vertex and what is known of it.
         Memory is committed where it is used."""
@@ -148,7 +163,7 @@ class Fitter:
         ]
 
     def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
-        triangles = len(surface.level)
+        triangles = len(surface.triangles)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
     def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
@@ -158,7 +173,7 @@ class Fitter:
         twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
         what holds already.
         """
-        lattice, triangles = self.field.lattice, len(surface.level)
+        lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
         of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(of_level, surface.level, worst)
@@ -183,7 +198,7 @@ class Fitter:
         """Metres of height that rounding the plane coordinates to float32 may add, vertices moved by `error_m`."""
         lattice = self.field.lattice
         # Of what is split in raster cells only the corners of the cells are moved.
-        twist = float(self.field.error[lattice.range_count :].max()) * self.scale
+        twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         return self._sideways(2.0 * error_m * finer)
 

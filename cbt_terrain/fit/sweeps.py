@@ -22,8 +22,8 @@ MAX_ROUNDS = 64
 class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that are looked at."""
 
-    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers, errors: wp.array | None):
-        self.fitter, self.m, self.buffers, self.errors = fitter, m, buffers, errors
+    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers, codes: wp.array | None):
+        self.fitter, self.m, self.buffers, self.codes = fitter, m, buffers, codes
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
         self.stacks = [wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")]
@@ -32,7 +32,7 @@ class Sweeps:
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
         """Take over a welded mesh, with the heights that are known."""
-        triangles, vertices = len(surface.level), len(surface.positions)
+        triangles, vertices = len(surface.triangles), len(surface.positions)
         if triangles + triangles // 8 > self.m.room:
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
         self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0
@@ -107,7 +107,7 @@ class Sweeps:
     def refine(self, local: float) -> dict[str, int]:
         """Split what is beyond the bound, or pin it to the surface."""
         self.found_np[1:3] = self.triangles, self.vertices
-        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.errors]
+        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.codes]
         launch.slices(
             refine_kernels.refine, [[*inputs, *self.stacks, self.found]], step="fit refine", recorded=self.recorded
         )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import resample, store
+from ..field import codes, resample, store
 from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
@@ -57,7 +57,9 @@ def run_import(
         place = _place(settings, raster)
         _check_room(path, lattice_for(width, height, place.step_x, place.step_y, settings.source))
         draft = store.Draft(path, folder)
-        heights = draft.allocate("samples", (height, width), np.dtype(np.float32))
+        steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
+        name = "samples" if steps is None else "raster"
+        heights = draft.allocate(name, (height, width), np.dtype(np.float32))
         missing, source_max, lowest = _read_heights(
             raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
         )
@@ -72,6 +74,9 @@ def run_import(
             allocate=draft.allocate,
             on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
         )
+        if steps is not None:
+            _keep_steps(field, draft, steps)
+        del heights
         field.origin = np.array([*place.middle, 0.0])
         field.crs = place.crs
         field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
@@ -124,12 +129,13 @@ def describe(path: str | os.PathLike) -> dict:
     """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
     content = store.read_json(Path(path))
     field = store.open_store(path)
+    lattice = field.lattice
     return {
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **content["report"],
         "origin": content["origin"],
-        "largest_error_m": float(field.error[field.lattice.root_entries].max()),
+        "largest_error_m": float(field.table[lattice.group(1)][field.error[lattice.root_entries].max()]),
         "key": field.key,
     }
 
@@ -151,7 +157,7 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
 
 def _check_room(path: Path, lattice: Lattice) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
-    needed = 4 * lattice.width * lattice.height + 4 * lattice.node_count + 4 * lattice.range_count
+    needed = 6 * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
@@ -162,14 +168,29 @@ def _check_room(path: Path, lattice: Lattice) -> None:
         )
 
 
+def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
+    """What a source's values are multiplied by and what is then added, metres."""
+    return raster.scale * settings.height_scale, raster.offset * settings.height_scale + settings.height_offset
+
+
+def _keep_steps(field: HeightField, draft: store.Draft, steps: codes.Steps) -> None:
+    """Keep the samples as the source's own numbers, if these say the same to the last bit."""
+    numbers = draft.allocate("samples", field.samples.shape, np.dtype(np.uint16))
+    if codes.number(field.samples, steps, numbers):
+        field.samples, field.steps = numbers, steps
+        return
+    del numbers
+    draft.remove("samples")
+    draft.rename("raster", "samples")
+
+
 def _read_heights(
     raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
 ) -> tuple[int, float, float]:
     """Fill `heights` (row 0 south) from the raster; returns how many are missing, metres by which the source's own
     rounding may have moved them, and the lowest in metres."""
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
-    scale = raster.scale * settings.height_scale
-    offset = raster.offset * settings.height_scale + settings.height_offset
+    scale, offset = _scaling(raster, settings)
     missing, largest, converted, lowest = 0, 0.0, 0.0, np.inf
     for first in range(0, raster.height, rows_at_once):
         count = min(rows_at_once, raster.height - first)

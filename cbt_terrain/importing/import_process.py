@@ -164,16 +164,18 @@ class ImportJob:
 
 
 def import_source(
-    settings: ImportSettings,
+    source: ImportSettings | str | os.PathLike,
     store: str | os.PathLike,
     on_progress: Callable[[float, str], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> dict:
     """Import in a child process and wait; returns the report, with "unchanged" if the store held this source already.
 
-    on_progress(fraction, message) is called as it goes on; the import stops when cancelled() is true. Raises
-    TerrainError, and ImportCancelled if it was stopped; the store is then as it was before.
+    source: settings, or a path or "island" where their defaults do. on_progress(fraction, message) is called as it goes
+    on; the import stops when cancelled() is true. Raises TerrainError, and ImportCancelled if it was stopped; the store
+    is then as it was before.
     """
+    settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
     with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
         job = ImportJob(settings, store)
         try:

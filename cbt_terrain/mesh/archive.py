@@ -10,29 +10,35 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run.partial_files import written_beside
+from .surface import Surface
 
 # The earliest date that a zip can hold: the file says nothing of when it was written.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
-MOST_ENTRIES = 32
+MOST_ENTRIES = 64
 
 
-def write_npz(path: Path, surface, origin, info: dict) -> None:
+def write_npz(path: Path, surface: Surface, origin, info: dict, tree: bytes = b"") -> None:
     """Write a `Surface` to `path`, atomically.
 
     Entries: `positions` float32 [V, 3], metres about `origin` float64 [3]; `triangles` int32 [T, 3], counter-clockwise
-    seen from above; `edges` int32 [E, 2]; the attributes `normals` float32 [V, 3], `uv` float32 [V, 2], `level` int32
-    [T]; and `info`, JSON text (no times, so that it is a function of the frame alone).
+    seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree, if one is
+    given; and `info`, JSON text (no times, so that it is a function of the frame alone), with the domains and units of
+    the attributes under "attributes". Raises TerrainError for an attribute with the name of another entry.
     """
+    about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {
         "positions": surface.positions,
         "origin": np.asarray(origin, np.float64),
-        "triangles": surface.corner_verts.reshape(-1, 3),
+        "triangles": surface.triangles,
         "edges": surface.edges,
-        "normals": surface.normals,
-        "uv": surface.uv,
-        "level": surface.level,
-        "info": np.array(json.dumps(info, sort_keys=True)),
+        "tree": np.frombuffer(tree, np.uint8),
+        "info": np.array(json.dumps(info | {"attributes": about}, sort_keys=True)),
     }
+    if taken := entries.keys() & surface.attributes.keys():
+        raise TerrainError(f"An attribute is named {min(taken)!r}, as the file's own entry is: give it another name.")
+    if not tree:
+        del entries["tree"]
+    entries |= {name: attribute.array for name, attribute in surface.attributes.items()}
     with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, array in entries.items():
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))

@@ -17,18 +17,20 @@ from ...kernels.refine.diamond import Domain
 from ..refine.refinement import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
+from .attributes import CORNER, FACE, NORMALS, POINT, UV
 
 # A vertex that is nearer to the line than this part of an edge is on it: no sliver, and no two vertices at one place.
 TOLERANCE = 2.0**-10
-# Arrays of a surface with one item a vertex, and with one a triangle.
-POINTS, FACES = ("positions", "normals", "uv"), ("level",)
-# Of every array: what it has items of, and how many of each.
-SHAPE = {name: (int(kernels.VERTEX), 1) for name in POINTS} | {
+# Of every array of the topology: what it has items of, and how many of each.
+TOPOLOGY = {
+    "positions": (int(kernels.VERTEX), 1),
     "edges": (int(kernels.EDGE), 1),
     "corner_verts": (int(kernels.TRIANGLE), 3),
     "corner_edges": (int(kernels.TRIANGLE), 3),
-    "level": (int(kernels.TRIANGLE), 1),
 }
+# Of attributes, by their domains. A triangle's parts have what it has at its corners, which is the same at all three;
+# of edges nobody has any yet.
+DOMAINS = {POINT: (int(kernels.VERTEX), 1), FACE: (int(kernels.TRIANGLE), 1), CORNER: (int(kernels.TRIANGLE), 3)}
 
 NONE_SWAPPED = np.empty((2, 0), np.int32)
 
@@ -56,7 +58,7 @@ def rim(axis: int, at: float) -> Side:
     """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Vertices are on the rim or cells
     away from it, so none is near enough to be taken for one on it."""
     at = float(np.float32(at))
-    known = (("positions", axis, at), ("uv", axis, 1.0))
+    known = (("positions", axis, at), (UV, axis, 1.0))
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
 
 
@@ -114,7 +116,8 @@ class _Work:
 
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
         self.surface, self.threads = surface, threads
-        self.before = len(surface.positions), len(surface.edges), len(surface.level)
+        self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
+        self.shape = TOPOLOGY | {name: DOMAINS[a.domain] for name, a in surface.attributes.items()}
         listed = _listed(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
@@ -122,9 +125,14 @@ class _Work:
         self.counts = np.zeros(kernels.COUNTS, np.int32)
         self.counts[:4] = *self.before, len(listed)
         self.arrays = {
-            name: room(name, getattr(surface, name), each * (self.before[kind] + more))
-            for name, (kind, each) in SHAPE.items()
+            name: room(name, array, self.shape[name][1] * (self.before[self.shape[name][0]] + more))
+            for name, array in surface.arrays().items()
         }
+        # One row a vertex, and one a triangle.
+        rows = {name: a.reshape(len(a) // self.shape[name][1], -1) for name, a in self.arrays.items()}
+        domains = {"positions": POINT} | {name: a.domain for name, a in surface.attributes.items()}
+        self.points = {name: rows[name] for name, domain in domains.items() if domain == POINT}
+        self.faces = [rows[name] for name, domain in domains.items() if domain != POINT]
         most = max(self.before) + more
         self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
         self.parent, self.moved = np.empty(more, np.int32), np.empty((3, most), np.int32)
@@ -150,17 +158,16 @@ class _Work:
         end, end_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
         p, q = self.ends[: end - first].T
         part = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
-        for name in POINTS:
-            array = self.arrays[name]
+        for name, array in self.points.items():
             at_p, at_q = array[p].astype(np.float64), array[q].astype(np.float64)
             new = at_p + part * (at_q - at_p)
-            if name == "normals":
+            if name == NORMALS:
                 new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
             array[first:end] = new
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
-        for name in FACES:
-            self.arrays[name][first_face:end_face] = self.arrays[name][self.parent[: end_face - first_face]]
+        for rows in self.faces:
+            rows[first_face:end_face] = rows[self.parent[: end_face - first_face]]
 
     def close(self):
         """Close the gaps."""
@@ -171,18 +178,19 @@ class _Work:
         self._renumber("corner_edges", kernels.EDGE, ends)
         launch.once(kernels.fill, [self.m], step="cut")
         swapped = self._moves(kernels.VERTEX, ends)
-        for name in POINTS:
-            swap(self.arrays[name], swapped)
+        for array in self.points.values():
+            swap(array, swapped)
         source, to = self._moves(kernels.TRIANGLE, ends)
-        for name in FACES:
-            self.arrays[name][to] = self.arrays[name][source]
-        views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in SHAPE.items()}
-        return replace(self.surface, **views), swapped
+        for rows in self.faces:
+            rows[to] = rows[source]
+        views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in self.shape.items()}
+        attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
+        return replace(self.surface, **views, attributes=attributes), swapped
 
     def _renumber(self, name: str, kind: int, ends: list[int]) -> None:
         """Say in one of the arrays where the vertices or edges behind the end have moved."""
         numbers, moved = shared(self.arrays[name].reshape(-1), wp.int32), shared(self.moved[kind], wp.int32)
-        count = int(self.counts[SHAPE[name][0]]) * (2 if name == "edges" else 3)
+        count = int(self.counts[TOPOLOGY[name][0]]) * (2 if name == "edges" else 3)
         pieces = self.threads if count >= launch.SLICE_ITEMS else 1
         cuts = [count * k // pieces for k in range(pieces + 1)]
         inputs = [[first, stop, numbers, ends[kind], moved] for first, stop in pairwise(cuts)]

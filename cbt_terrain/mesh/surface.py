@@ -22,6 +22,7 @@ from ..run.buffers import Buffers, bind
 from ..run.memory import physical_memory
 from ..tree.concurrent_tree import no_runs
 from . import cut
+from .attributes import CORNER, EDGE, FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from .meshlet_template import template
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
@@ -29,34 +30,69 @@ NOT_NESTED = "its errors are not nested or its heights not finite, so that trian
 TRIANGLE_BYTES = 600
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
+# Arrays of a surface whose buffers have other names, behind "leaf_" or "mesh_".
+BUFFERS = {LEVEL: "level"}
+
+
+class TornMesh(TerrainError):
+    """Leaves do not fit together."""
 
 
 @dataclass(frozen=True)
 class Surface:
     """A welded triangle mesh; views of buffers that the next update overwrites.
 
-    `positions` float32 [V, 3], metres in the terrain's own space. `normals` float32 [V, 3], unit length.
-    `uv` float32 [V, 2]: 0 .. 1 from west to east, south to north. `corner_verts`, `corner_edges` int32 [3 T]: edge c
-    of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `level` int32 [T]: bisections of a root
-    square.
+    `positions` float32 [V, 3], metres in the terrain's own space. `corner_verts`, `corner_edges` int32 [3 T]: edge c
+    of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `attributes`: what else it carries, by name;
+    always `normals` (POINT, float32 [V, 3]: unit length), `uv` (POINT, float32 [V, 2]: 0 .. 1 from west to east, south
+    to north) and `terrain_level` (FACE, int32 [T]: bisections of a root square).
     """
 
     positions: np.ndarray
-    normals: np.ndarray
-    uv: np.ndarray
     corner_verts: np.ndarray
     corner_edges: np.ndarray
     edges: np.ndarray
-    level: np.ndarray
+    attributes: dict[str, Attribute]
 
     @property
     def triangles(self) -> np.ndarray:
         """int32 [T, 3]: vertices, counter-clockwise seen from above."""
         return self.corner_verts.reshape(-1, 3)
 
+    @property
+    def normals(self) -> np.ndarray:
+        return self.attributes[NORMALS].array
+
+    @property
+    def uv(self) -> np.ndarray:
+        return self.attributes[UV].array
+
+    @property
+    def level(self) -> np.ndarray:
+        return self.attributes[LEVEL].array
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many elements each domain has."""
+        corners = len(self.corner_verts)
+        return {POINT: len(self.positions), EDGE: len(self.edges), FACE: corners // 3, CORNER: corners}
+
+    def with_attributes(self, attributes: dict[str, Attribute]) -> "Surface":
+        """The same mesh with these too, in place of those of the same name. Raises TerrainError if one does not fit."""
+        for name, attribute in attributes.items():
+            attribute.check(name, self.sizes)
+        return replace(self, attributes=self.attributes | attributes)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name."""
+        topology = {name: array for name, array in vars(self).items() if name != "attributes"}
+        return topology | {name: attribute.array for name, attribute in self.attributes.items()}
+
     def copy(self) -> "Surface":
         """The same mesh in arrays of its own, which no update overwrites."""
-        return replace(self, **{name: array.copy() for name, array in vars(self).items()})
+        attributes = {name: replace(a, array=a.array.copy()) for name, a in self.attributes.items()}
+        arrays = {name: array.copy() for name, array in vars(self).items() if name != "attributes"}
+        return Surface(**arrays, attributes=attributes)
 
 
 @dataclass(frozen=True)
@@ -120,12 +156,14 @@ class SurfaceBuilder:
         memory = self._buffers.numpy
         surface = Surface(
             memory("positions")[:vertices],
-            memory("normals")[:vertices],
-            memory("uv")[:vertices],
             memory(prefix + "corner_verts")[: 3 * triangles],
             memory(prefix + "corner_edges")[: 3 * triangles],
             memory(prefix + "edges")[:edges],
-            memory(prefix + "level")[:triangles],
+            {
+                NORMALS: Attribute(memory("normals")[:vertices], POINT),
+                UV: Attribute(memory("uv")[:vertices], POINT),
+                LEVEL: Attribute(memory(prefix + "level")[:triangles], FACE),
+            },
         )
         if not self._whole:
             surface = self._end_at_rim(surface, domain, prefix)
@@ -137,7 +175,7 @@ class SurfaceBuilder:
         was swapped is swapped back."""
 
         def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
-            return self._buffers.extend(name if name in DISPLACED else prefix + name, count)
+            return self._buffers.extend(name if name in DISPLACED else prefix + BUFFERS.get(name, name), count)
 
         surface, self._swapped = cut.cut(surface, cut.rims(domain), room=room, threads=self._threads)
         return surface
@@ -183,13 +221,13 @@ class SurfaceBuilder:
         torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
         # What a single slice would ask of earlier ones nobody has.
         if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
-            raise self._field.damage(NOT_NESTED)
+            raise TornMesh(str(self._field.damage(NOT_NESTED)))
 
     def _check_sides(self, sides: np.ndarray) -> None:
         """Every square takes as many edges of a side as its neighbour gives; sides int32 [rows, columns, 4]."""
         left, below, right, above = np.moveaxis(sides, 2, 0)
         if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
-            raise self._field.damage(NOT_NESTED)
+            raise TornMesh(str(self._field.damage(NOT_NESTED)))
 
     def _expand(
         self, parts: list[tuple[int, int]], leaves: int, vertices: int, edges: int, t: meshlet_kernels.Template

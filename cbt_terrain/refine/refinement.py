@@ -8,14 +8,15 @@ import numpy as np
 import warp as wp
 
 from ...kernels.refine import curve
+from ...kernels.refine import replay as replay_kernels
 from ...kernels.refine import walk as kernels
 from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
+from ..field import codes
 from ..field.heightfield import HeightField
-from ..field.holes import longest_edge
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run import launch
@@ -31,8 +32,6 @@ from .terms import Rounding
 PLANE_BITS = 23
 # Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
 MAX_TREE_DEPTH = curve.DEEPEST
-# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
-LARGEST_ERROR = 1000.0
 # An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
 # a bound a fifth smaller.
 ENOUGH = 0.25
@@ -115,7 +114,6 @@ def make_domain(
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
     domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
-    domain.largest_error = _largest_error(field)
     domain.source = field.source_max * abs(height_scale)
     domain.enough = ENOUGH * (domain.rounding + domain.source)
     domain.bicubic = int(field.interpolation == "bicubic")
@@ -123,18 +121,15 @@ def make_domain(
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
-    domain.bend_base = base[-1] if domain.bicubic else base[-2]
-    domain.error = shared(error_for(field, meshlet), wp.float32)
+    domain.cell_group, domain.bend_group = lattice.groups, lattice.groups + domain.bicubic
+    domain.error = shared(error_for(field, meshlet), wp.uint8)
+    domain.table = shared(field.table.reshape(-1), wp.float32)
+    base, pages = lattice.range_layout()
+    domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.range_cells = base[-2]
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
-    domain.samples = shared(field.samples.reshape(-1), wp.float32)
+    domain.samples = codes.packed(field.samples, field.steps)
     return domain
-
-
-def _largest_error(field: HeightField) -> float:
-    """Metres, before scaling: far above every error of a sound store, so that infinity in another asks for no more."""
-    rounded = 1e-3 * max(abs(field.min_height), abs(field.max_height))
-    at_holes = 0.0 if field.valid is None else longest_edge(field.lattice, 1)
-    return min(max(LARGEST_ERROR * (field.max_height - field.min_height) + rounded, at_holes), 1e38)
 
 
 class Refinement:
@@ -162,10 +157,7 @@ class Refinement:
         functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
         asked for so few leaves, so they may well be too few; it only says what is tried first.
         """
-        cell_bits = max(max_depth, MIN_DEPTH)
-        if self.tree is None or cell_bits != self._cell_bits:
-            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
-            self._cell_bits = cell_bits
+        self._need_tree(max(max_depth, MIN_DEPTH))
         asked.limit, walks = 1.0, None
         most = max(max_leaves, 2 * self.lattice.squares)
         start, self._found = self._found, Found(0)
@@ -191,6 +183,29 @@ class Refinement:
                 leaves.after.after = None  # or all leaves of a flight would stay
         leaves.changed_cells = self._mark(walks, counts)
         return leaves, math.sqrt(asked.limit)
+
+    def replay(self, domain: Domain, depths: np.ndarray, cell_bits: int) -> tuple[Leaves, float]:
+        """The leaves of a saved tree, as the walk that found them gave them, and marked again.
+
+        depths: uint8, bisections of a square of each of its leaves, 1 .. cell_bits, square by square without a gap.
+        Returns the largest error of a leaf, too: metres before scaling.
+        """
+        self._need_tree(cell_bits)
+        self._last = self._found = None
+        self._make_room(len(depths))
+        walks = self._walks([0, self.lattice.squares << cell_bits], cell_bits, len(depths), self._capacity)
+        worst = self.buffers.get("replay_worst", 1, wp.float32)
+        launch.once(replay_kernels.replay, [domain, walks[0], shared(depths, wp.uint8), worst], step="refine")
+        counts = self.buffers.numpy("counts")[:4].reshape(1, 4).copy()
+        leaves = self._leaves(walks, counts)
+        leaves.changed_cells = self._mark(walks, counts)
+        return leaves, float(self.buffers.numpy("replay_worst")[0])
+
+    def _need_tree(self, cell_bits: int) -> None:
+        """A tree with so many levels below a square; another one is forgotten."""
+        if self.tree is None or cell_bits != self._cell_bits:
+            self.tree = ConcurrentBinaryTree(self.lattice.square_bits + cell_bits)
+            self._cell_bits = cell_bits
 
     def _walk(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, expected: int = 0):
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""

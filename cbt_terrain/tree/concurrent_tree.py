@@ -20,7 +20,7 @@ from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import shared
 from .cell_streams import CellStreams
-from .words import MAX_DEPTH, MIN_DEPTH, pack_cells, unpack_cells, words_from_bytes, words_to_bytes
+from .saved import MAX_DEPTH, MIN_DEPTH, depths_from_bytes, depths_to_bytes
 
 BLOCK_BITS = 12  # log2 of the cells in a block
 
@@ -34,7 +34,7 @@ class ConcurrentBinaryTree:
     | query one | `decode`, `encode`, `is_leaf`, `leaf_at`, `cell_of_leaf`, `rank` | O(depth) |
     | edit one | `split`, `merge` | O(depth) |
     | write all | `mark`, `reset`, `mark_written` | O(leaves) to compare, O(depth) for each 64 blocks with a change |
-    | list all | `cells`, `leaves`, `to_bytes`, `from_bytes` | O(leaves) |
+    | list all | `cells`, `depths`, `leaves`, `to_bytes`, `from_bytes` | O(leaves) |
 
     Leaves are numbered 0 .. leaf_count - 1 in the order of their cells, which is the order of a depth-first walk.
     """
@@ -206,23 +206,26 @@ class ConcurrentBinaryTree:
             self._fold()
         return self._cells.joined()
 
+    def depths(self) -> np.ndarray:
+        """Depth of each leaf in order: uint8 [leaf_count]."""
+        sizes = np.diff(self.cells(), append=self.cell_count)
+        return (self.max_depth - np.searchsorted(1 << np.arange(self.max_depth + 1), sizes)).astype(np.uint8)
+
     def leaves(self) -> np.ndarray:
         """Heap ids of all leaves in order: uint64 [leaf_count]."""
-        cells = self.cells()
-        sizes = np.diff(cells, append=self.cell_count)
-        shifts = np.searchsorted(1 << np.arange(self.max_depth + 1, dtype=np.int64), sizes)
-        return ((cells + self.cell_count) >> shifts).astype(np.uint64)
+        return (self.cells() + self.cell_count >> self.max_depth - self.depths().astype(np.int64)).astype(np.uint64)
 
     def to_bytes(self) -> bytes:
-        """The tree as bytes: a header, the bitfield's nonzero words and a checksum, 16 bytes a word."""
-        return words_to_bytes(self.max_depth, *pack_cells(self.cells()))
+        """The tree as bytes: a header, a byte for each leaf and a checksum."""
+        return depths_to_bytes(self.max_depth, self.depths())
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "ConcurrentBinaryTree":
         """The tree that `to_bytes` wrote. Raises TerrainError for anything else, before any large allocation."""
-        max_depth, index, bits = words_from_bytes(data)
+        max_depth, depths = depths_from_bytes(data)
         tree = cls(max_depth)
-        tree.mark(unpack_cells(index, bits))
+        sizes = np.int64(1) << max_depth - depths.astype(np.int64)
+        tree.mark(np.cumsum(sizes) - sizes)
         return tree
 
     # Inside

@@ -7,7 +7,7 @@ displaces by the same surface with other arithmetic, so that a fault in one of t
 
 import warp as wp
 
-from ..unchecked import height_at
+from ..field.codes import Samples, sample_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,23 +24,23 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 
 @wp.func
-def along_row(samples: wp.array(dtype=wp.float32), columns: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64):
+def along_row(samples: Samples, columns: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64):
     """Along row j of samples, s cells east of column i."""
     at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
-    p1 = wp.float64(height_at(samples, at))
-    p2 = wp.float64(height_at(samples, at + wp.int64(1)))
+    p1 = wp.float64(sample_at(samples, at))
+    p2 = wp.float64(sample_at(samples, at + wp.int64(1)))
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if i > 0:
-        p0 = wp.float64(height_at(samples, at - wp.int64(1)))
+        p0 = wp.float64(sample_at(samples, at - wp.int64(1)))
     if i < columns - 2:
-        p3 = wp.float64(height_at(samples, at + wp.int64(2)))
+        p3 = wp.float64(sample_at(samples, at + wp.int64(2)))
     return hermite(p0, p1, p2, p3, s)
 
 
 @wp.func
 def cubic_at(
-    samples: wp.array(dtype=wp.float32),
+    samples: Samples,
     columns: wp.int32,
     rows: wp.int32,
     i: wp.int32,
@@ -61,7 +61,7 @@ def cubic_at(
 
 
 @wp.func
-def heights_about(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+def heights_about(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
     """Two heights between which the surface lies in cell (i, j).
 
     In one direction the samples' weights are negative by 1/8 in sum at most, hence in two by 9/32.
@@ -70,7 +70,7 @@ def heights_about(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: 
     high = -wp.float64(wp.inf)
     for b in range(wp.max(j - 1, 0), wp.min(j + 2, rows - 1) + 1):
         for a in range(wp.max(i - 1, 0), wp.min(i + 2, columns - 1) + 1):
-            h = wp.float64(height_at(samples, wp.int64(b) * wp.int64(columns) + wp.int64(a)))
+            h = wp.float64(sample_at(samples, wp.int64(b) * wp.int64(columns) + wp.int64(a)))
             low = wp.where(h < low, h, low)
             high = wp.where(h > high, h, high)
     more = (high - low) * wp.float64(0.28125)

@@ -11,7 +11,7 @@ the same maximum: a fault in one of the two shows in the other.
 
 import warp as wp
 
-from ..unchecked import height_at
+from ..field.codes import Samples, sample_at
 from .cubic import cubic_at
 
 wp.set_module_options({"enable_backward": False})
@@ -31,7 +31,7 @@ class Ground:
     step_y: wp.float64
     scale: wp.float64
     offset: wp.float64
-    samples: wp.array(dtype=wp.float32)
+    samples: Samples
 
 
 @wp.struct
@@ -132,11 +132,11 @@ def plane_at(f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
 def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface in cell (i, j), metres."""
     at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
-    south_west = wp.float64(height_at(ground.samples, at))
-    south_east = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    south_west = wp.float64(sample_at(ground.samples, at))
+    south_east = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
     at += wp.int64(ground.columns)
-    north_west = wp.float64(height_at(ground.samples, at))
-    north_east = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    north_west = wp.float64(sample_at(ground.samples, at))
+    north_east = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
     s = u - wp.float64(i)
     t = v - wp.float64(j)
     low = south_west + (south_east - south_west) * s
@@ -156,9 +156,9 @@ def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
-def sample_at(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
+def reference_sample(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
     """Height of the reference surface at a sample, metres."""
-    h = height_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i))
+    h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i))
     return wp.float64(h) * ground.scale + ground.offset
 
 
@@ -243,7 +243,7 @@ def differences(
         for j in range(box[2], box[3] + 1):
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
-                    d = plane_at(f, wp.float64(i), wp.float64(j)) - sample_at(ground, i, j)
+                    d = plane_at(f, wp.float64(i), wp.float64(j)) - reference_sample(ground, i, j)
                     difference[j * ground.columns + i] = toward_zero(d)
                     most = wp.max(most, wp.abs(d))
         worst[t] = most

@@ -12,7 +12,7 @@ is a crossing, so that no ray slips through. All arithmetic is float64.
 
 import warp as wp
 
-from ..unchecked import height_at
+from ..field.codes import sample_at
 from .cubic import cubic_at, heights_about
 from .facets import Ground
 
@@ -104,11 +104,11 @@ def in_one_cell(
     """
     zero = wp.float64(0.0)
     at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
-    h00 = wp.float64(height_at(ground.samples, at))
-    h10 = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    h00 = wp.float64(sample_at(ground.samples, at))
+    h10 = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
     at += wp.int64(ground.columns)
-    h01 = wp.float64(height_at(ground.samples, at))
-    h11 = wp.float64(height_at(ground.samples, at + wp.int64(1)))
+    h01 = wp.float64(sample_at(ground.samples, at))
+    h11 = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
     s = ray.u + first * ray.du - wp.float64(i)
     r = ray.v + first * ray.dv - wp.float64(j)
     low = h00 + (h10 - h00) * s

@@ -9,7 +9,18 @@ import warp as wp
 
 from ..refine.diamond import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from .edges import PLACES, advance, begin, difference_at, on_edge, place_in, turning_point
-from .facets import Facet, Ground, Mesh, facet_of, owns, plane_at, reference_at, sample_at, sample_box, toward_zero
+from .facets import (
+    Facet,
+    Ground,
+    Mesh,
+    facet_of,
+    owns,
+    plane_at,
+    reference_at,
+    reference_sample,
+    sample_box,
+    toward_zero,
+)
 from .points import POINT_BITS
 from .rays import NOWHERE, Blocks, Ray, first_crossing
 
@@ -133,7 +144,7 @@ def visibility(
     for i in range(ground.columns):
         u = wp.float64(i)
         v = wp.float64(j)
-        z = sample_at(ground, i, j)
+        z = reference_sample(ground, i, j)
         camera = to_camera(eye, u, v, z)
         seen = OUTSIDE
         if in_frame(eye, camera):
@@ -163,7 +174,7 @@ def sample_errors(
         if state[at] != OUTSIDE:
             u = wp.float64(i)
             v = wp.float64(j)
-            z = sample_at(ground, i, j)
+            z = reference_sample(ground, i, j)
             a = to_camera(eye, u, v, z + wp.float64(before[at]))
             b = to_camera(eye, u, v, z + wp.float64(after[at]))
             pixels[row * ground.columns + i] = toward_zero(apart_px(eye, to_camera(eye, u, v, z), a, b))

@@ -3,9 +3,10 @@
 
 import warp as wp
 
+from ..field.codes import prefetch_sample
 from ..mesh.displace import AHEAD, Points, on_sample, put_vertex, runs_of, take_run
 from ..refine.diamond import Domain
-from ..unchecked import pair_at, prefetch
+from ..unchecked import pair_at
 from .surface import in_patch
 
 wp.set_module_options({"enable_backward": False})
@@ -44,7 +45,7 @@ def displace_bicubic(
             q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
             near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
             for b in range(-1, 3):
-                prefetch(samples, near + wp.int64(b) * wp.int64(columns))
+                prefetch_sample(samples, near + wp.int64(b) * wp.int64(columns))
             p = pair_at(points.point, k)
             x = wp.min(p[0], domain.east)
             y = wp.min(p[1], domain.north)

@@ -8,7 +8,7 @@ h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there.
 
 import warp as wp
 
-from ..unchecked import height_at
+from ..field.codes import Samples, sample_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,7 +57,7 @@ def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
 
 @wp.func
 def in_patch(
-    samples: wp.array(dtype=wp.float32),
+    samples: Samples,
     columns: wp.int32,
     rows: wp.int32,
     i: wp.int32,
@@ -76,15 +76,15 @@ def in_patch(
     east = wp.int64(i + 1)
     far = wp.int64(wp.min(i + 2, columns - 1))
     # About a height of the cell: a constant map stays one to the last bit.
-    base = wp.float64(height_at(samples, wp.int64(j) * row + here))
+    base = wp.float64(sample_at(samples, wp.int64(j) * row + here))
     found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
     for b in range(4):
         at = wp.int64(wp.clamp(j + b - 1, 0, rows - 1)) * row
         h = wp.vec4d(
-            wp.float64(height_at(samples, at + west)) - base,
-            wp.float64(height_at(samples, at + here)) - base,
-            wp.float64(height_at(samples, at + east)) - base,
-            wp.float64(height_at(samples, at + far)) - base,
+            wp.float64(sample_at(samples, at + west)) - base,
+            wp.float64(sample_at(samples, at + here)) - base,
+            wp.float64(sample_at(samples, at + east)) - base,
+            wp.float64(sample_at(samples, at + far)) - base,
         )
         z = wp.dot(wx, h)
         found += wp.vec3d(wy[b] * z, wy[b] * wp.dot(dx, h), dy[b] * z)

@@ -3,6 +3,8 @@
 
 import warp as wp
 
+from .codes import Samples
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -33,14 +35,18 @@ class Domain:
     source: wp.float64  # metres: what the source's own heights may be off
     enough: wp.float64  # metres of own error from which on nothing is gained
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
-    base: wp.array(dtype=wp.int64)  # of each group of depths: its first entry
+    base: wp.array(dtype=wp.int64)  # of each group of depths, the cells and the bends: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
     cell_base: wp.int64  # the same of the raster's cells
     cell_pages: wp.int32
     cell_columns: wp.int32  # ... and how many there are
     cell_rows: wp.int32
-    bend_base: wp.int64  # of what errors below the cells begin with: of a bilinear surface the cells' own
-    largest_error: wp.float32  # no error is larger, whatever the store has
-    error: wp.array(dtype=wp.float32)
-    ranges: wp.array(dtype=wp.uint16)  # of a bicubic surface those of the cells follow
-    samples: wp.array(dtype=wp.float32)
+    cell_group: wp.int32
+    bend_group: wp.int32  # of what errors below the cells begin with: of a bilinear surface the cells' own
+    table: wp.array(dtype=wp.float32)  # metres: 256 values a group
+    error: wp.array(dtype=wp.uint8)
+    range_first: wp.array(dtype=wp.int64)  # as `base` and `pages`, of the ranges
+    range_pages: wp.array(dtype=wp.int32)
+    range_cells: wp.int64  # of a bicubic surface: the first of the raster's cells
+    ranges: wp.array(dtype=wp.uint16)
+    samples: Samples

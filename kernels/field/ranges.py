@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of the ranges of heights: for every diamond above the raster's cells, two uint16 that enclose its surface.
+"""Kernels of the ranges of heights: for every diamond of cells of 4 x 4 samples and more, two uint16 that enclose it.
 
 A height is `base + q * step`; the lower number is rounded down and the upper one up, so the range encloses. `ranges`
 are flat: lower and upper of one diamond lie side by side, diamonds in the order of `cbt_terrain/field/lattice.py`.
@@ -11,6 +11,9 @@ from .hierarchy import side_point
 from .layout import Depth, entry
 
 wp.set_module_options({"enable_backward": False})
+
+# Samples that the box of a diamond at the middle of a side of 4 x 4 cells reaches from there.
+REACH = wp.constant(4)
 
 
 @wp.func
@@ -31,20 +34,6 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
     return wp.uint16(q)
 
 
-@wp.func
-def column_range(h: wp.array(dtype=wp.float32), x: int, width: int, y: int, height: int):
-    """Lowest and highest sample of column x in the rows within two of y, or the nearest to it."""
-    z = h[wp.min(y, height - 1) * width + x]
-    low = z
-    high = z
-    for k in range(1, 3):
-        south = h[wp.clamp(y - k, 0, height - 1) * width + x]
-        north = h[wp.min(y + k, height - 1) * width + x]
-        low = wp.min(low, wp.min(south, north))
-        high = wp.max(high, wp.max(south, north))
-    return wp.vec2(low, high)
-
-
 @wp.kernel
 def finest_ranges(
     offset: int,
@@ -57,32 +46,26 @@ def finest_ranges(
     own: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `offset + tid` of vertices 0 .. `columns`: diamonds about those with x + y odd, from all samples within two.
+    """Row `2 * (offset + tid)` of samples, up to `2 * columns`: diamonds about the middles of sides of 4 x 4 cells.
 
-    That is one cell more than the cells that meet there, so that it also encloses the diamonds below the raster, which
-    reach over into the next cell.
+    From all samples that their boxes hold, or the nearest; so those below, which reach over into the next cell, are in.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    # A window of five columns moves along the row; beyond an end of the raster the last column counts again.
-    a = column_range(h, 0, width, y, height)
-    b = a
-    c = a
-    d = a
-    e = column_range(h, 1, width, y, height)
-    for x in range(columns + 1):
-        a = b
-        b = c
-        c = d
-        d = e
-        if x + 2 < width:
-            e = column_range(h, x + 2, width, y, height)
-        if ((x + y) & 1) == 1:
-            low = wp.min(wp.min(wp.min(a[0], b[0]), wp.min(c[0], d[0])), e[0])
-            high = wp.max(wp.max(wp.max(a[1], b[1]), wp.max(c[1], d[1])), e[1])
-            at = wp.int64(2) * entry(own, x, y)
-            ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
-            ranges[at + wp.int64(1)] = quantise_up(wp.float64(high), base, step, per_step)
+    south = wp.clamp(2 * y - REACH, 0, height - 1)
+    north = wp.min(2 * y + REACH, height - 1)
+    for x in range(1 - (y & 1), columns + 1, 2):
+        west = wp.clamp(2 * x - REACH, 0, width - 1)
+        low = h[south * width + west]
+        high = low
+        for j in range(south, north + 1):
+            for i in range(west, wp.min(2 * x + REACH, width - 1) + 1):
+                z = h[j * width + i]
+                low = wp.where(z < low, z, low)
+                high = wp.where(z > high, z, high)
+        at = wp.int64(2) * entry(own, x, y)
+        ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
+        ranges[at + wp.int64(1)] = quantise_up(wp.float64(high), base, step, per_step)
 
 
 @wp.func
@@ -96,12 +79,12 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 def patches_around(
     offset: int, last: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
 ):
-    """Row `offset + tid` of vertices 0 .. `last`: diamonds about those with x + y odd, from all cells within two."""
+    """Row `2 * (offset + tid)` of samples: the diamonds of `finest_ranges`, from all cells that their boxes hold."""
     y = offset + wp.tid()
     for x in range(1 - (y & 1), last + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
-        for cy in range(wp.max(y - 2, 0), wp.min(y + 2, rows)):
-            for cx in range(wp.max(x - 2, 0), wp.min(x + 2, columns)):
+        for cy in range(wp.max(2 * y - REACH, 0), wp.min(2 * y + REACH, rows)):
+            for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
                 r = unite(r, ranges, entry(cells, cx, cy))
         at = wp.int64(2) * entry(own, x, y)
         ranges[at] = r[0]

@@ -39,16 +39,16 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
     i = wp.min(x >> bits, d.width - 2)
     j = wp.min(y >> bits, d.height - 2)
     if ((x | y) & ((1 << bits) - 1)) == 0:
-        return wp.float64(height_at(d.samples, wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)))
+        return wp.float64(height_at(d.samples.floats, wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)))
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     u = wp.float64(x - (i << bits)) * part
     v = wp.float64(y - (j << bits)) * part
     at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
     one = wp.float64(1.0)
-    south = wp.float64(height_at(d.samples, at)) * (one - u)
-    south += wp.float64(height_at(d.samples, at + wp.int64(1))) * u
-    north = wp.float64(height_at(d.samples, at + wp.int64(d.width))) * (one - u)
-    north += wp.float64(height_at(d.samples, at + wp.int64(d.width + 1))) * u
+    south = wp.float64(height_at(d.samples.floats, at)) * (one - u)
+    south += wp.float64(height_at(d.samples.floats, at + wp.int64(1))) * u
+    north = wp.float64(height_at(d.samples.floats, at + wp.int64(d.width))) * (one - u)
+    north += wp.float64(height_at(d.samples.floats, at + wp.int64(d.width + 1))) * u
     return south * (one - v) + north * v
 
 
@@ -103,8 +103,8 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
     j = wp.min(y, y + dy) >> bits
     at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
     north = at + wp.int64(d.width)
-    near = wp.float64(height_at(d.samples, at)) - wp.float64(height_at(d.samples, at + wp.int64(1)))
-    far = wp.float64(height_at(d.samples, north + wp.int64(1))) - wp.float64(height_at(d.samples, north))
+    near = wp.float64(height_at(d.samples.floats, at)) - wp.float64(height_at(d.samples.floats, at + wp.int64(1)))
+    far = wp.float64(height_at(d.samples.floats, north + wp.int64(1))) - wp.float64(height_at(d.samples.floats, north))
     cell = wp.float64(wp.int32(1) << bits)
     return (near + far) * (wp.float64(dx) / cell) * (wp.float64(dy) / cell)
 
@@ -139,7 +139,8 @@ def farthest_on_diagonal(
         slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
         i = (s.x + x0) >> bits
         j = (s.y + y0) >> bits
-        most = diagonal_inside(d.samples, d.width, d.height, i, j, cell_x, cell_y, cells, start, slope, most)
+        h = d.samples.floats
+        most = diagonal_inside(h, d.width, d.height, i, j, cell_x, cell_y, cells, start, slope, most)
     else:
         r0 = above(d, s, x0, y0)
         r1 = above(d, s, x1, y1)
@@ -163,7 +164,8 @@ def farthest(d: Domain, s: Facet) -> wp.float64:
         first, samples = row_of(s, bits, low + k)
         plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
         slope = s.slope_x * unit
-        most = row_inside(d.samples, d.width, d.height, i + first, j + low + k, samples, plane, slope, most)
+        h = d.samples.floats
+        most = row_inside(h, d.width, d.height, i + first, j + low + k, samples, plane, slope, most)
     if s.left_x == 0 or s.left_y == 0:
         if count == 0:
             most = wp.abs(above(d, s, 0, 0))

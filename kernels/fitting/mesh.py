@@ -9,7 +9,7 @@ import warp as wp
 
 from ..refine.diamond import Domain
 from .facet import Facet, surface
-from .raising import climb
+from .raising import RAISED, climb
 
 wp.set_module_options({"enable_backward": False})
 
@@ -176,13 +176,12 @@ def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int3
 def split(
     m: Mesh,
     t: wp.int32,
-    raised: wp.float32,
-    errors: wp.array(dtype=wp.float32),
+    codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.int32),
     climbing: wp.array(dtype=wp.vec3i),
     size: wp.vec2i,
 ) -> wp.vec2i:
-    """Bisect a triangle and what has to be for a conforming mesh; the error of what is split rises to `raised`.
+    """Bisect a triangle and what has to be for a conforming mesh; the code of what is split rises to RAISED.
 
     `size`: triangles and vertices; as they are then is returned. New vertices are samples, on the surface. New
     triangles are marked.
@@ -203,7 +202,7 @@ def split(
             left = m.corner_verts[3 * a]
             right = m.corner_verts[3 * a + 2]
             p = (m.point[left] + m.point[right]) / 2
-            climb(d, p[0], p[1], m.level[a], raised, errors, climbing)
+            climb(d, p[0], p[1], m.level[a], wp.int32(RAISED), codes, climbing)
             v = vertices
             vertices += 1
             m.point[v] = p

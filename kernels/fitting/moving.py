@@ -72,7 +72,7 @@ def pull(first: int, end: int, m: Mesh):
             q = Pushes()
             if m.level[t] <= 2 * d.levels + 1:
                 q = pushes_of(
-                    d.samples,
+                    d.samples.floats,
                     d.width,
                     d.height,
                     apex[0] >> bits,

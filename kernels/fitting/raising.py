@@ -8,6 +8,12 @@ from ..refine.diamond import Domain, place
 
 wp.set_module_options({"enable_backward": False})
 
+# Codes of errors while a mesh is fitted: an octave has so many, the first is for LEAST of what is asked, and to be
+# split is to have RAISED, twice of it.
+PER_OCTAVE = wp.constant(16)
+LEAST = wp.constant(0.125)
+RAISED = wp.constant(1 + 4 * 16)
+
 
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
@@ -45,19 +51,19 @@ def climb(
     x: wp.int32,
     y: wp.int32,
     depth: wp.int32,
-    value: wp.float32,
-    errors: wp.array(dtype=wp.float32),
+    code: wp.int32,
+    codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise the error of the diamond at (x, y), `depth` at most that of cells, and those above it to `value`."""
+    """Raise the error of the diamond at (x, y), `depth` at most that of cells, and those above it to that of `code`."""
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)
     while top > 0:
         top -= 1
         q = stack[top]
         at = entry_of(d, q[0], q[1], q[2])
-        if errors[at] < value:
-            errors[at] = value
+        if wp.int32(codes[at]) < code:
+            codes[at] = wp.uint8(code)
             if q[2] > 1:
                 step = apex_step(d, q[0], q[1], q[2])
                 for k in range(2):
@@ -75,14 +81,13 @@ def raise_cells(
     i: wp.int32,
     j: wp.int32,
     halvings: wp.int32,
-    raised: wp.float64,
-    errors: wp.array(dtype=wp.float32),
+    codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
     """Raise cell (i, j) so that triangles after `halvings` of its sides are split.
 
     An error in a cell is a quarter after each halving, and at least a quarter of the next cells': hierarchy.py. One
-    cell more on every side: a quarter of `raised` may split again; a sixteenth never does.
+    cell more on every side: a quarter of RAISED may split again; a sixteenth never does.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1
@@ -93,5 +98,5 @@ def raise_cells(
             if left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))
-                value = wp.float64(0.25) * raised * wp.float64(wp.int64(1) << wp.int64(2 * left))
-                climb(d, x, y, 2 * d.levels + 1, wp.float32(value), errors, stack)
+                code = wp.int32(RAISED) + (left - 1) * 2 * PER_OCTAVE
+                climb(d, x, y, 2 * d.levels + 1, code, codes, stack)

@@ -3,8 +3,7 @@
 
 import warp as wp
 
-from ..refine.diamond import cell_error, metres2_of, place
-from ..unchecked import height_at
+from ..refine.diamond import cell_error, error_at, metres2_of
 from .facet import surface
 from .mesh import PINNED, Mesh, list_marked, mark, mark_around, split
 from .raising import raise_cells
@@ -18,7 +17,7 @@ def refine(
     max_depth: int,
     local: wp.float64,
     m: Mesh,
-    errors: wp.array(dtype=wp.float32),
+    codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.int32),
     climbing: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
@@ -27,14 +26,13 @@ def refine(
 
     `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since
     one split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
-    split where they lie, those in cells only in `errors`, for the next walk.
+    split where they lie, those in cells only in `codes`, for the next walk.
     `found` [8] receives how many are listed, triangles and vertices (which it holds before), how many are split, how
     many vertices are new on the surface, how many splits wait for the next walk, splits that interpolation would not
     make (only what float32 positions add is beyond the bound), and triangles too coarse at the deepest level.
     """
     d = m.domain
     bits = d.unit_bits - d.levels
-    raised = wp.float64(2.0) * m.asked / d.error_scale
     asked2 = m.asked * m.asked
     size = wp.vec2i(found[1], found[2])
     splits = wp.int32(0)
@@ -67,7 +65,7 @@ def refine(
                 finer = depth - 2 * d.levels - 1
                 error = wp.float32(0.0)
                 if finer < 0:
-                    error = height_at(d.error, place(d, x, y, depth))
+                    error = error_at(d, x, y, depth)
                 else:
                     # The cell that it is in: between its apex and the middle of its longest edge.
                     x = (x + m.point[apex][0]) >> 1
@@ -83,11 +81,11 @@ def refine(
                 if depth < max_depth and (too_coarse or rounded):
                     if finer < 0:
                         if size[0] + 2 * depth + 2 < m.room:
-                            size = split(m, t, wp.float32(raised), errors, stack, climbing, size)
+                            size = split(m, t, codes, stack, climbing, size)
                         else:
                             later += 1
                     else:
-                        raise_cells(d, x >> bits, y >> bits, (finer + 1) >> 1, raised, errors, climbing)
+                        raise_cells(d, x >> bits, y >> bits, (finer + 1) >> 1, codes, climbing)
                         later += 1
                     splits += 1
                 else:

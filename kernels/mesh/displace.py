@@ -3,9 +3,10 @@
 
 import warp as wp
 
+from ..field.codes import Samples, prefetch_sample, sample_at
 from ..refine.diamond import Domain
 from ..refine.sum_reduction import Runs
-from ..unchecked import copy_vec2s, copy_vec3s, height_at, pair_at, prefetch, put_vec2, put_vec3
+from ..unchecked import copy_vec2s, copy_vec3s, pair_at, put_vec2, put_vec3
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,12 +34,12 @@ class Points:
 
 
 @wp.func
-def height(samples: wp.array(dtype=wp.float32), i: wp.int64) -> wp.float64:
-    return wp.float64(height_at(samples, i))
+def height(samples: Samples, i: wp.int64) -> wp.float64:
+    return wp.float64(sample_at(samples, i))
 
 
 @wp.func
-def on_sample(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+def on_sample(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
     """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
     row = wp.int64(columns)
     at = wp.int64(j) * row + wp.int64(i)
@@ -68,7 +69,7 @@ def on_sample(samples: wp.array(dtype=wp.float32), columns: wp.int32, rows: wp.i
 
 @wp.func
 def in_cell(
-    samples: wp.array(dtype=wp.float32),
+    samples: Samples,
     columns: wp.int32,
     rows: wp.int32,
     i: wp.int32,
@@ -191,9 +192,9 @@ def displace(
             k = point_base + wp.int64(u)
             q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
             near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
-            prefetch(samples, near)
-            prefetch(samples, near - wp.int64(columns))
-            prefetch(samples, near + wp.int64(columns))
+            prefetch_sample(samples, near)
+            prefetch_sample(samples, near - wp.int64(columns))
+            prefetch_sample(samples, near + wp.int64(columns))
             p = pair_at(points.point, k)
             x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
             y = wp.min(p[1], domain.north)

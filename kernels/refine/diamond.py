@@ -8,9 +8,10 @@ same way. All that is done with them below is monotone, also in rounded arithmet
 
 import warp as wp
 
+from ..field.codes import error_of, sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import code_at, entry_at, height_at, number_at, prefetch, prefetch_range
+from ..unchecked import code_at, entry_at, number_at, prefetch_byte
 
 wp.set_module_options({"enable_backward": False})
 
@@ -67,31 +68,31 @@ def larger(a: wp.float64, b: wp.float64) -> wp.float64:
 
 
 @wp.func
-def sound(value: wp.float32, largest: wp.float32) -> wp.float32:
-    """An error from a store, whatever bytes that has: none where it is negative or not a number, `largest` at most."""
-    some = wp.where(value > wp.float32(0.0), value, wp.float32(0.0))
-    return wp.where(some < largest, some, largest)
-
-
-@wp.func
-def cell_entry(domain: Domain, base: wp.int64, i: wp.int32, j: wp.int32) -> wp.float32:
-    """What the errors hold from `base` on for raster cell (i, j)."""
+def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.float32:
+    """What `group` of the errors, the cells or the bends, holds for raster cell (i, j)."""
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
-        e = sound(height_at(domain.error, base + tile_index(i, j, domain.cell_pages)), domain.largest_error)
+        index = entry_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
+        e = error_of(domain.table, group, domain.error, index)
     return e
 
 
 @wp.func
 def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
-    return cell_entry(domain, domain.cell_base, i, j)
+    return cell_entry(domain, domain.cell_group, i, j)
+
+
+@wp.func
+def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
+    """The group of a depth above the raster's cells."""
+    return (levels - 1 - ((depth - 1) >> 1)) >> 1
 
 
 @wp.func
 def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Where the arrays hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
-    group = (domain.levels - 1 - ((depth - 1) >> 1)) >> 1
+    """Where the errors hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
+    group = group_of(domain.levels, depth)
     shift = domain.unit_bits - domain.levels + 2 * group
     return entry_at(domain.base, group) + tile_index(x >> shift, y >> shift, number_at(domain.pages, group))
 
@@ -125,19 +126,20 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
     if is_beyond(domain, x, y, depth):
         error = wp.float32(0.0)
     elif finer < 0:
-        error = sound(height_at(domain.error, place(domain, x, y, depth)), domain.largest_error)
+        index = place(domain, x, y, depth)
+        error = error_of(domain.table, group_of(domain.levels, depth), domain.error, index)
     else:
         bits = domain.unit_bits - domain.levels
         i = x >> bits
         j = y >> bits
-        base = wp.where(finer > 0, domain.bend_base, domain.cell_base)
-        error = cell_entry(domain, base, i, j)
+        group = wp.where(finer > 0, domain.bend_group, domain.cell_group)
+        error = cell_entry(domain, group, i, j)
         if (depth & 1) == 0:
             # the middle of an edge that two raster cells share
             if (i << bits) == x:
-                error = wp.max(error, cell_entry(domain, base, i - 1, j))
+                error = wp.max(error, cell_entry(domain, group, i - 1, j))
             if (j << bits) == y:
-                error = wp.max(error, cell_entry(domain, base, i, j - 1))
+                error = wp.max(error, cell_entry(domain, group, i, j - 1))
         # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
         halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
         error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
@@ -152,10 +154,8 @@ def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
 
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Bring the tile of the diamond split at (x, y) into the cache; nothing is read."""
-    index = place(domain, x, y, depth)
-    prefetch(domain.error, index)
-    prefetch_range(domain.ranges, index + index)
+    """Bring the errors about the diamond split at (x, y) into the cache; nothing is read."""
+    prefetch_byte(domain.error, place(domain, x, y, depth))
 
 
 @wp.struct
@@ -178,11 +178,58 @@ def patches_range(domain: Domain, x: wp.int32, y: wp.int32, reach: wp.int32):
     most = wp.int32(0)
     for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
-            index = wp.int64(2) * (domain.cell_base + tile_index(i, j, domain.cell_pages))
+            index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
             least = wp.min(least, wp.int32(domain.ranges[index]))
             most = wp.max(most, wp.int32(domain.ranges[index + wp.int64(1)]))
     low = domain.range_base + wp.float64(least) * domain.range_step
     return low, domain.range_base + wp.float64(most) * domain.range_step
+
+
+@wp.func
+def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
+    """What the range `r` and the stored one of a diamond, `finer` bisections above the finest that are, have in common.
+
+    That of a diamond beside the domain is all heights.
+    """
+    if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
+        group = finer >> 2
+        shift = domain.unit_bits - domain.levels + 1 + 2 * group
+        entry = tile_index(x >> shift, y >> shift, number_at(domain.range_pages, group))
+        index = wp.int64(2) * (entry_at(domain.range_first, group) + entry)
+        low = wp.int32(code_at(domain.ranges, index))
+        high = wp.int32(code_at(domain.ranges, index + wp.int64(1)))
+        r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
+    return r
+
+
+@wp.func
+def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2i:
+    """Codes between which the heights of a diamond's box lie, above the raster's cells.
+
+    Of the two finest depths the stored parents say it, or theirs: what all of them have in common is nested, too.
+    """
+    r = wp.vec2i(0, 65535)
+    finer = 2 * domain.levels - 2 - depth
+    if finer >= 0:
+        r = narrowed(domain, x, y, finer, r)
+    elif domain.levels > 1:
+        u = wp.int32(1) << (domain.unit_bits - domain.levels)
+        # The middles of sides of 4 x 4 cells are 2 u apart along both axes, where the sum of their numbers is odd.
+        if finer == -1:  # the centre of a cell of 2 x 2: two of its corners
+            turned = ((((x - u) + (y - u)) / (2 * u)) & 1) == 0
+            v = wp.where(turned, -u, u)
+            r = narrowed(domain, x - u, y - v, 0, r)
+            r = narrowed(domain, x + u, y + v, 0, r)
+        else:  # the middle of a side of one: one of the side's ends, and what is 2 u beside the other end
+            along = wp.where((x & u) != 0, u, 0)
+            across = u - along
+            ends = wp.where((((x - along) + (y - across)) / (2 * u) & 1) == 1, 1, -1)
+            along = along * ends
+            across = across * ends
+            r = narrowed(domain, x - along, y - across, 0, r)
+            r = narrowed(domain, x + along + 2 * across, y + across + 2 * along, 0, r)
+            r = narrowed(domain, x + along - 2 * across, y + across - 2 * along, 0, r)
+    return r
 
 
 @wp.func
@@ -197,9 +244,9 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     if beyond:
         high = low
     elif depth <= 2 * domain.levels:
-        index = wp.int64(2) * place(domain, x, y, depth)
-        low = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
-        high = domain.range_base + wp.float64(code_at(domain.ranges, index + wp.int64(1))) * domain.range_step
+        r = range_at(domain, x, y, depth)
+        low = domain.range_base + wp.float64(r[0]) * domain.range_step
+        high = domain.range_base + wp.float64(r[1]) * domain.range_step
     elif domain.bicubic == 1:
         low, high = patches_range(domain, x, y, reach)
     else:
@@ -209,19 +256,21 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         ahead = (wp.int32(1) << bits) - 1
         i1 = wp.min((x + reach + ahead) >> bits, domain.width - 1)
         j1 = wp.min((y + reach + ahead) >> bits, domain.height - 1)
-        least = domain.samples[wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0)]
+        least = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0))
         most = least
         for b in range(j0, j1 + 1):
             row = wp.int64(b) * wp.int64(domain.width)
             for a in range(i0, i1 + 1):
-                h = domain.samples[row + wp.int64(a)]
+                h = sample_at(domain.samples, row + wp.int64(a))
                 least = wp.where(h < least, h, least)
                 most = wp.where(h > most, h, most)
         low = wp.float64(least)
         high = wp.float64(most)
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:
-        d.rim = wp.where(beyond, 2, 1)
+        d.rim = 1
+    if beyond or low > high:  # its box may touch the raster where no diamond below it does: then it has no range
+        d.rim = 2
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
     d.low = wp.vec3d(

@@ -12,6 +12,7 @@ in the frame: one that reaches from under the camera into the frame is seen no n
 
 import warp as wp
 
+from ..field.codes import sample_at
 from .diamond import (
     PERSPECTIVE,
     Asked,
@@ -64,7 +65,12 @@ def patch_at(domain: Domain, i: wp.int32, j: wp.int32) -> wp.vec4f:
     north = south + wp.int64(domain.width)
     one = wp.int64(1)
     samples = domain.samples
-    return wp.vec4f(samples[south], samples[south + one], samples[north], samples[north + one])
+    return wp.vec4f(
+        sample_at(samples, south),
+        sample_at(samples, south + one),
+        sample_at(samples, north),
+        sample_at(samples, north + one),
+    )
 
 
 @wp.func

@@ -6,7 +6,7 @@ import math
 import bpy
 import numpy as np
 
-from ..mesh.writer import LEVEL_ATTRIBUTE
+from ...cbt_terrain.mesh.attributes import LEVEL
 
 HAZE = (0.52, 0.66, 0.86, 1.0)
 HAZE_DISTANCE_M = 38_000.0
@@ -161,7 +161,7 @@ def sea_material() -> bpy.types.Material:
 def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
     """Each triangle in the colour of its level, shaded a little by the `sun` (unit vector), its edges a pixel wide."""
     material, n = _material("Levels")
-    level = n.add("ShaderNodeAttribute", attribute_name=LEVEL_ATTRIBUTE).outputs["Fac"]
+    level = n.add("ShaderNodeAttribute", attribute_name=LEVEL).outputs["Fac"]
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}
     colour = n.ramp(n.add("ShaderNodeMapRange", inputs).outputs["Result"], LEVEL_COLOURS)
     normal = n.add("ShaderNodeNewGeometry").outputs["Normal"]

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a user has cut away from a terrain's mesh: what is below a height, what is outside of another object."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...cbt_terrain.mesh.cut import above, cut
 from ...cbt_terrain.mesh.outline import inside
+from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 
 
@@ -26,22 +27,15 @@ class Cleanup:
         return self.below, None if self.boundary is None else self.boundary.tobytes()
 
 
-def clean_up(surface, cleanup: Cleanup, overlay=None):
-    """What `cleanup` leaves of a Surface and of the overlay.Overlay of its triangles, if there is one.
-
-    Arrays are new ones, or those of `surface` where nothing is cut away.
-    """
-    if not cleanup.active:
-        return surface, overlay
-    left = replace(surface, level=np.arange(len(surface.level), dtype=np.int32))
+def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
+    """What `cleanup` leaves of a surface: in new arrays, or the surface itself where nothing is cut away."""
     threads = launch.default_threads()
     if cleanup.below is not None:
-        left, _ = cut(left, [above(2, cleanup.below)], threads=threads)
+        surface, _ = cut(surface, [above(2, cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
-        for side in inside(cleanup.boundary, left):
-            left, _ = cut(left, [side], threads=threads)
-    parts = left.level  # of which triangle each is one
-    return replace(left, level=surface.level[parts]), overlay and overlay.of(parts)
+        for side in inside(cleanup.boundary, surface):
+            surface, _ = cut(surface, [side], threads=threads)
+    return surface
 
 
 def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:

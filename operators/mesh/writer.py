@@ -9,30 +9,28 @@ import numpy as np
 import warp as wp
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.mesh.attributes import NORMALS, TYPES, UV
+from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.buffers import shared
 from ...kernels.mesh import ingest
 from . import memory as mesh_memory
 
 UV_LAYER = "UVMap"
-LEVEL_ATTRIBUTE = "terrain_level"
-COLOUR_ATTRIBUTE = "terrain_overlay"
+COLOUR_ATTRIBUTE = "terrain_overlay"  # of the corners; where a surface has it, Solid shading and materials show it
 NORMAL_ATTRIBUTE = "custom_normal"  # a free normal per vertex, since Blender 4.5
 
 
-def write_mesh(mesh, surface, *, smooth: bool = True, overlay=None) -> None:
-    """Replace the geometry of `mesh` by `surface`.
+def write_mesh(mesh, surface: Surface, *, smooth: bool = True) -> None:
+    """Replace the geometry and the attributes of `mesh` by those of `surface`.
 
-    `surface`: positions, normals float32 [V, 3]; uv float32 [V, 2]; corner_verts, corner_edges int32 [3 T]; edges int32
-    [E, 2]; level int32 [T]. `overlay`: an overlay.Overlay of its triangles, None for no colours. Raises TerrainError
-    where the mesh cannot be written (edit mode, shape keys).
+    Its `uv` become the UV map, its `normals` the custom normals; all others keep their names. Raises TerrainError where
+    the mesh cannot be written (edit mode, shape keys).
     """
     _check_writable(mesh)
     _write_geometry(mesh, surface)
     _write_shading(mesh, surface.normals, smooth)
-    if overlay is not None:
-        _write_overlay(mesh, overlay)
-        _show_colours(mesh)
+    _show_colours(mesh)
     mesh.update()
 
 
@@ -43,16 +41,19 @@ def _check_writable(mesh) -> None:
         raise TerrainError(f"The mesh {mesh.name!r} has shape keys, which need a fixed topology; remove them.")
 
 
-def _write_geometry(mesh, surface) -> None:
+def _write_geometry(mesh, surface: Surface) -> None:
     """Everything but the shading."""
-    triangles = len(surface.level)
+    triangles = len(surface.triangles)
+    named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}
     mesh.clear_geometry()
     mesh.vertices.add(len(surface.positions))
     mesh.edges.add(len(surface.edges))
     mesh.loops.add(3 * triangles)  # before the polygons, which take their last offset from it
     mesh.polygons.add(triangles)
     mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    mesh.attributes.new(LEVEL_ATTRIBUTE, "INT", "FACE")
+    for name, attribute in named.items():  # all before one is written: Blender may move what it has
+        if mesh.attributes.new(name, TYPES[attribute.kind][0], attribute.domain).name != name:
+            raise TerrainError(f"Blender has no room for an attribute of the name {name!r}: give it another name.")
     if not triangles:
         mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
         return
@@ -66,6 +67,8 @@ def _write_geometry(mesh, surface) -> None:
     def copy() -> None:
         _write_offsets(mesh, triangles, offsets)
         _copy_arrays(mesh.attributes, surface)
+        for name, attribute in named.items():
+            mesh.attributes[name].data.foreach_set(TYPES[attribute.kind][1], attribute.array.ravel())
 
     def gather() -> None:
         inputs = [shared(surface.uv, wp.vec2f), shared(surface.corner_verts, wp.int32), corner_uv]
@@ -91,27 +94,19 @@ def _write_offsets(mesh, triangles: int, offsets) -> None:
         launch.spread(ingest.face_offsets, triangles, [offsets], step="mesh")
 
 
-def _copy_arrays(attributes, surface) -> None:
-    attributes["position"].data.foreach_set("vector", surface.positions.ravel())
-    attributes[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
-    attributes[".corner_vert"].data.foreach_set("value", surface.corner_verts)
-    attributes[".corner_edge"].data.foreach_set("value", surface.corner_edges)
-    attributes[LEVEL_ATTRIBUTE].data.foreach_set("value", surface.level)
-
-
-def _write_overlay(mesh, overlay) -> None:
-    """Figures of the faces, and colours of the corners: Blender shows no colours of faces. As floats, because
-    `foreach_set` converts colours of bytes one by one (a million triangles: 107 ms; floats 5 ms)."""
-    for name, values in overlay.faces.items():
-        mesh.attributes.new(name, "FLOAT", "FACE").data.foreach_set("value", values)
-    colours = mesh.attributes.new(COLOUR_ATTRIBUTE, "FLOAT_COLOR", "CORNER")
-    colours.data.foreach_set("color", overlay.corner_colours.ravel())
+def _copy_arrays(own, surface: Surface) -> None:
+    """Points and topology, which Blender keeps as attributes of its own."""
+    own["position"].data.foreach_set("vector", surface.positions.ravel())
+    own[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
+    own[".corner_vert"].data.foreach_set("value", surface.corner_verts)
+    own[".corner_edge"].data.foreach_set("value", surface.corner_edges)
 
 
 def _show_colours(mesh) -> None:
-    """Make the overlay what Solid shading and materials show as the mesh's colour."""
+    """Make the overlay, where there is one, what Solid shading and materials show as the mesh's colour."""
     index = mesh.color_attributes.find(COLOUR_ATTRIBUTE)
-    mesh.color_attributes.active_color_index = mesh.color_attributes.render_color_index = index
+    if index >= 0:
+        mesh.color_attributes.active_color_index = mesh.color_attributes.render_color_index = index
 
 
 def _write_shading(mesh, normals: np.ndarray, smooth: bool) -> None:

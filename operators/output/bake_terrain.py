@@ -5,7 +5,9 @@ import bpy
 
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.fit.fit import check_interpolation, fit
+from ...cbt_terrain.fit.bake import bake as bake_mesh
+from ...cbt_terrain.fit.fit import check_interpolation
+from ...cbt_terrain.run import warmup
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
 from ..scene import session
@@ -29,20 +31,19 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
     request = gather(obj, depsgraph, criterion=criterion)
     if fitted:
         check_interpolation(request.interpolation)
+    warmup.wait()
     with session.engine_lock:
-        if fitted:
-            update = fit(
-                session.field_of(request),
-                error_m,
-                max_triangles=criterion.max_triangles,
-                vertical_scale=request.vertical_scale,
-                vertical_offset=request.vertical_offset,
-            )
-        else:
-            update = session.solve(session.Record(), request)  # an engine of its own: the terrain's stays as it is
+        update = bake_mesh(
+            session.field_of(request),
+            error_m,
+            fitted=fitted,
+            max_triangles=criterion.max_triangles,
+            meshlet=criterion.meshlet,
+            vertical_scale=request.vertical_scale,
+            vertical_offset=request.vertical_offset,
+        )
         mesh = bpy.data.meshes.new(f"{obj.name} baked")
-        surface, _ = clean_up(update.surface, request.cleanup)
-        write_mesh(mesh, surface, smooth=request.smooth)
+        write_mesh(mesh, clean_up(update.surface, request.cleanup), smooth=request.smooth)
     for material in obj.data.materials:
         mesh.materials.append(material)
     baked = bpy.data.objects.new(mesh.name, mesh)

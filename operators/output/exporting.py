@@ -192,7 +192,7 @@ def figures(piece: Piece) -> dict:
     update = piece.update
     return {
         "name": piece.name,
-        "triangles": len(piece.surface.level),
+        "triangles": len(piece.surface.triangles),
         "vertices": len(piece.surface.positions),
         **bounds_of(update),
         "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
@@ -283,7 +283,7 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
 
 def _need_count(piece: Piece, path: Path, found: int) -> None:
     """Raise TerrainError where a file would hold another mesh than its summary says."""
-    expected = len(piece.surface.level)
+    expected = len(piece.surface.triangles)
     if found != expected:
         raise TerrainError(
             f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "

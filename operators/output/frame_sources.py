@@ -150,8 +150,7 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface, _ = clean_up(update.surface, request.cleanup)
-        surface = surface.copy()
+        surface = clean_up(session.shown_surface(session.record_of(obj), update), request.cleanup).copy()
     field = session.record_of(obj).field
     info = describe(update, request.criterion, request.views, field, request.placement)
     info |= {"frame": frame, **counts(surface)}
@@ -172,18 +171,15 @@ def baked_piece(
     `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
     says so, and the measured maximum.
     """
-    from ...cbt_terrain.fit.fit import check_interpolation, fit
+    from ...cbt_terrain.fit.bake import bake
+    from ...cbt_terrain.fit.fit import check_interpolation
 
     if fitted:
         check_interpolation(interpolation)
     field = interpolated(open_store(store), interpolation)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
-    more = {}
-    if fitted:
-        update = fit(field, max_error_m, max_triangles=budget, on_progress=on_progress)
-        more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m}
-    else:
-        update = Terrain(field).update(criterion)
+    update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
+    more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
         from ..mesh.writer import write_mesh
@@ -212,7 +208,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
 
 def counts(surface: Surface) -> dict:
     """What a mesh has of each, as JSON holds it."""
-    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.level)}
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
 
 
 def bounds_of(update: Update) -> dict:
@@ -220,8 +216,8 @@ def bounds_of(update: Update) -> dict:
     return {
         "bound_px": update.bound_px,
         "bound_m": update.bound_m,
-        "terms_px": None if update.terms_px is None else asdict(update.terms_px),
-        "terms_m": asdict(update.terms_m),
+        "terms_px": update.terms_px and asdict(update.terms_px),
+        "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,
         "limited": update.limited,
     }

@@ -15,6 +15,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
@@ -198,8 +199,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold()
         record.shown = None
-        surface, overlay = clean_up(update.surface, request.cleanup, record.overlay)
-        write_mesh(obj.data, surface, smooth=request.smooth, overlay=overlay)
+        write_mesh(obj.data, clean_up(shown_surface(record, update), request.cleanup), smooth=request.smooth)
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
@@ -213,6 +213,11 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         **{name: getattr(update, name) for name in FIGURES},
     )
     return written
+
+
+def shown_surface(record: Record, update) -> Surface:
+    """What an update has made, with the overlay's attributes if there are any."""
+    return update.surface.with_attributes(record.overlay.attributes) if record.overlay else update.surface
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:

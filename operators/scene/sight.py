@@ -102,7 +102,7 @@ def is_below_ground(obj, point: np.ndarray) -> bool:
     if not (abs(place[0]) <= x and abs(place[1]) <= y):
         return False
     column, row = round((place[0] + x) / lattice.step_x), round((place[1] + y) / lattice.step_y)
-    height = float(field.samples[row, column]) * settings.vertical_scale + settings.vertical_offset
+    height = float(field.heights(row, column)) * settings.vertical_scale + settings.vertical_offset
     return math.isfinite(height) and place[2] < height
 
 

@@ -24,8 +24,16 @@ def test_every_entry_comes_back(surface, tmp_path):
     origin = np.array([500_000.25, 6_400_000.5, 0.0])
     write_npz(tmp_path / "a.npz", surface, origin, {"bound_m": 0.1})
     back = read_npz(tmp_path / "a.npz")
-    assert back.pop("info") == {"bound_m": 0.1}
-    expected = {name: getattr(surface, name) for name in ("positions", "triangles", "edges", "normals", "uv", "level")}
+    assert back.pop("info") == {
+        "bound_m": 0.1,
+        "attributes": {
+            "normals": {"domain": "POINT", "unit": ""},
+            "uv": {"domain": "POINT", "unit": ""},
+            "terrain_level": {"domain": "FACE", "unit": ""},
+        },
+    }
+    expected = {name: getattr(surface, name) for name in ("positions", "triangles", "edges", "normals", "uv")}
+    expected["terrain_level"] = surface.level
     assert back.keys() == {"origin", *expected}
     assert np.array_equal(back["origin"], origin) and back["origin"].dtype == np.float64
     for name, array in expected.items():

@@ -129,6 +129,27 @@ def pixels_off(view: View, truth: np.ndarray, below: np.ndarray, placement: np.n
     return float(off[seen].max(initial=0.0))
 
 
+def sizes_seen(view: View, surface: Surface, placement: np.ndarray) -> tuple[float, float]:
+    """Pixels of the longest edge and square pixels of the largest triangle, of triangles that are wholly in the frame;
+    of a panorama as angles, and areas as half the product of two sides."""
+    matrix = view.world_to_camera @ placement
+    p = surface.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    if view.kind == PANORAMIC:
+        away = np.linalg.norm(p, axis=1)
+        seen, pixels = away > view.clip[0], p / away[:, None] / view.radians_per_pixel
+    else:
+        ahead = -p[:, 2:] if view.kind == PERSPECTIVE else 1.0
+        with np.errstate(all="ignore"):
+            pixels = np.diag(view.projection)[:2] * np.array(view.resolution) / 2 * p[:, :2] / ahead
+        seen = (np.abs(pixels) <= np.array(view.resolution) / 2).all(axis=1)
+        seen &= (-p[:, 2] > view.clip[0]) & (-p[:, 2] < view.clip[1])
+    corners = pixels[surface.triangles[seen[surface.triangles].all(axis=1)]]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    edges = np.linalg.norm(np.concatenate([u, v, u - v]), axis=1)
+    areas = 0.5 * np.sqrt(np.maximum((u * u).sum(1) * (v * v).sum(1) - (u * v).sum(1) ** 2, 0.0))
+    return float(edges.max(initial=0.0)), float(areas.max(initial=0.0))
+
+
 def a_placement(rng: np.random.Generator) -> np.ndarray:
     placement = np.eye(4)
     how = rng.integers(5)
@@ -193,11 +214,15 @@ def check(found: Update, truth: Ground, views, placement, scale: float, offset: 
     below = mesh_heights(found.surface, truth.plane)
     covered = np.isfinite(below)
     assert covered.mean() > 0.2
-    assert np.abs(below - heights)[covered].max() <= found.bound_m
-    points = (np.c_[truth.plane, z][covered] for z in (heights, below))
+    if found.bound_m is not None:
+        assert np.abs(below - heights)[covered].max() <= found.bound_m
     if found.bound_px is not None:
-        a, b = points
+        a, b = (np.c_[truth.plane, z][covered] for z in (heights, below))
         assert max(pixels_off(view, a, b, placement) for view in views) <= found.bound_px
+    if found.bound_edge_px is not None or found.bound_area_px is not None:
+        edges, areas = zip(*(sizes_seen(view, found.surface, placement) for view in views), strict=True)
+        assert found.bound_edge_px is None or max(edges) <= found.bound_edge_px
+        assert found.bound_area_px is None or max(areas) <= found.bound_area_px
 
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)

@@ -133,48 +133,41 @@ def test_the_answer_does_not_depend_on_what_came_before():
             assert arrays(update.surface) == arrays(fresh.surface)
 
 
-def count_with(tmp_path, name: str, changes: dict[str, tuple[str, str]]):
-    """The counting kernel with lines changed in its two modules."""
-    folder = Path(kernels.__file__).parent / "budget"
-    for module in ("count_level_ground", "count"):
-        source = (folder / f"{module}.py").read_text().replace("from .count_level_ground", f"from .{name}_level_ground")
-        for here, there in [changes[module]] if module in changes else []:
-            assert source.count(here) == 1
-            source = source.replace(here, there)
-        path = tmp_path / f"{module.replace('count', name, 1)}.py"
-        path.write_text(source)
-        loaded = load(f"budget.{path.stem}", path)
-    return loaded.count
-
-
-def level_counts() -> list[tuple[int, list[int]]]:
-    """For scenes of level ground and windows of many and of few steps: the first step that fits, and its splits."""
-    rng, found = np.random.default_rng(3), []
+def test_level_ground_is_counted_as_it_is_walked(monkeypatch):
+    """Windows of many and of few steps, where whole cells are counted at once: the first step that fits, and splits."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    rng, fitted = np.random.default_rng(3), 0
     for field, criterion, views, scale in level_scenes():
         terrain, called = Terrain(field, 2), []
         run = terrain._refinement.run
         terrain._refinement.run = lambda *args, run=run, called=called: called.append(args) or run(*args)
         terrain.update(replace(criterion, max_triangles=None), views, vertical_scale=scale)
         domain, asked, depth = called[-1][:3]
+        roots = 2 * field.lattice.squares
         for _ in range(4):
-            finest, most = int(rng.integers(0, 60)), int(10 ** rng.uniform(2, 6))
+            finest, most = int(rng.integers(0, 60)), int(10 ** rng.uniform(2, 5))
             coarsest = finest + int(rng.choice([1, 5, 40, 400, MAX_STEP - 60]))
             first, splits = terrain._refinement._budget._splits(domain, asked, depth, finest, coarsest, most, None)
-            found.append((first, splits.tolist()))
-    return found
+            for step in {first, (first + coarsest) // 2, coarsest} if len(splits) else ():
+                assert splits[step - first] + roots == walked(terrain, called, step)
+                fitted += 1
+            if finest < first:
+                assert walked(terrain, called, first - 1) - roots > most
+    assert fitted > 100
 
 
-def test_level_ground_is_counted_as_it_is_measured(tmp_path, monkeypatch):
-    """360 windows; and a count that takes three triangles for each diamond shows that many were counted there."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    counts = level_counts()
-    measuring = {"count": ("below = LEVEL_GROUND", "below = 1")}
-    monkeypatch.setattr(budget, "count", count_with(tmp_path, "measured", measuring))
-    assert level_counts() == counts
-    wrong = {"count_level_ground": ("found = wp.int64(2)", "found = wp.int64(3)")}
-    monkeypatch.setattr(budget, "count", count_with(tmp_path, "wrong", wrong))
-    differ = [one != other for one, other in zip(level_counts(), counts, strict=True)]
-    assert sum(differ) > len(differ) / 4
+@pytest.fixture
+def visits(tmp_path):
+    """The counting kernel with a diamond measured counted once, whatever it stands for."""
+    folder = Path(kernels.__file__).parent / "budget"
+    here, there = "(wp.int64(1) << wp.int64(halves))", "wp.int64(1)"
+    for name in ("count_state", "count"):
+        source = (folder / f"{name}.py").read_text().replace("from .count_state", "from .visits_count_state")
+        assert source.count(here) == (name == "count_state")
+        path = tmp_path / f"visits_{name}.py"
+        path.write_text(source.replace(here, there))
+        module = load(f"budget.{path.stem}", path)
+    return module.count
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -187,12 +180,10 @@ def test_level_ground_is_counted_as_it_is_measured(tmp_path, monkeypatch):
         (20.0, {"error_px": 0.02}),
     ],
 )
-def test_a_sample_foretells_the_splits(tmp_path, monkeypatch, threads, asked, relief):
+def test_a_sample_foretells_the_splits(visits, monkeypatch, threads, asked, relief):
     """Of six octaves of splits, each counted by a few thousand cells: to a seventh, and for a tenth of the cells."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    shift = {"count": "halves", "count_level_ground": "wp.int64(cell.halves)"}
-    each = {name: (f"measured += wp.int64(1) << {by}", "measured += wp.int64(1)") for name, by in shift.items()}
-    monkeypatch.setattr(budget, "count", count_with(tmp_path, "visits", each))
+    monkeypatch.setattr(budget, "count", visits)
     terrain, called = Terrain(rough(257, 257, relief=relief), threads), []
     run = terrain._refinement.run
     terrain._refinement.run = lambda *args: called.append(args) or run(*args)

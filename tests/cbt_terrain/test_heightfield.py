@@ -19,7 +19,7 @@ def test_an_array_that_fits_its_lattice_is_kept_as_it_is():
     assert not lattice.is_padded and field.filled == 0
     assert (field.min_height, field.max_height) == (heights.min(), heights.max())
     assert field.crs == "EPSG:32616" and field.origin[1] == 5e6
-    assert field.error.shape == (lattice.node_count,) and field.error.dtype == np.float32
+    assert field.error.shape == (lattice.node_count,) and field.error.dtype == np.uint8
     assert field.ranges.shape == (lattice.range_count, 2) and field.ranges.dtype == np.uint16
 
 

@@ -2,11 +2,13 @@
 """The error hierarchy and the ranges against a recursive bisection in plain Python."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import hierarchy
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
+from fields import ranges_of, split_points
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
 ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))
@@ -127,7 +129,7 @@ def compute(samples, lattice, threads=1):
     base, step = hierarchy.range_scale(float(samples.min()), float(samples.max()))
     ranges = np.zeros((lattice.range_count, 2), np.uint16)
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
-    return errors, base + ranges * step, ranges
+    return errors, base, step, ranges
 
 
 def raster(kind, lattice, seed=1):
@@ -158,7 +160,8 @@ KINDS = ["random", "spike", "checkerboard", "cliff", "plane", "constant", "saddl
 @pytest.mark.parametrize("kind", KINDS)
 def test_errors_and_ranges_equal_brute_force(kind, lattice):
     samples = raster(kind, lattice)
-    errors, ranges, quantised = compute(samples, lattice)
+    errors, base, step, ranges = compute(samples, lattice)
+    low, high = ranges_of(SimpleNamespace(lattice=lattice, ranges=ranges))
     errors = errors.astype(np.float64)
     own, children, depth_of = brute(samples, lattice.columns, lattice.rows, lattice.levels)
     twist = saturated_twists(samples, lattice)
@@ -181,9 +184,11 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
             inner = index_of(lattice, child, depth_of[child])
             assert errors[inner] <= errors[index]
             if depth < lattice.cell_depth - 1:
-                assert quantised[inner, 0] >= quantised[index, 0] and quantised[inner, 1] <= quantised[index, 1]
+                (x, y), (a, b) = np.array(vertex) // 2, np.array(child) // 2
+                assert low[b, a] >= low[y, x] and high[b, a] <= high[y, x]
         if depth < lattice.cell_depth and own[vertex][2] <= own[vertex][3]:
-            assert ranges[index, 0] <= own[vertex][2] and own[vertex][3] <= ranges[index, 1]
+            x, y = np.array(vertex) // 2
+            assert base + low[y, x] * step <= own[vertex][2] and own[vertex][3] <= base + high[y, x] * step
     if kind in ("plane", "constant"):
         assert not errors.any()
 
@@ -193,7 +198,7 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
 def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
     lattice = Lattice(3, 2, 1)
     samples = raster(kind, lattice)
-    errors, _, _ = compute(samples, lattice)
+    errors, *_ = compute(samples, lattice)
     expanded = errors.copy()
     hierarchy.expand_errors(lattice, expanded, meshlet, 1)
     expanded = expanded.astype(np.float64)
@@ -223,7 +228,7 @@ def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
 
 def test_twists_are_saturated_for_the_sides_below_the_raster():
     lattice = Lattice(3, 2, 3)
-    errors, _, _ = compute(raster("spike", lattice), lattice)
+    errors, *_ = compute(raster("spike", lattice), lattice)
     for meshlet in range(4):
         expanded = errors.copy()
         hierarchy.expand_errors(lattice, expanded, meshlet, 1)
@@ -234,9 +239,16 @@ def test_twists_are_saturated_for_the_sides_below_the_raster():
 
 def test_a_hierarchy_of_real_size_is_nested():
     lattice = Lattice(3, 2, 6)
-    errors, _, quantised = compute(raster("random", lattice), lattice, threads=2)
-    for values in (errors, -quantised[:, 0].astype(int), quantised[:, 1].astype(int)):
-        for depth in range(1, lattice.cell_depth if values is errors else lattice.cell_depth - 1):
+    errors, _, _, ranges = compute(raster("random", lattice), lattice, threads=2)
+    for depth in range(1, lattice.cell_depth):
+        check_nested(errors, lattice, depth)
+    low, high = ranges_of(SimpleNamespace(lattice=lattice, ranges=ranges))
+    for codes in (-low, high):
+        values = np.zeros(lattice.node_count, int)
+        for depth in range(1, lattice.cell_depth):
+            i, j = split_points(lattice, depth)
+            values[lattice.index(depth, i, j)] = codes[j, i]
+        for depth in range(1, lattice.cell_depth - 1):
             check_nested(values, lattice, depth)
 
 
@@ -267,12 +279,15 @@ def check_nested(values, lattice, depth):
 def test_entries_of_no_diamond_are_zero():
     lattice = Lattice(3, 2, 3)
     samples = raster("random", lattice)
-    errors, _, quantised = compute(samples, lattice)
+    errors, _, _, quantised = compute(samples, lattice)
     used = np.zeros(lattice.node_count, bool)
     for vertex, depth in brute(samples, lattice.columns, lattice.rows, lattice.levels)[2].items():
         used[index_of(lattice, vertex, depth)] = True
     assert (errors[used] > 0.0).all() and not errors[~used].any()
-    assert quantised[used[: lattice.range_count], 1].all() and not quantised[~used[: lattice.range_count]].any()
+    held = np.zeros(lattice.range_count, bool)
+    for depth in range(1, lattice.range_depth + 1):
+        held[lattice.range_index(depth, *split_points(lattice, depth))] = True
+    assert quantised[held, 1].all() and not quantised[~held].any()
     hierarchy.expand_errors(lattice, errors, 1, 1)
     assert (errors[used] > 0.0).all() and not errors[~used].any()
 
@@ -281,7 +296,7 @@ def test_two_threads_give_the_same_bytes_as_one():
     lattice = Lattice(3, 2, 7)
     samples = raster("random", lattice)
     one, two = compute(samples, lattice, 1), compute(samples, lattice, 2)
-    assert one[0].tobytes() == two[0].tobytes() and one[2].tobytes() == two[2].tobytes()
+    assert one[0].tobytes() == two[0].tobytes() and one[3].tobytes() == two[3].tobytes()
     hierarchy.expand_errors(lattice, one[0], 2, 1)
     hierarchy.expand_errors(lattice, two[0], 2, 2)
     assert one[0].tobytes() == two[0].tobytes()

@@ -46,7 +46,7 @@ def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path):
     assert report["step_m"] == [10.0, 10.0] and "unchanged" not in report
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
-    assert np.array_equal(open_store(store).samples, hills(129, 65)[::-1])
+    assert np.array_equal(open_store(store).heights(), hills(129, 65)[::-1])
 
     before, start = snapshot(store), time.perf_counter()
     again = import_source(settings, store)
@@ -173,7 +173,7 @@ def test_two_imports_into_one_store_do_not_corrupt_it(tmp_path):
     assert [job.poll().error for job in jobs] == [None, None]
     field = open_store(tmp_path / "store")
     assert field.provenance["settings"]["seed"] in (1, 2)
-    assert field.max_height == field.samples.max() and field.error.max() > 0.0
+    assert field.max_height == field.heights().max() and field.error.max() > 0.0
 
 
 def test_errors_of_the_child_come_through_as_one_sentence(previous):

@@ -44,7 +44,7 @@ def test_every_diamond_has_an_entry_of_its_own(lattice):
     base, pages = lattice.layout()
     assert base.dtype == np.int64 and base.shape == (lattice.groups + 2,) and base[0] == 0
     assert pages.dtype == np.int32 and pages.shape == (lattice.groups + 1,)
-    assert lattice.node_count == base[-1] and lattice.range_count == base[-2]
+    assert lattice.node_count == base[-1] and lattice.cell_base == base[-2]
     taken = np.zeros(lattice.node_count, int)
     for depth, i, j in diamonds(lattice):
         at = lattice.index(depth, i, j)
@@ -58,8 +58,8 @@ def test_every_diamond_has_an_entry_of_its_own(lattice):
         return
     # The corners of the root squares are the samples that split nothing.
     samples = lattice.width * lattice.height - (lattice.columns + 1) * (lattice.rows + 1)
-    assert taken[: lattice.range_count].sum() == samples
-    assert taken[lattice.range_count :].sum() == (lattice.width - 1) * (lattice.height - 1)
+    assert taken[: lattice.cell_base].sum() == samples
+    assert taken[lattice.cell_base :].sum() == (lattice.width - 1) * (lattice.height - 1)
 
 
 @wp.kernel
@@ -95,7 +95,7 @@ def test_four_bisections_share_a_cache_line_and_neighbours_a_page():
 def test_indices_beyond_31_bits():
     lattice = Lattice(1, 1, 16)
     at = lattice.index(lattice.cell_depth, lattice.width - 2, lattice.height - 2)
-    assert at == lattice.node_count - 1 > 2**32 and lattice.index(1, 1 << 15, 1 << 15) < lattice.range_count
+    assert at == lattice.node_count - 1 > 2**32 and lattice.index(1, 1 << 15, 1 << 15) < lattice.cell_base
 
 
 @pytest.mark.parametrize("size", [4097, 4098, 6000])

@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.bisection import from_tree_id
-from fields import extent, random_view, rough
+from fields import errors_of, extent, random_view, ranges_of, rough
 from reference_bisection import forced_split_leaves
 
 SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
@@ -27,9 +27,8 @@ def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
 
 def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
     """Error and heights of the diamond split at sample coordinates (x, y)."""
-    index = field.lattice.index(depth, int(x), int(y))
-    low, high = field.range_base + field.ranges[index].astype(float) * field.range_step
-    return float(field.error[index]), low, high
+    low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in ranges_of(field))
+    return float(errors_of(field)[field.lattice.index(depth, int(x), int(y))]), low, high
 
 
 def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:

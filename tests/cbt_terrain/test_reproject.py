@@ -81,7 +81,7 @@ def test_the_same_system_gives_the_same_samples(tmp_path):
     heights = hills(65, 33)
     source = write_raster(tmp_path / "a.tif", heights, crs="EPSG:32616", transform=from_origin(5e5, 4e6, 30.0, 20.0))
     field, report = imported(tmp_path, source, project="epsg:32616")
-    assert np.array_equal(field.samples, heights[::-1]) and report["step_m"] == pytest.approx([30.0, 20.0])
+    assert np.array_equal(field.heights(), heights[::-1]) and report["step_m"] == pytest.approx([30.0, 20.0])
     assert field.origin.tolist() == pytest.approx([5e5 + 65 * 15.0, 4e6 - 33 * 10.0, 0.0])
 
 

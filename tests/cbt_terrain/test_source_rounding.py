@@ -63,9 +63,10 @@ FILES = {
 
 
 def most_for(field, asked: float) -> float:
-    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most."""
+    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most; and
+    a quarter more than that where nothing less could be had."""
     left = asked - field.source_max if field.source_max <= 0.5 * asked else 0.8 * asked
-    return (left + field.source_max) * (1 + 1e-4)
+    return max(left + field.source_max, 1.25 * field.source_max) * (1 + 1e-4)
 
 
 def imported_from(tmp_path, kind, shape):
@@ -143,10 +144,13 @@ def test_an_error_of_twice_the_rounding_and_more_holds_in_full():
             assert update.limited == "" and 0.6 * asked < update.bound_m <= asked
 
 
-@pytest.mark.parametrize(("source", "limited"), [(0.5, "source"), (0.0, "max_depth")])
-def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(source, limited):
+@pytest.mark.parametrize(
+    ("high", "source", "limited"),
+    [(0.0, 0.5, "source"), (1e7, 0.0, "precision"), (1e7, 0.5, "precision"), (0.0, 0.0, "max_depth")],
+)
+def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(high, source, limited):
     asked = 0.1
-    field = from_array(30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
+    field = from_array(high + 30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked, max_depth=6))
     assert update.bound_m > asked and update.terms_m.geometric > asked
     assert update.limited == limited
@@ -190,8 +194,13 @@ def test_what_is_too_much_on_top_of_what_holds_back():
 def test_what_the_source_leaves_open_is_not_refined_away_at_any_price():
     field = from_array(np.round(rough(65, 65).samples), 10.0, source_max=0.5)
     exact = from_array(field.samples, 10.0)
-    for asked, bound, reason in ((2.5, 2.5, ""), (0.5, 0.9, "source"), (0.25, 0.7, "source")):
+    for asked, bound, reason in (
+        (2.5, 2.5, ""),
+        (0.5, 0.9, "source"),
+        (0.25, 0.7, "source"),
+        (1e-3, 0.62502, "source"),
+    ):
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
         assert update.limited == reason and 0.5 < update.bound_m <= bound * (1 + 1e-6)
-        plain = Terrain(exact, 1).update(Criterion(error_px=0.0, error_m=0.8 * asked))
+        plain = Terrain(exact, 1).update(Criterion(error_px=0.0, error_m=max(0.8 * asked, 0.25 * 0.5)))
         assert update.triangles == plain.triangles

@@ -35,7 +35,7 @@ def test_geotiff_with_metres(tmp_path):
     place = {"crs": "EPSG:32616", "transform": from_origin(500000.0, 4000000.0, 30.0, 20.0)}
     source = write_raster(tmp_path / "a.tif", heights, **place)
     field, report = imported(tmp_path, source)
-    assert np.array_equal(field.samples, heights[::-1])  # row 0 is the south edge
+    assert np.array_equal(field.heights(), heights[::-1])  # row 0 is the south edge
     assert report["step_m"] == [30.0, 20.0] and report["extent_m"] == [64 * 30.0, 32 * 20.0]
     assert field.crs == "EPSG:32616"
     assert field.origin.tolist() == [500000.0 + 65 * 15.0, 4000000.0 - 33 * 10.0, 0.0]
@@ -54,7 +54,7 @@ LAYOUTS = {
 def test_layouts_of_tiff(tmp_path, layout):
     heights = heights_16_bit()
     field, _ = imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **LAYOUTS[layout]))
-    assert np.array_equal(field.samples, heights[::-1])
+    assert np.array_equal(field.heights(), heights[::-1])
 
 
 def test_geotiff_in_degrees_is_measured_at_its_middle_latitude(tmp_path):
@@ -87,7 +87,7 @@ def test_a_raster_that_begins_in_the_south_is_not_turned(tmp_path):
     heights = heights_16_bit()
     source = write_raster(tmp_path / "a.tif", heights, transform=Affine(5, 0, 0, 0, 5, 0))
     field, _ = imported(tmp_path, source)
-    assert np.array_equal(field.samples, heights)
+    assert np.array_equal(field.heights(), heights)
 
 
 def test_a_rotated_raster_keeps_its_cells_lengths_and_warns(tmp_path):
@@ -111,7 +111,7 @@ def test_an_ascii_grid_in_unnamed_degrees_is_warned_about(tmp_path):
     rows = "\n".join(" ".join(map(str, row)) for row in heights_16_bit())
     path.write_text(f"ncols 65\nnrows 33\nxllcorner 10\nyllcorner 47\ncellsize 0.000833\nNODATA_value -9999\n{rows}\n")
     field, report = imported(tmp_path, path)
-    assert np.array_equal(field.samples, heights_16_bit()[::-1])
+    assert np.array_equal(field.heights(), heights_16_bit()[::-1])
     assert "degrees" in report["warnings"][0]
 
 
@@ -123,7 +123,7 @@ def test_hgt(tmp_path):
     per_x, per_y = degree_lengths(36.5)
     assert report["extent_m"] == pytest.approx([per_x, per_y], rel=1e-9)  # samples on both edges of the degree
     assert field.origin.tolist() == pytest.approx([-84.5, 36.5, 0.0])
-    assert field.samples[-1, 0] == 321.0 and report["filled"] == 1 and field.min_height == 100.0
+    assert field.heights()[-1, 0] == 321.0 and report["filled"] == 1 and field.min_height == 100.0
 
 
 def test_vrt(tmp_path):
@@ -134,14 +134,14 @@ def test_vrt(tmp_path):
         '<SourceFilename relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource>'
         "</VRTRasterBand></VRTDataset>"
     )
-    assert np.array_equal(imported(tmp_path, tmp_path / "a.vrt")[0].samples, heights[::-1])
+    assert np.array_equal(imported(tmp_path, tmp_path / "a.vrt")[0].heights(), heights[::-1])
 
 
 @pytest.mark.parametrize("kind", ["float32", "float16", "uint32"])
 def test_exr(tmp_path, kind):
     heights = heights_16_bit().astype(kind)
     field, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights))
-    assert np.array_equal(field.samples, heights[::-1].astype(np.float32))
+    assert np.array_equal(field.heights(), heights[::-1].astype(np.float32))
     assert bool(report["warnings"]) == (kind == "float16")
 
 
@@ -160,9 +160,9 @@ def test_raw(tmp_path, kind):
     heights.astype(kind).tofile(tmp_path / "a.raw")
     settings = {"raw_dtype": np.dtype(kind).name, "raw_little_endian": kind[0] == "<"}
     field, _ = imported(tmp_path, tmp_path / "a.raw", raw_size=(65, 33), **settings)
-    assert np.array_equal(field.samples, heights[::-1])
+    assert np.array_equal(field.heights(), heights[::-1])
     south = imported(tmp_path, tmp_path / "a.raw", raw_size=(65, 33), first_row_south=True, **settings)[0]
-    assert np.array_equal(south.samples, heights)
+    assert np.array_equal(south.heights(), heights)
 
 
 def test_a_square_raw_needs_no_size(tmp_path):
@@ -174,7 +174,7 @@ def test_npy(tmp_path):
     heights = hills(65, 33).astype(">f8")
     np.save(tmp_path / "a.npy", heights)
     field, _ = imported(tmp_path, tmp_path / "a.npy")
-    assert np.array_equal(field.samples, heights[::-1].astype(np.float32))
+    assert np.array_equal(field.heights(), heights[::-1].astype(np.float32))
 
 
 def test_island(tmp_path):
@@ -186,7 +186,7 @@ def test_vertical_scale_and_offset(tmp_path):
     heights = heights_16_bit()
     source = write_raster(tmp_path / "a.tif", heights)
     field, _ = imported(tmp_path, source, height_scale=0.5, height_offset=-100.0)
-    assert np.array_equal(field.samples, heights[::-1] * 0.5 - 100.0)
+    assert np.array_equal(field.heights(), heights[::-1] * 0.5 - 100.0)
 
 
 def test_the_files_own_scale_offset_and_unit_come_first(tmp_path):
@@ -197,7 +197,7 @@ def test_the_files_own_scale_offset_and_unit_come_first(tmp_path):
     with rasterio.open(source, "r+") as file:
         file.scales, file.offsets, file.units = (0.1,), (5.0,), ("ft",)
     field, report = imported(tmp_path, source, height_scale=2.0)
-    assert np.allclose(field.samples, (heights[::-1] * 0.1 + 5.0) * 0.3048 * 2.0, rtol=1e-6)
+    assert np.allclose(field.heights(), (heights[::-1] * 0.1 + 5.0) * 0.3048 * 2.0, rtol=1e-6)
     assert "ft" in report["warnings"][0]
 
 
@@ -313,7 +313,7 @@ def test_a_real_elevation_model_is_the_same_terrain_from_every_file(tmp_path):
         tmp_path / "a.npy",
     ]
     fields = [imported(tmp_path, source, extent=(30000.0, 31000.0), raw_size=(columns, rows))[0] for source in sources]
-    assert len({field.samples.tobytes() for field in fields}) == 1
+    assert len({field.heights().tobytes() for field in fields}) == 1
     whole, exr = fields[:1] + fields[2:], fields[1]
     assert len({field.key for field in whole}) == 1 and {field.source_max for field in whole} == {0.5}
     assert exr.key != whole[0].key and exr.source_max == 2.0**-14  # floats leave less open

@@ -209,8 +209,8 @@ def damage(path, how):
 DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
-    "other version": "version 99, expected 5",
-    "no term of the source": "version 3, expected 5: import it again",
+    "other version": "version 99, expected 6",
+    "no term of the source": "version 3, expected 6: import it again",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
     "array a folder": "error.npy is damaged",

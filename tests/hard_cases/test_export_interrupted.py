@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.run.partial_files import new_token, written_beside
 from adaptive_terrain.operators.cli import command_line
@@ -62,8 +63,9 @@ def surface_of(path):
     keys = np.sort(entries["edges"], axis=1) @ [count, 1]
     order = np.argsort(keys)
     edge_of_corner = order[np.searchsorted(keys, pairs.ravel(), sorter=order)].astype(np.int32)
-    named = {name: entries[name] for name in ("positions", "normals", "uv", "edges", "level")}
-    return Surface(**named, corner_verts=corners.ravel(), corner_edges=edge_of_corner)
+    about = entries["info"]["attributes"]
+    attributes = {name: Attribute(entries[name], about[name]["domain"], about[name]["unit"]) for name in about}
+    return Surface(entries["positions"], corners.ravel(), edge_of_corner, entries["edges"], attributes)
 
 
 def final_meshes(out):

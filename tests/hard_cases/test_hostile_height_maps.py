@@ -167,8 +167,8 @@ def test_case_63_an_honest_mosaic_reads_as_before(tmp_path):
     with rasterio.open(tmp_path / "a.vrt") as dataset:
         wanted = dataset.read(1)
     assert report["filled"] == 1 and wanted[3, 5] == -1.0
-    wanted[3, 5] = field.samples[::-1][3, 5]
-    assert np.array_equal(field.samples[::-1], wanted) and wanted[0, 0] == 2.0 * heights[0, 0] + 5.0
+    wanted[3, 5] = field.heights()[::-1][3, 5]
+    assert np.array_equal(field.heights()[::-1], wanted) and wanted[0, 0] == 2.0 * heights[0, 0] + 5.0
 
 
 def test_case_63_a_changed_source_of_a_mosaic_is_noticed(tmp_path):
@@ -182,7 +182,7 @@ def test_case_63_a_changed_source_of_a_mosaic_is_noticed(tmp_path):
     write_raster(tmp_path / PART, 2.0 * hills(65, 33))
     os.utime(tmp_path / PART, (1, 1))
     assert "unchanged" not in import_source(settings, tmp_path / "store")
-    assert np.array_equal(open_store(tmp_path / "store").samples, 2.0 * hills(65, 33)[::-1])
+    assert np.array_equal(open_store(tmp_path / "store").heights(), 2.0 * hills(65, 33)[::-1])
     (tmp_path / "a.vrt").write_text("<SourceFilename" * 30_000)
     assert len(source_digest(settings)) == 64  # took minutes here where it was parsed
 

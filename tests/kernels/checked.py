@@ -17,6 +17,11 @@ def code_at(a: wp.array(dtype=wp.uint16), i: wp.int64) -> wp.uint16:
 
 
 @wp.func
+def byte_at(a: wp.array(dtype=wp.uint8), i: wp.int64) -> wp.uint8:
+    return a[i]
+
+
+@wp.func
 def pair_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.vec2i:
     return a[i]
 
@@ -27,7 +32,12 @@ def prefetch(a: wp.array(dtype=wp.float32), i: wp.int64):
 
 
 @wp.func
-def prefetch_range(a: wp.array(dtype=wp.uint16), i: wp.int64):
+def prefetch_byte(a: wp.array(dtype=wp.uint8), i: wp.int64):
+    pass
+
+
+@wp.func
+def prefetch_code(a: wp.array(dtype=wp.uint16), i: wp.int64):
     pass
 
 

@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The walk's short cuts, bands and even blocks, against a walk that measures every diamond: the same bits."""
+"""The walk's short cuts, bands and even blocks, against a walk that measures every diamond: the same bytes."""
 
-from dataclasses import replace
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adaptive_terrain import kernels
+import warp as wp
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.refine import refinement
-from adaptive_terrain.cbt_terrain.refine.block_tables import blocks, shapes
+from adaptive_terrain.cbt_terrain.refine.block_tables import blocks
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.kernels.refine import plain
 from invariants import arrays
 from level_ground import level_scenes
-from twins import load
 
 SHAPES = ((33, 33), (65, 129), (100, 37), (5, 3))
 
@@ -49,7 +48,7 @@ def a_criterion(asks: str, rng) -> Criterion:
         "metres": {"error_px": 0.0, "error_m": float(10 ** rng.uniform(-2, 1))},
         "all": {"error_px": px, "edge_px": 8 * px, "area_px": 60 * px, "error_m": 1.0},
     }[asks]
-    budget = int(rng.choice([300, 20_000, 100_000]))
+    budget = int(rng.choice([300, 20_000, 50_000]))
     depth = [None, None, 5, 12][rng.integers(4)]
     return Criterion(
         **asked, max_triangles=budget, max_depth=depth, off_screen_factor=float(rng.choice([1.0, 16.0, 1e6]))
@@ -71,94 +70,59 @@ def scenes(kind: str) -> list[tuple]:
     return found
 
 
-def result(update: Update) -> tuple:
-    bounds = (update.bound_px, update.bound_m, update.bound_edge_px, update.bound_area_px)
-    return update.leaves, update.relaxed, update.limited, bounds, arrays(update.surface)
-
-
-def updated(field, criterion: Criterion, views: list[View], scale: float) -> tuple:
-    terrain = Terrain(field, 2)
+def refined(field, criterion: Criterion, views: list[View], scale: float, offset: float = 0.0) -> tuple:
+    """Leaves, whether one was stopped, the limit's factor, and all arrays."""
+    terrain, runs = Terrain(field, 2), []
     terrain.update(Criterion(error_px=8.0), views)  # so that there is something to cut for two slices
-    return result(terrain.update(criterion, views, vertical_scale=scale))
+    run = terrain._refinement.run
+    terrain._refinement.run = lambda *args: runs.append(run(*args)) or runs[-1]
+    update = terrain.update(criterion, views, vertical_scale=scale, vertical_offset=offset)
+    [(leaves, relaxed)] = runs
+    return leaves.total, leaves.stopped, relaxed, arrays(update.surface)
 
 
-@pytest.fixture
-def measuring_all(tmp_path):
-    """kernels/refine/walk.py with margins so wide that nothing is certain, and without any memory."""
-    source = (Path(kernels.__file__).parent / "refine" / "walk.py").read_text()
-    limits, met = "limits = limits_of(asked, w.slack)", "if met.x == x and met.y == y and met.mark == mark:"
-    wide = [("below", 0.0), ("finer", 0.0), ("coarser", 1e300), ("metres_below", 0.0), ("metres_above", 1e300)]
-    lines = [limits, *(f"limits.{name} = wp.float64({value})" for name, value in wide)]
-    changes = [
-        (limits, "\n        ".join(lines)),
-        (met, "if met.x == -2:"),
-        ("if kept_cell <= at:", "if kept_cell == -1:"),
-        ("if below == LEVEL_GROUND", "if below == 1 << 30"),
-    ]
-    for here, there in changes:
-        assert source.count(here) == 1
-        source = source.replace(here, there)
-    path = tmp_path / "refine_measuring_all.py"
-    path.write_text(source)
-    return load(f"refine.{path.stem}", path)
+@pytest.fixture(scope="module")
+def measures_all():
+    """The walk without its short cuts, as a kernel."""
+    return SimpleNamespace(walk=wp.kernel(plain.walk))
+
+
+def same_as_plain(scenes, measures_all, monkeypatch) -> list[bool]:
+    """Assert that the walk makes of each scene what measuring every diamond does; which of them were stopped."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    fast = [refined(*scene) for scene in scenes]
+    monkeypatch.setattr(refinement, "kernels", measures_all)
+    for scene, found in zip(scenes, fast, strict=True):
+        assert refined(*scene) == found, scene[1]
+    return [stopped for _, stopped, _, _ in fast]
 
 
 @pytest.mark.parametrize("kind", ["flat", "smooth", "noise", "cliffs", "plane"])
-def test_bands_and_blocks_decide_as_measuring_does(kind, measuring_all, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    fast = [updated(*scene) for scene in scenes(kind)]
-    monkeypatch.setattr(refinement, "kernels", measuring_all)
-    assert [updated(*scene) for scene in scenes(kind)] == fast
+def test_the_walk_decides_as_measuring_every_diamond_does(kind, measures_all, monkeypatch):
+    stopped = same_as_plain(scenes(kind), measures_all, monkeypatch)
+    assert 2 <= sum(stopped) <= len(stopped) - 2
 
 
-def test_level_ground_is_walked_as_measuring_does(measuring_all, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    fast = [updated(*scene) for scene in level_scenes()]
-    monkeypatch.setattr(refinement, "kernels", measuring_all)
-    assert [updated(*scene) for scene in level_scenes()] == fast
+def test_level_ground_is_walked_as_measuring_does(measures_all, monkeypatch):
+    """Where depths alone decide; and from so high that depths are what is left of two numbers of 16 digits."""
+    view, asked = View.look((0.0, 0.0, 1e15 + 4.0), (9.0, 5.0, 1e15)), Criterion(error_px=0.0, edge_px=20.0)
+    absurd = from_array(np.zeros((65, 65), np.float32)), asked, [view], 0.0, 1e15
+    same_as_plain([*level_scenes(), absurd], measures_all, monkeypatch)
 
 
-def mirrored():
-    """Half of the ground mirrors the other, so that maxima differ by the last bit."""
-    rows = [[0.0, 1.0, 0.0, 0.0], [-0.29122935556356366, 0.0, 0.9566532613533658, -9e-16]]
-    rows += [[0.9566532613533658, 0.0, 0.29122935556356366, -45.50553557244149], [0.0, 0.0, 0.0, 1.0]]
-    view = replace(View.look((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)), world_to_camera=np.array(rows))
-    field = from_array(np.zeros((129, 129), np.float32), 1.1169821440484018)
-    return field, view, Criterion(error_px=0.0, edge_px=38.35387215230578), 0.0
-
-
-def at_an_absurd_height():
-    """Depths are what is left of two numbers of 16 digits."""
-    view = View.look((0.0, 0.0, 1e15 + 4.0), (9.0, 5.0, 1e15))
-    return from_array(np.zeros((65, 65), np.float32)), view, Criterion(error_px=0.0, edge_px=20.0), 1e15
-
-
-@pytest.mark.parametrize("scene", [mirrored, at_an_absurd_height])
-def test_level_ground_is_walked_as_two_equal_views_measure_it(scene):
-    field, view, criterion, offset = scene()
-    alone, measured = (Terrain(field, 1).update(criterion, [view] * n, vertical_offset=offset) for n in (1, 2))
-    assert result(alone) == result(measured)
-
-
-def codes(terrain: Terrain, view: View, edge_px: float, monkeypatch) -> np.ndarray:
-    """Words of the leaves, which nothing is made of: they may be wrong."""
-    surface = Terrain(terrain.field, 1).update(Criterion(error_px=8.0), [view]).surface
-    monkeypatch.setattr(terrain._builder, "build", lambda *_: surface)
-    leaves = terrain.update(Criterion(error_px=0.0, edge_px=edge_px), [view]).leaves
-    return terrain._buffers.numpy("code")[:leaves].copy()
-
-
-@pytest.mark.parametrize(("table", "edge_px", "part"), [(blocks, 4.0, 0.6), (shapes, 80.0, 0.9)])
-def test_level_ground_comes_from_tables(table, edge_px, part, monkeypatch):
-    """What they hold shows in the leaves: with another state in them, others come out."""
+def test_the_table_of_even_blocks_is_read(monkeypatch):
+    """What it holds shows in the leaves: with another state in it, others come out."""
     view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
     field = from_array(np.zeros((257, 257), np.float32))
-    right = codes(Terrain(field, 1), view, edge_px, monkeypatch)
-    code = table().code.numpy()
-    kept = code.copy()
-    try:
-        code[:] ^= 1  # a bit of the state
-        changed = codes(Terrain(field, 1), view, edge_px, monkeypatch) != right
-    finally:
-        code[:] = kept
-    assert changed.mean() > part
+    surface = Terrain(field, 1).update(Criterion(error_px=8.0), [view]).surface
+    code, found = blocks().code.numpy(), []
+    for bit in (0, 1):  # of the state
+        terrain = Terrain(field, 1)
+        monkeypatch.setattr(terrain._builder, "build", lambda *_: surface)  # of words that are wrong
+        code[:] ^= bit
+        try:
+            leaves = terrain.update(Criterion(error_px=0.0, edge_px=4.0), [view]).leaves
+        finally:
+            code[:] ^= bit
+        found.append(terrain._buffers.numpy("code")[:leaves].copy())
+    assert (found[0] != found[1]).mean() > 0.6

@@ -67,10 +67,10 @@ def test_another_mesh_than_the_summary_says_is_an_error(terrain, tmp_path, form,
 def test_an_update_leaves_the_surface_of_a_piece_alone(terrain, cut):
     terrain.adaptive_terrain.cleanup.use_below = cut
     piece = scene_piece(terrain, bpy.context.evaluated_depsgraph_get(), 7)
-    before = {name: array.tobytes() for name, array in vars(piece.surface).items()}
+    before = {name: array.tobytes() for name, array in piece.surface.arrays().items()}
     session.update_object(terrain)
-    assert len(terrain.data.polygons) < len(piece.surface.level), "the viewport's, by the same engine"
-    assert {name: array.tobytes() for name, array in vars(piece.surface).items()} == before
+    assert len(terrain.data.polygons) < len(piece.surface.triangles), "the viewport's, by the same engine"
+    assert {name: array.tobytes() for name, array in piece.surface.arrays().items()} == before
 
 
 def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL, Attribute
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.operators.mesh import memory as mesh_memory
 from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles, clean_up
-from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE, UV_LAYER, write_mesh
+from adaptive_terrain.operators.mesh.writer import UV_LAYER, write_mesh
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_the_mesh_holds_the_arrays(mesh, grid_surface):
     assert (read(mesh.loops, "edge_index", 1, np.int32) == surface.corner_edges).all()
     assert (read(mesh.edges, "vertices", 2, np.int32) == surface.edges).all()
     assert (read(mesh.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
-    assert (read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", 1, np.int32) == surface.level).all()
+    assert (read(mesh.attributes[LEVEL].data, "value", 1, np.int32) == surface.level).all()
     assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
     assert mesh.uv_layers.active.name == UV_LAYER
 
@@ -96,7 +97,7 @@ def test_what_is_below_a_height_is_cut_away_at_that_height(mesh, grid_surface):
     surface = grid_surface(6, 2, lambda x, y: x)
     surface.normals[:, 0] = surface.positions[:, 0] / 10
     surface.normals[:, 2] = np.sqrt(1 - surface.normals[:, 0] ** 2)
-    left, _ = clean_up(surface, Cleanup(below=2.5))
+    left = clean_up(surface, Cleanup(below=2.5))
     write_mesh(mesh, left)
     positions = read(mesh.vertices, "co", 3)
     assert positions[:, 0].min() == positions[:, 2].min() == 2.5
@@ -108,7 +109,7 @@ def test_what_is_below_a_height_is_cut_away_at_that_height(mesh, grid_surface):
 
 
 def test_nothing_is_left_below_a_height_above_all(mesh, grid_surface):
-    left, _ = clean_up(grid_surface(4, 3), Cleanup(below=1e5))
+    left = clean_up(grid_surface(4, 3), Cleanup(below=1e5))
     write_mesh(mesh, left)
     assert not len(mesh.vertices) and not len(mesh.edges) and mesh.validate() is False
 
@@ -124,7 +125,7 @@ def test_what_is_outside_of_a_boundary_object_is_cut_away(mesh, grid_surface):
     terrain_from_world[0, 3] = -100.0
     triangles = boundary_triangles(boundary, terrain_from_world)
     assert triangles.shape == (2, 3, 2)
-    write_mesh(mesh, clean_up(grid_surface(6, 4), Cleanup(boundary=triangles))[0])
+    write_mesh(mesh, clean_up(grid_surface(6, 4), Cleanup(boundary=triangles)))
     positions = read(mesh.vertices, "co", 3)
     assert len(mesh.polygons) == 8
     assert (positions[:, :2].min(0) == (2, 1)).all() and (positions[:, :2].max(0) == (4, 3)).all()
@@ -154,12 +155,12 @@ def test_a_blender_whose_memory_differs_gets_the_same_mesh(mesh, grid_surface, m
 def test_two_threads_write_the_same_mesh(mesh, grid_surface, monkeypatch):
     monkeypatch.setattr(launch, "default_threads", lambda: 2)
     surface = grid_surface(170, 150)
-    assert len(surface.level) > 2 * launch.SLICE_ITEMS
+    assert len(surface.triangles) > 2 * launch.SLICE_ITEMS
     for in_place in (True, False):
         monkeypatch.setattr(mesh_memory, "writable_in_place", lambda in_place=in_place: in_place)
         write_mesh(mesh, surface)
         assert (read(mesh.uv_layers[UV_LAYER].uv, "vector", 2) == surface.uv[surface.corner_verts]).all()
-        assert (read(mesh.polygons, "loop_start", 1, np.int32) == 3 * np.arange(len(surface.level))).all()
+        assert (read(mesh.polygons, "loop_start", 1, np.int32) == 3 * np.arange(len(surface.triangles))).all()
         assert mesh.validate(verbose=True) is False
 
 
@@ -172,7 +173,7 @@ def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
     bpy.context.view_layer.update()
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     before = read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2)
-    surface.uv[:] += 1
+    surface = surface.with_attributes({"uv": Attribute(surface.uv + 1, "POINT")})
     write_mesh(mesh, surface)
     assert (read(evaluated.uv_layers[UV_LAYER].uv, "vector", 2) == before).all()
     assert (read(evaluated.polygons, "loop_start", 1, np.int32) == np.arange(0, 90, 3)).all()
@@ -206,6 +207,6 @@ def test_a_warm_write_makes_no_array_as_large_as_the_mesh(mesh, grid_surface):
     tracemalloc.start()
     try:
         write_mesh(mesh, surface)
-        assert tracemalloc.get_traced_memory()[1] < len(surface.level)
+        assert tracemalloc.get_traced_memory()[1] < len(surface.triangles)
     finally:
         tracemalloc.stop()

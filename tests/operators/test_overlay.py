@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The overlay: each triangle's error or level as attribute and colour, and nothing of it while it is off."""
 
+import json
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -8,7 +9,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import triangle_errors
-from adaptive_terrain.operators.mesh.writer import COLOUR_ATTRIBUTE, LEVEL_ATTRIBUTE
+from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL
+from adaptive_terrain.operators.mesh.writer import COLOUR_ATTRIBUTE
 from adaptive_terrain.operators.scene import overlay, session
 from adaptive_terrain.operators.scene.overlay import BEYOND, VIRIDIS, scale_colours
 from adaptive_terrain.operators.scene.request import gather
@@ -82,7 +84,7 @@ def test_the_level_has_the_same_colour_in_every_view(scene, add_terrain):
     for y in (-900.0, -2500.0):
         scene.camera.location.y = y
         turn_on(terrain, "LEVEL")
-        levels = read(terrain.data.attributes[LEVEL_ATTRIBUTE], "value", 1, np.int32)
+        levels = read(terrain.data.attributes[LEVEL], "value", 1, np.int32)
         for level, colour in zip(levels.tolist(), shown_colours(terrain.data).round().tolist(), strict=True):
             assert found.setdefault(level, colour) == colour
     assert len({tuple(found[level]) for level in found if level <= CELL_DEPTH}) > 5
@@ -203,3 +205,14 @@ def test_the_button_shows_the_colours_in_every_viewport(scene, add_terrain):
 
     ShowOverlay.execute(None, SimpleNamespace(screen=SimpleNamespace(areas=areas)))
     assert [(space.shading.type, space.shading.color_type) for space in spaces] == [("SOLID", "VERTEX")] * 2
+
+
+def test_an_export_carries_the_overlay(scene, add_terrain, tmp_path):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.overlay = "ERROR"
+    assert bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "a.npz")) == {"FINISHED"}
+    with np.load(tmp_path / "a.npz") as file:
+        errors, info = file["error_px"], json.loads(str(file["info"]))
+        assert len(errors) == len(file["triangles"]) and 0.0 < errors.max() <= info["bound_px"]
+        assert file[COLOUR_ATTRIBUTE].shape == (3 * len(errors), 4)
+    assert info["attributes"]["error_px"] == {"domain": "FACE", "unit": "px"}

@@ -157,7 +157,7 @@ def test_clean_up_follows_the_settings(scene, add_terrain):
     assert (status.triangles, status.left) == (whole, len(terrain.data.polygons))
     assert dict(statistics_lines(status))["Left by clean-up"] == f"{status.left:,}"
     piece = scene_piece(terrain, bpy.context.evaluated_depsgraph_get(), 1)
-    assert piece.info["triangles"] == len(piece.surface.level) == len(terrain.data.polygons)
+    assert piece.info["triangles"] == len(piece.surface.triangles) == len(terrain.data.polygons)
     assert piece.info["vertices"] == len(piece.surface.positions)
     terrain.adaptive_terrain.cleanup.use_below = False
     session.update_object(terrain)

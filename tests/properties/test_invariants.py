@@ -8,24 +8,24 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import rough
-from invariants import assert_invariants
+from invariants import assert_invariants, with_arrays
 
 FIELD = rough(17, 33)
 
 
 def changed(surface, name, at, value):
-    array = getattr(surface, name).copy()
+    array = surface.arrays()[name].copy()
     array[at] = value
-    return replace(surface, **{name: array})
+    return with_arrays(surface, **{name: array})
 
 
 def without_last(surface):
     """A hole: the last triangle is taken away, its vertices and edges stay."""
-    return replace(
+    return with_arrays(
         surface,
         corner_verts=surface.corner_verts[:-3],
         corner_edges=surface.corner_edges[:-3],
-        level=surface.level[:-1],
+        terrain_level=surface.level[:-1],
     )
 
 
@@ -44,7 +44,7 @@ def torn(surface):
     old = surface.corner_verts[30]
     corners = surface.corner_verts.copy()
     corners[30] = count
-    return replace(
+    return with_arrays(
         surface,
         corner_verts=corners,
         **{
@@ -65,7 +65,7 @@ BROKEN = {
     ),
     "I2, I3 a hole": without_last,
     "I3 a triangle that faces down": turned,
-    "I4 a leaf of another depth": lambda s: changed(s, "level", 3, s.level[3] + 1),
+    "I4 a leaf of another depth": lambda s: changed(s, "terrain_level", 3, s.level[3] + 1),
     "I5 a vertex twice": torn,
     "I5, I6 two vertices at one place": lambda s: changed(s, "positions", 8, s.positions[9]),
     "I6 a vertex on the wrong side": lambda s: changed(s, "positions", (8, 0), -s.positions[8, 0] + 3.0),

@@ -3,9 +3,9 @@
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.bisection import diamond, from_tree_id, parent, to_tree_id
+from fields import errors_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scenarios import make, make_field, to_remember
@@ -109,7 +109,7 @@ def test_the_union_of_views_splits_what_each_splits(scenario):
 def test_stored_errors_are_nested(asked, meshlet):
     """The error of a diamond is never below that of the diamonds split at its edges, for every meshlet size."""
     field = make_field(asked)
-    lattice, errors = field.lattice, error_for(field, meshlet)
+    lattice, errors = field.lattice, errors_of(field, meshlet)
     for depth in range(1, 2 * lattice.levels):
         side = 1 << (lattice.levels - (depth - 1) // 2)  # of the cell, in samples
         half = side // 2

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 
 
@@ -22,12 +23,14 @@ def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
     normals[:, 0], normals[:, 2] = 0.6, 0.8
     return Surface(
         positions=positions,
-        normals=normals,
-        uv=(positions[:, :2] / max(columns, rows, 1)).astype(np.float32),
         corner_verts=triangles.ravel(),
         corner_edges=corner_edges.ravel().astype(np.int32),
         edges=edges.astype(np.int32),
-        level=np.arange(len(triangles), dtype=np.int32) % 7,
+        attributes={
+            "normals": Attribute(normals, "POINT"),
+            "uv": Attribute((positions[:, :2] / max(columns, rows, 1)).astype(np.float32), "POINT"),
+            "terrain_level": Attribute(np.arange(len(triangles), dtype=np.int32) % 7, "FACE"),
+        },
     )
 
 

@@ -20,6 +20,7 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
@@ -57,10 +58,12 @@ def whole_stores(folder: Path) -> list[Path]:
         noise = np.random.default_rng(seed).standard_normal((rows, columns))
         samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 2 * noise
         built = build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate)
-        if built.samples is samples:
-            built.samples = draft.allocate("samples", samples.shape, np.float32)
-            built.samples[:] = samples
-        draft.remove("raster")
+        if seed == 2:  # numbers of steps of a centimetre
+            built.steps, heights = Steps(0, 0.01, -300.0), built.samples
+            built.samples = draft.allocate("samples", samples.shape, np.uint16)
+            built.samples[:] = np.rint((heights + 300.0) * 100.0)
+        else:
+            draft.rename("raster", "samples")
         draft.publish(built, "mutants", {})
         field = open_store(path)
         for made in (field, interpolated(field, "bicubic")):

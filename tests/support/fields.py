@@ -6,7 +6,9 @@ import math
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.codes import decode
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from matplotlib.tri import Triangulation
 
@@ -22,6 +24,43 @@ def rough(height: int, width: int, seed: int = 0, relief: float = 100.0, step: f
         z += np.sin(f * x + a) * np.cos(f * y + b) / f + 0.3 * np.sin(f * (x + y) + c) * np.sin(f * (x - y) + d) / f
     z += 0.02 * rng.standard_normal((height, width))
     return from_array((relief * z).astype(np.float32), step, step)
+
+
+def errors_of(field: HeightField, meshlet: int = 0) -> np.ndarray:
+    """float32 [node_count] metres: what the codes of a field's errors stand for."""
+    return decode(field.lattice, error_for(field, meshlet), field.table)
+
+
+def split_points(lattice, depth: int) -> tuple[np.ndarray, np.ndarray]:
+    """Samples (i, j) at which the diamonds of a depth above the raster's cells are split that have entries."""
+    (columns, rows), side = lattice.extent(depth), 1 << (lattice.levels - depth // 2)
+    if depth % 2:
+        j, i = np.indices((rows, columns)).reshape(2, -1) * side + side // 2
+        return i, j
+    j, i = np.indices((rows + 1, columns + 1))
+    odd = (i + j) % 2 == 1
+    return i[odd] * side, j[odd] * side
+
+
+def ranges_of(field: HeightField) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest code, int [rows, columns], of the heights of the diamond that is split at each sample.
+
+    Of the two finest depths, which are not stored: what those have in common from which a split leads there.
+    """
+    lattice = field.lattice
+    (across, up), levels = lattice.span, lattice.levels
+    low, high = np.zeros((up + 1, across + 1), int), np.full((up + 1, across + 1), 65535)
+    for depth in range(1, lattice.range_depth + 1):
+        i, j = split_points(lattice, depth)
+        low[j, i], high[j, i] = field.ranges[lattice.range_index(depth, i, j)].T
+    for depth in range(max(lattice.range_depth, 1), 2 * levels):
+        i, j = split_points(lattice, depth)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)) if depth % 2 else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            x, y = i + dx, j + dy
+            inside = (x >= 0) & (y >= 0) & (x <= across) & (y <= up)
+            np.maximum.at(low, (y[inside], x[inside]), low[j[inside], i[inside]])
+            np.minimum.at(high, (y[inside], x[inside]), high[j[inside], i[inside]])
+    return low, high
 
 
 def random_view(rng: np.random.Generator, field: HeightField) -> View:

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What holds after every update: the invariants I1 to I6 of the hard cases, asserted by one function."""
 
+from dataclasses import replace
+
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 
 
@@ -62,9 +65,16 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert abs(areas.sum() / 2 / np.prod(size) - 1) < 1e-6
 
 
+def with_arrays(surface: Surface, **arrays) -> Surface:
+    """The same surface with other arrays of some names, topology or attributes; they need not fit together."""
+    old = surface.attributes
+    attributes = {name: replace(old[name], array=arrays.pop(name)) for name in [*arrays] if name in old}
+    return replace(surface, **arrays, attributes=old | attributes)
+
+
 def arrays(surface: Surface) -> dict[str, bytes]:
     """The bytes of every array, to compare meshes that must be the same."""
-    return {name: array.tobytes() for name, array in vars(surface).items()}
+    return {name: array.tobytes() for name, array in surface.arrays().items()}
 
 
 def assert_blender_invariants(obj, meshlet: int = 0) -> None:
@@ -77,8 +87,6 @@ def assert_blender_invariants(obj, meshlet: int = 0) -> None:
 
 def surface_of(mesh) -> Surface:
     """The arrays of a Blender mesh of triangles, as Blender has them."""
-    from adaptive_terrain.operators.mesh.writer import LEVEL_ATTRIBUTE
-
     vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
 
     def read(collection, name: str, shape, dtype) -> np.ndarray:
@@ -91,12 +99,15 @@ def surface_of(mesh) -> Surface:
     uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
     normals = np.zeros((vertices, 3), np.float32)
     normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
+    level = read(mesh.attributes["terrain_level"].data, "value", (corners // 3,), np.int32)
     return Surface(
         read(mesh.vertices, "co", (vertices, 3), np.float32),
-        normals,
-        uv,
         corner_verts,
         read(mesh.loops, "edge_index", (corners,), np.int32),
         read(mesh.edges, "vertices", (edges, 2), np.int32),
-        read(mesh.attributes[LEVEL_ATTRIBUTE].data, "value", (corners // 3,), np.int32),
+        {
+            "normals": Attribute(normals, "POINT"),
+            "uv": Attribute(uv, "POINT"),
+            "terrain_level": Attribute(level, "FACE"),
+        },
     )

@@ -18,6 +18,16 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_ply(path):
+    vertices, triangles = _read_ply(path)
+    return np.stack([vertices[name] for name in "xyz"], 1).astype(np.float64), triangles
+
+
+def read_ply_fields(path):
+    """All that the file says of its vertices: a structured array [V]."""
+    return _read_ply(path)[0]
+
+
+def _read_ply(path):
     head, body = path.read_bytes().split(b"end_header\n", 1)
     lines = [line.split() for line in head.decode().splitlines()]
     assert ["format", "binary_little_endian", "1.0"] in lines
@@ -27,7 +37,7 @@ def read_ply(path):
     face = np.dtype([("corners", "u1"), ("vertices", "<u4", 3)])
     faces = np.frombuffer(body, face, counts["face"], offset=vertices.nbytes)
     assert (faces["corners"] == 3).all() and vertices.nbytes + faces.nbytes == len(body)
-    return np.stack([vertices[name] for name in "xyz"], 1).astype(np.float64), faces["vertices"].astype(np.int64)
+    return vertices, faces["vertices"].astype(np.int64)
 
 
 def read_obj(path):

@@ -8,6 +8,7 @@ is written down here a second time.
 import hashlib
 import json
 import os
+import re
 import shutil
 import zlib
 from pathlib import Path
@@ -45,7 +46,7 @@ def _damage(file: Path, rng: np.random.Generator) -> str:
     if not file.is_file() or file.is_symlink() or file.stat().st_size <= PAGE:
         return f"{file.name} was gone"
     raw = bytearray(file.read_bytes())
-    dtype = np.dtype({"r": "<u2", "n": "<f8"}.get(file.name[0], "<f4"))
+    dtype = np.dtype(re.search(rb"'descr': '([^']*)'", raw[:PAGE])[1].decode())
     nbytes = _data_bytes(len(raw))
     data = np.frombuffer(raw, np.uint8, nbytes, PAGE)
     values = data[: nbytes // dtype.itemsize * dtype.itemsize].view(dtype)
@@ -53,7 +54,11 @@ def _damage(file: Path, rng: np.random.Generator) -> str:
     some = rng.integers(len(values), size=int(10 ** rng.uniform(0, np.log10(len(values)))))
     with np.errstate(all="ignore"):
         if how in ("values", "all"):
-            value = rng.choice(VALUES) if dtype.kind == "f" else rng.choice([0, 1, 32768, 65535])
+            value = (
+                rng.choice(VALUES)
+                if dtype.kind == "f"
+                else rng.choice([0, 1, 128, 255 if dtype.itemsize == 1 else 65535])
+            )
             values[some if how == "values" else slice(None)] = value
         elif how == "scaled":
             values[some] = (values[some] * 10 ** rng.uniform(-6, 12)).astype(dtype)
@@ -107,7 +112,9 @@ def _replace(file: Path, rng: np.random.Generator) -> str:
     elif how == "fortran":
         file.write_bytes(raw[:PAGE].replace(b"False", b"True ") + raw[PAGE:])
     elif how == "object":
-        file.write_bytes(raw[:PAGE].replace(b"'<f4'", b"'|O' ") + raw[PAGE:])
+        file.write_bytes(
+            re.sub(rb"'descr': '[^']*'", b"'descr': '|O'", raw[:PAGE])[: PAGE - 1].ljust(PAGE) + raw[PAGE:]
+        )
     elif how == "zip":
         np.savez(file.with_suffix(".npz"), np.zeros(9))
         file.with_suffix(".npz").rename(file)

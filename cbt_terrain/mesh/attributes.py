@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Attributes of a mesh: named arrays, each with a domain and a unit.
+
+Whatever makes one (the welding, an overlay, an effect) adds it to the Surface by name; whoever takes a Surface (the
+mesh writer, the archive, the exporters) goes through them all. Names, domains and data types are Blender's.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import TerrainError
+
+DOMAINS = POINT, EDGE, FACE, CORNER = "POINT", "EDGE", "FACE", "CORNER"
+# The attributes that every Surface has.
+NORMALS, UV, LEVEL = "normals", "uv", "terrain_level"
+# dtype and numbers an element -> Blender's data type, and the property of its elements that has the numbers.
+TYPES = {
+    ("float32", 1): ("FLOAT", "value"),
+    ("float32", 2): ("FLOAT2", "vector"),
+    ("float32", 3): ("FLOAT_VECTOR", "vector"),
+    ("float32", 4): ("FLOAT_COLOR", "color"),  # scene-linear RGBA
+    ("int32", 1): ("INT", "value"),
+    ("int8", 1): ("INT8", "value"),
+    ("bool", 1): ("BOOLEAN", "value"),
+}
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """A value for each element of a domain.
+
+    `array`: [n], or [n, width] for several numbers each, of a dtype and width in TYPES. `domain`: one of DOMAINS.
+    `unit`: of the numbers, as "m" or "px"; "" where they have none.
+    """
+
+    array: np.ndarray
+    domain: str
+    unit: str = ""
+
+    @property
+    def kind(self) -> tuple[str, int]:
+        """Its key in TYPES."""
+        return self.array.dtype.name, math.prod(self.array.shape[1:])
+
+    def check(self, name: str, sizes: dict[str, int]) -> None:
+        """Raise TerrainError unless a mesh with so many elements of each domain can carry it."""
+        what = f"The attribute {name!r} is {self.array.dtype} {list(self.array.shape)} of the domain {self.domain!r}"
+        if self.domain not in sizes:
+            raise TerrainError(f"{what}; expected one of {', '.join(DOMAINS)}.")
+        if self.kind not in TYPES or self.array.ndim != (2 if self.kind[1] > 1 else 1):
+            known = ", ".join(f"{width} {dtype}" for dtype, width in TYPES)
+            raise TerrainError(f"{what}; expected for each element one of these: {known}.")
+        if len(self.array) != sizes[self.domain]:
+            raise TerrainError(f"{what}; expected {sizes[self.domain]} elements, as many as the mesh has.")

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Point location: which leaf, and which triangle of its meshlet, is at a place of the plan.
+
+In a triangle a place has two coordinates (a, b), its parts of the way from the apex to the left and to the right
+corner. In the two halves of a bisection it has (a - b, 1 - a - b) or (1 - a - b, b - a): so the way down the tree is
+subtractions of integers, exact however deep it is, and its bits are the number of a deepest cell.
+"""
+
+import numpy as np
+
+from ..field.lattice import Lattice
+from .concurrent_tree import ConcurrentBinaryTree
+
+UNIT_BITS = 40  # of a square's side: what places are rounded to
+
+
+def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
+    """Numbers of the triangles at `places`, in curve order, 4**meshlet for each leaf: int64 [n]; -1 beyond the raster.
+
+    places: float64 [n, 2], x and y in metres in the terrain's own space. A place on an edge is in either triangle
+    beside it. Without meshlets a number is that of a leaf, as `tree.decode` takes it. O(depth + log leaves) a place.
+    """
+    places = np.asarray(places, np.float64).reshape(-1, 2)
+    west, south, east, north = lattice.rectangle()
+    inside = ((places >= (west, south)) & (places <= (east, north))).all(axis=1)
+    unit = np.ldexp((lattice.step_x, lattice.step_y), lattice.levels - UNIT_BITS)
+    units = np.rint(np.where(inside[:, None], places - (west, south), 0.0) / unit).astype(np.int64)
+    # What is on the rim is in the triangle within it.
+    ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
+    (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
+    depth, below = tree.max_depth - lattice.square_bits, 2 * meshlet
+    path = ((row * lattice.columns + column) << depth + below) + _path(x, y, depth + below)
+    starts = np.append(tree.cells(), tree.cell_count)
+    leaf = np.searchsorted(starts, path >> below, side="right") - 1
+    # A leaf of so many cells has as many steps of the path in each of its triangles.
+    step = starts[leaf + 1] - starts[leaf]
+    return np.where(inside, (leaf << below) + (path - (starts[leaf] << below)) // step, -1)
+
+
+def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
+    """Which halves hold places of a square, int64: a bit for each of `depth` bisections, the first one highest."""
+    unit = 1 << UNIT_BITS
+    second = x + y > unit  # of the square's two halves
+    a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)
+    path = second.astype(np.int64)
+    for _ in range(depth - 1):
+        rest, second = unit - a - b, a < b
+        a, b = np.where(second, rest, a - b), np.where(second, b - a, rest)
+        path = 2 * path + second
+    return path

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bound promises, measured by other code: `python examples/04_measure.py [FOLDER]`."""
+
+# One sees that what was measured is never above the bound: in pixels for a camera, by a ray through every pixel, and in
+# metres for a baked mesh, over its whole surface. Then a mesh is spoilt on purpose, and the measurement finds it.
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from adaptive_terrain import Criterion, ImportSettings, Terrain, View, bake, import_source, open_store
+from adaptive_terrain.cbt_terrain.accuracy import measure
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
+import_source(ImportSettings("island", size=513), folder / "island.store")
+field = open_store(folder / "island.store")
+terrain = Terrain(field)
+view = View.look(eye=(0, -3000, 900), target=(0, 0, 200), fov_deg=50, resolution=(480, 270))
+
+for error_px in (2.0, 0.5):
+    update = terrain.update(Criterion(error_px=error_px), [view])
+    found = measure(field, update.surface, view)
+    print(f"asked {error_px:g} px: bound {update.bound_px:.3f} px, measured {found.screen_px.max:.3f} px")
+
+for error_m in (4.0, 1.0):
+    update = bake(field, error_m)
+    found = measure(field, update.surface)
+    print(f"asked {error_m:g} m: bound {update.bound_m:.3f} m, measured {found.vertical_max_m:.3f} m")
+
+positions = update.surface.positions.copy()
+positions[:, 2] += 100.0
+found = measure(field, replace(update.surface, positions=positions))
+print(f"100 m too high: measured {found.vertical_max_m:.1f} m")

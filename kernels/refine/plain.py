@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The method without its short cuts: where to begin reading, and what the tests hold the walk against.
+
+A triangle is split if its *diamond* is too coarse: it and the triangle behind its longest edge, which share the vertex
+that a split makes. How coarse a diamond is follows from its error and its box alone (diamond.py). Both are nested: no
+diamond has more error, or a finer pixel on its box, than those that it comes from. So whoever is to be split has
+parents that are: a walk from the roots that asks each triangle once gives a conforming mesh, and it is a function of
+the view alone (Lindstrom and Pascucci 2002, section 4).
+
+Children are visited so that consecutive leaves share an edge: the Sierpinski curve (curve.py). It may be cut anywhere
+into slices, which are walked side by side: each goes down from the roots to its first cell.
+"""
+
+import warp as wp
+
+from .band import LEAF, SPLIT, measured_at, too_coarse
+from .diamond import Asked, Domain, error_at
+from .emit import emit
+from .kept import begin_keeping
+from .steps import advance, enter, middle_of, put_results, square_at
+from .walk_state import Walk, Written
+
+wp.set_module_options({"enable_backward": False})
+
+
+# Tests make it a kernel: as one of this module it would be compiled before anybody's first frame.
+def walk(domain: Domain, asked: Asked, w: Walk):
+    """As the kernel of walk.py, for whatever is asked."""
+    n = Written()
+    begin_keeping(w)
+    square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
+    while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
+        q = square_at(domain, w, square)
+        c = enter(w, q)
+        while c.top >= 0 and n.leaves <= w.leaf_limit:
+            middle = middle_of(c)
+            error = error_at(domain, middle[0], middle[1], c.depth)
+            m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, 0)
+            verdict = wp.int32(LEAF)
+            if too_coarse(asked, asked.limit, m):
+                if c.depth < w.max_depth:
+                    verdict = SPLIT
+                else:
+                    w.keeper[w.slot].stopped = 1
+            n = emit(domain, w, q, c, n, verdict)
+            c = advance(w, q, c, verdict)
+        square += 1
+    put_results(w, n)

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The walk without a criterion: to leaves whose depths are known."""
+
+import warp as wp
+
+from .band import LEAF, SPLIT
+from .diamond import Domain, error_at
+from .emit import emit
+from .steps import advance, enter, middle_of, square_at
+from .walk_state import Walk, Written
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.array(dtype=wp.float32)):
+    """Write the leaves of all squares as the walk that found them has, by their depths in curve order.
+
+    `worst` [1]: the largest error of a leaf's diamond, metres before scaling.
+    """
+    n = Written()
+    largest = wp.float32(0.0)
+    for number in range(domain.columns * domain.rows):
+        q = square_at(domain, w, number)
+        c = enter(w, q)
+        while c.top >= 0:
+            verdict = SPLIT
+            if c.depth == wp.int32(depths[n.leaves]):
+                verdict = LEAF
+                middle = middle_of(c)
+                largest = wp.max(largest, error_at(domain, middle[0], middle[1], c.depth))
+                n = emit(domain, w, q, c, n, verdict)
+            c = advance(w, q, c, verdict)
+    w.counts[0] = n.leaves
+    w.counts[1] = n.vertices
+    w.counts[2] = n.edges
+    w.counts[3] = wp.int64(0)
+    worst[0] = largest

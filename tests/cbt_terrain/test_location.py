@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Point location against what the mesh itself says: the triangle that was found holds the place, and no other."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.tree.location import locate
+from fields import rough
+
+# One square; a row of squares; a padded square; padded on both sides in a grid.
+SHAPES = [(33, 33), (17, 65), (50, 40), (11, 73)]
+VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0), resolution=(640, 480))
+
+
+def inside(surface, triangle, place, slack=1e-3) -> bool:
+    """Whether a place lies in a triangle of the mesh in plan, or within `slack` metres of it."""
+    p = surface.positions[surface.triangles[triangle], :2].astype(np.float64)
+    u, v = np.roll(p, -1, axis=0) - p, place - p
+    return ((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.linalg.norm(u, axis=1) >= -slack).all()
+
+
+@pytest.mark.parametrize("meshlet", [0, 1, 3])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_the_triangle_at_a_place_holds_it(shape, meshlet):
+    terrain = Terrain(rough(*shape), 2)
+    surface = terrain.update(Criterion(error_px=1.0, meshlet=meshlet), [VIEW]).surface
+    low, high = surface.positions.min(axis=0)[:2], surface.positions.max(axis=0)[:2]
+    rng = np.random.default_rng(1)
+    rims = rng.uniform(low, high, (40, 2))
+    rims[:20, 0], rims[20:, 1] = high[0], high[1]
+    places = np.concatenate([rng.uniform(low, high, (300, 2)), rims, surface.positions[::29, :2]])
+    found = terrain.triangles_at(places)
+    assert found.dtype == np.int64 and len(np.unique(found)) > 40
+    assert all(inside(surface, triangle, place) for triangle, place in zip(found, places, strict=True))
+    assert (terrain.triangles_at(places[::-1]) == found[::-1]).all(), "asked again, in another order"
+    assert terrain.triangles_at([[high[0] + 0.5, 0], [0, low[1] - 0.5], [np.nan, 0]]).tolist() == [-1, -1, -1]
+
+
+def test_each_triangle_is_at_its_own_middle():
+    for shape in SHAPES:
+        terrain = Terrain(rough(*shape), 1)
+        surface = terrain.update(Criterion(error_px=2.0), [VIEW]).surface
+        middles = surface.positions[surface.triangles, :2].astype(np.float64).mean(axis=1)
+        assert (terrain.triangles_at(middles) == np.arange(len(middles))).all()
+
+
+def test_a_leaf_is_found_and_is_that_of_the_tree():
+    terrain = Terrain(rough(17, 65), 1)
+    update = terrain.update(Criterion(error_px=2.0, meshlet=2), [VIEW])
+    places = np.random.default_rng(2).uniform((-300, -80), (300, 80), (200, 2))
+    leaves = locate(terrain.tree, terrain.field.lattice, places)
+    assert 0 <= leaves.min() and leaves.max() < update.leaves
+    assert (terrain.triangles_at(places) // 16 == leaves).all()
+
+
+def test_before_an_update_there_is_nothing_to_find():
+    with pytest.raises(TerrainError, match="update it first"):
+        Terrain(rough(9, 9), 1).triangles_at([[0.0, 0.0]])

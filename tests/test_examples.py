@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The programs in `examples/` run, one after the other in one folder, and say what their comment says one sees."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("example")
+
+
+def numbers(text: str, pattern: str) -> list[float]:
+    return [float(found.replace(",", "")) for found in re.findall(pattern, text)]
+
+
+def check_01_first_mesh(said, folder):
+    triangles, bounds = numbers(said, r": ([\d,]+) triangles"), numbers(said, r"bound ([\d.]+) px")
+    assert len(triangles) == len(bounds) == 4 and triangles == sorted(triangles)
+    assert all(bound <= asked for bound, asked in zip(bounds, (8, 4, 2, 1), strict=True))
+    assert "attribute terrain_level: int32" in said
+
+
+def check_02_flight(said, folder):
+    frames = numbers(said, r"frame \d: ([\d,]+) triangles")
+    assert len(frames) == 8 and len(set(frames)) > 1 and "the same mesh alone: True" in said
+    assert all(wide < 100 for wide in numbers(said, r"is in triangle \d+, ([\d.]+) m wide"))
+
+
+def check_03_bake_and_fit(said, folder):
+    baked, fitted = numbers(said, r"([\d,]+) triangles")
+    assert fitted < 0.8 * baked and max(numbers(said, r"at most ([\d.]+) m")) <= 2.0
+    assert (folder / "baked.npz").stat().st_size > (folder / "fitted.npz").stat().st_size
+
+
+def check_04_measure(said, folder):
+    rows = re.findall(r"asked ([\d.]+) (\w+): bound ([\d.]+) \w+, measured ([\d.]+)", said)
+    assert [unit for _, unit, *_ in rows] == ["px", "px", "m", "m"]
+    assert all(0 < float(measured) <= float(bound) <= float(asked) for asked, _, bound, measured in rows)
+    assert 100 <= numbers(said, r"too high: measured ([\d.]+) m")[0] <= 101
+
+
+CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_shows_what_it_says(path, folder, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [str(path), str(folder)])
+    runpy.run_path(str(path), run_name="__main__")
+    CHECKS[path.stem](capsys.readouterr().out, folder)
+
+
+def test_examples_are_short_and_numbered():
+    assert [path.stem for path in EXAMPLES] == sorted(CHECKS)
+    for number, path in enumerate(EXAMPLES, 1):
+        assert path.stem.startswith(f"{number:02d}_") and len(path.read_text(encoding="utf-8").splitlines()) <= 60

@@ -82,8 +82,8 @@ class StoreFrames:
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet` and `interpolation` replace
-    what the objects say; None keeps it.
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation` and
+    `shading_floor` replace what the objects say; None keeps it.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class SceneFrames:
         budget: int | None = None,
         meshlet: int | None = None,
         interpolation: str | None = None,
+        shading_floor: float | None = None,
     ):
         bpy = import_bpy("A .blend file")
         from ..scene import session
@@ -109,7 +110,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(
@@ -212,10 +213,12 @@ def counts(surface: Surface) -> dict:
 
 
 def bounds_of(update: Update) -> dict:
-    """The bounds of an update and what they are made of, as JSON holds them; those in pixels None without a view."""
+    """The bounds of an update and what they are made of, as JSON holds them; None where nothing was asked."""
     return {
         "bound_px": update.bound_px,
         "bound_m": update.bound_m,
+        "bound_edge_px": update.bound_edge_px,
+        "bound_area_px": update.bound_area_px,
         "terms_px": update.terms_px and asdict(update.terms_px),
         "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,

@@ -162,7 +162,7 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
     assert code == 0
     info = read_npz(tmp_path / "hills.npz")["info"]
     assert 0 < info["bound_m"] <= 0.5 and info["bound_px"] is None and info["views"] == []
-    assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "resampling", "precision", "source"}
+    assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "precision", "source"}
     assert capsys.readouterr().out.startswith(f"hills.npz: {info['triangles']:,} triangles, bound 0.")
 
 

@@ -77,7 +77,7 @@ def test_leaves_equal_forced_splits(seed):
         asked = float(10 ** rng.uniform(0, 2.5))
         terrain = Terrain(field, 1)
         update = terrain.update(Criterion(error_px=asked, off_screen_factor=1.0, max_depth=depth), [view])
-        rounded = update.terms_m.precision
+        rounded = terrain._domain.rounding
         # the reference's units: 2^exponent a side of a root square
         exponent = lattice.levels + 1
         per_sample = 2.0 ** (exponent - lattice.levels)

@@ -15,7 +15,7 @@ from ..errors import TerrainError
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
-from ..refine.refinement import PLANE_BITS
+from ..refine.domain import PLANE_BITS
 from ..run import launch
 from ..run.buffers import shared
 
@@ -67,7 +67,7 @@ class Ground:
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
-        # The lattice of the finest mesh: as many bits a side as refinement.depth_limit allows.
+        # The lattice of the finest mesh: as many bits a side as domain.depth_limit allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         g = self.packed = kernels.Ground()
         g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits

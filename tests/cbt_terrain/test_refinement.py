@@ -132,7 +132,7 @@ def test_caps_hold_together_with_the_error():
 
 @pytest.mark.parametrize(
     ("height", "width", "edge_px", "limited"),
-    [(8e3, 2.0, 60.0, ""), (8e3, 2.0, 20.0, "max_depth"), (1e6, 4.0, 60.0, ""), (1e6, 4.0, 40.0, "precision")],
+    [(8e3, 2.0, 60.0, ""), (8e3, 2.0, 20.0, "max_depth"), (1e6, 4.0, 60.0, "precision"), (1e6, 4.0, 40.0, "precision")],
 )
 def test_edges_hold_where_float32_corners_stretch_them(height, width, edge_px, limited):
     """Corners far from the origin are off by millimetres, which edges of half a metre show."""

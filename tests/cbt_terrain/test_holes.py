@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Holes of no-data: their border is refined down to the raster's cells; what they are filled with does not count."""
+"""Holes of no-data before they are cut out: borders go down to the raster's cells; what fills them does not count."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_no_triangle_lies_across_the_border_of_a_hole_once_it_is_seen(interpolat
     assert np.isfinite(field.samples).all()
     mixed = []
     for error_m in (200.0, 50.0, 5.0):
-        surface = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        surface = Terrain(field, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m)).surface
         hole, ground = kinds_of(surface, hole_cells(heights))
         corners = surface.positions[surface.triangles][..., :2]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -71,12 +71,12 @@ def test_a_bound_holds_on_the_ground_and_holes_are_not_refined():
     heights = raster()
     cut, filled = from_array(heights, STEP, holes=True), from_array(heights, STEP)
     for error_m in (4.0, 0.5):
-        update = Terrain(cut, 1).update(Criterion(error_px=0.0, error_m=error_m))
+        update = Terrain(cut, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m))
         far = distances(cut.samples, STEP, STEP, update.surface.positions, update.surface.corner_verts)
         on_ground = np.kron(~hole_cells(heights), np.ones((4, 4), bool))
         assert far[:-1, :-1][on_ground].max() <= error_m
         hole, _ = kinds_of(update.surface, hole_cells(heights))
-        whole = Terrain(filled, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        whole = Terrain(filled, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m)).surface
         assert hole.sum() < 0.3 * kinds_of(whole, hole_cells(heights))[0].sum()
 
 
@@ -86,9 +86,10 @@ def test_a_hole_in_flat_ground_is_found():
     field = from_array(heights, STEP, holes=True)
     assert Terrain(from_array(heights, STEP), 1).update(Criterion(error_px=0.0, error_m=1.0)).triangles == 2
     view = View.look((0.0, -300.0, 300.0), (0.0, 0.0, 0.0), resolution=(640, 480))
-    update = Terrain(field, 1).update(Criterion(error_px=1.0), [view])
+    update = Terrain(field, 1, whole=True).update(Criterion(error_px=1.0), [view])
     hole, ground = kinds_of(update.surface, hole_cells(heights))
     assert hole.any() and not (hole & ground).any()
+    assert not kinds_of(Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface, hole_cells(heights))[0].any()
     far_away = View.look((0.0, -3e5, 3e5), (0.0, 0.0, 0.0), resolution=(640, 480))
     assert Terrain(field, 1).update(Criterion(error_px=1.0), [far_away]).triangles < update.triangles / 2
 

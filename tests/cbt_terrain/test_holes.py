@@ -3,12 +3,14 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -110,3 +112,10 @@ def test_a_store_keeps_holes(tmp_path):
     next((tmp_path / "True").glob("data-*/valid.npy")).unlink()
     with pytest.raises(TerrainError, match="lacks valid.npy"):
         open_store(tmp_path / "True")
+
+
+def test_a_mesh_with_holes_can_be_measured_and_fitted():
+    field = from_array(raster(), STEP, holes=True)
+    asked = Criterion(error_px=0.0, error_m=2.0)
+    for mesh in (Terrain(field, 1).update(asked), fit(field, 2.0)):
+        assert 1.0 < measure(field, mesh.surface, random_points=1000, threads=1).vertical_max_m <= 2.0

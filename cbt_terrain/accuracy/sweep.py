@@ -38,16 +38,16 @@ PARTS = ("count", "max", "p95", "mean", "rms")
 class Row:
     """What a setting gave, over all frames: the largest errors and bounds, the median of triangles and times.
 
-    `bound_px`: None in metres. `limited`: as in Update, of any frame. `surface_mb`: the mesh's arrays; `buffers_mb`:
-    address space of all arrays of the engine, of which the system commits what is touched (None for a fit).
-    `terms`: the parts of the largest bound, in the setting's unit.
+    `bound_px`: None in metres, `bound_m` in pixels. `limited`: as in Update, of any frame. `surface_mb`: the
+    mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
+    (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
     "ingest", writing a Blender mesh, comes on top. `spread_ms`: the fastest and the slowest run, to the finished mesh.
     """
 
     setting: Setting
     bound_px: float | None
-    bound_m: float
+    bound_m: float | None
     limited: str
     triangles: int
     vertices: int
@@ -185,20 +185,20 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
         if frame.after:
             popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
     triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
-    bounds_px = [update.bound_px for update in updates] if setting.unit == "px" else []
-    bounds_m = [update.bound_m for update in updates]
-    loosest = int(np.argmax(bounds_px or bounds_m))
+    in_pixels = setting.unit == "px"
+    bounds = [update.bound_px if in_pixels else update.bound_m for update in updates]
+    loosest = int(np.argmax(bounds))
     return Row(
         setting,
-        max(bounds_px, default=None),
-        max(bounds_m),
+        bounds[loosest] if in_pixels else None,
+        None if in_pixels else bounds[loosest],
         ", ".join(sorted({update.limited for update in updates} - {""})),
         triangles,
         vertices,
         surface_bytes / 1e6,
         terrain.buffer_bytes / 1e6,
         worst(measured),
-        updates[loosest].terms_px if bounds_px else updates[loosest].terms_m,
+        updates[loosest].terms_px if in_pixels else updates[loosest].terms_m,
         worst(popped),
         median_by_step(runs),
         spread_of([run["total"] + run.get("ingest", 0.0) for run in runs]),

@@ -14,6 +14,8 @@ from ..errors import TerrainError
 
 # What is asked is kept between these: the finest and the coarsest mesh that there can be.
 SMALLEST, LARGEST = 1e-30, 1e30
+# As if seen 30 degrees off.
+SHADING_FLOOR = 0.5
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Criterion:
     error_m: float = 0.0
     guard_deg: float = 5.0
     off_screen_factor: float = 16.0
-    shading_floor: float = 0.5
+    shading_floor: float = SHADING_FLOOR
     max_depth: int | None = None
     max_triangles: int | None = None
     meshlet: int = 0

@@ -37,6 +37,17 @@ def positive(most: float):
     return number
 
 
+def part(text: str) -> float:
+    """A part of a whole."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 and 1")
+    return value
+
+
 def count(text: str) -> int:
     """A number of things that Blender can hold."""
     try:

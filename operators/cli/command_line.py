@@ -15,7 +15,7 @@ from typing import NoReturn
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from . import verbs
-from .argument_types import MAX_INT, argument, count, pair, path, positive
+from .argument_types import MAX_INT, argument, count, pair, part, path, positive
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
@@ -120,6 +120,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
     pixels = positive(MAX_ERROR_PX)
     verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
+    verb.add_argument("--shading-floor", type=part, metavar="F", help="part of an error that counts from above, 0 to 1")
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--interpolation", **between)

@@ -147,7 +147,7 @@ def run_export(arguments) -> None:
 
 
 def _export_source(arguments):
-    from ...cbt_terrain.ask.criterion import Criterion
+    from ...cbt_terrain.ask.criterion import SHADING_FLOOR, Criterion
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..blender import need_bpy
     from ..output.exporting import needs_blender
@@ -164,6 +164,7 @@ def _export_source(arguments):
             arguments.budget,
             arguments.meshlet,
             arguments.interpolation,
+            arguments.shading_floor,
         )
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
@@ -171,6 +172,7 @@ def _export_source(arguments):
         error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
         max_triangles=arguments.budget,
         meshlet=arguments.meshlet or 0,
+        shading_floor=SHADING_FLOOR if arguments.shading_floor is None else arguments.shading_floor,
     )
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]
@@ -235,11 +237,15 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
 
 
 def _largest_bound(terrains: list[dict]) -> str:
-    """With its unit: pixels where a camera was looked through, else metres."""
+    """With its unit: of errors in pixels where some were asked for, else of errors in metres, edges or areas."""
     from ..text.shown_bounds import bound_text
 
-    pixels = [t["bound_px"] for t in terrains if t["bound_px"] is not None]
-    return bound_text(max(pixels), "px") if pixels else bound_text(max(t["bound_m"] for t in terrains), "m")
+    units = {"bound_px": "px", "bound_m": "m", "bound_edge_px": "px an edge", "bound_area_px": "px² a triangle"}
+    for name, unit in units.items():
+        bounds = [t[name] for t in terrains if t[name] is not None]
+        if bounds:
+            return bound_text(max(bounds), unit)
+    return "none"
 
 
 def print_fields(fields: dict, indent: str = "") -> None:

@@ -141,12 +141,12 @@ def _table(frames: list[dict]) -> Table:
         [
             str(frame["frame"]),
             *(f"{frame[name]:,}" for name in ("triangles", "vertices")),
-            *(bound_text(frame[f"bound_{unit}"], unit) for unit in ("px", "m")),
+            bound_text(frame["bound_px"], "px"),
             f"{frame['ms']['total']:.1f}",
         ]
         for frame in frames
     ]
-    return Table(["Frame", "Triangles", "Vertices", "Screen bound", "Vertical bound", "Update, ms"], rows)
+    return Table(["Frame", "Triangles", "Vertices", "Bound", "Update, ms"], rows)
 
 
 def _chart(frames: list[dict]) -> str:

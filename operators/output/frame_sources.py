@@ -30,7 +30,8 @@ class Piece:
 
     `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
     the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
-    that surface may stay the engine's, until the next frame is asked for.
+    that surface may stay the engine's, until the next frame is asked for. `tree`: saved, see `Terrain.restore`; b"" of
+    a baked mesh.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Piece:
     update: Update
     info: dict
     obj: Any = None
+    tree: bytes = b""
 
 
 class StoreFrames:
@@ -71,19 +73,20 @@ class StoreFrames:
         """The terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view])
-        info = describe(update, self.criterion, [view], self.field) | {"frame": frame}
+        tree, how = self.terrain.saved()
+        info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..mesh.writer import write_mesh
 
             write_mesh(self.obj.data, update.surface)
-        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj)
+        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj, tree)
 
 
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet` and `interpolation` replace
-    what the objects say; None keeps it.
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation` and
+    `shading_floor` replace what the objects say; None keeps it.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class SceneFrames:
         budget: int | None = None,
         meshlet: int | None = None,
         interpolation: str | None = None,
+        shading_floor: float | None = None,
     ):
         bpy = import_bpy("A .blend file")
         from ..scene import session
@@ -109,7 +113,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(
@@ -150,11 +154,12 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = clean_up(session.shown_surface(session.record_of(obj), update), request.cleanup).copy()
-    field = session.record_of(obj).field
+        record = session.record_of(obj)
+        surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
+        field, (tree, how) = record.field, record.terrain.saved()
     info = describe(update, request.criterion, request.views, field, request.placement)
-    info |= {"frame": frame, **counts(surface)}
-    return Piece(file_name(obj), surface, field.origin, update, info, obj)
+    info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
+    return Piece(file_name(obj), surface, field.origin, update, info, obj, tree)
 
 
 def baked_piece(
@@ -212,10 +217,12 @@ def counts(surface: Surface) -> dict:
 
 
 def bounds_of(update: Update) -> dict:
-    """The bounds of an update and what they are made of, as JSON holds them; those in pixels None without a view."""
+    """The bounds of an update and what they are made of, as JSON holds them; None where nothing was asked."""
     return {
         "bound_px": update.bound_px,
         "bound_m": update.bound_m,
+        "bound_edge_px": update.bound_edge_px,
+        "bound_area_px": update.bound_area_px,
         "terms_px": update.terms_px and asdict(update.terms_px),
         "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,

@@ -66,6 +66,12 @@ class DetailSettings:
         description="How many times coarser the terrain may be outside the frame; 1 keeps full detail everywhere",
         default=16.0, min=1.0, soft_max=1000.0, precision=1, update=changed,
     )  # fmt: skip
+    shading_floor: FloatProperty(
+        name="Shading Floor",
+        description="From above, errors of height move no pixel but show in shading and shadows: this part of them "
+        "counts at least. 1 is an error seen from the side, 0 counts only what moves in the picture",
+        default=0.5, min=0.0, max=1.0, precision=2, subtype="FACTOR", update=changed,
+    )  # fmt: skip
     meshlet: IntProperty(
         name="Meshlet Level",
         description="Every leaf of the tree becomes 4 to this power triangles",

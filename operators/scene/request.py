@@ -26,13 +26,14 @@ VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 class Overrides:
     """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
 
-    `error_px`: pixels; it replaces a time budget too. `max_triangles`, `meshlet`, `interpolation`: as in the settings.
+    `error_px`: pixels; it replaces a time budget too. Others: as in the settings.
     """
 
     error_px: float | None = None
     max_triangles: int | None = None
     meshlet: int | None = None
     interpolation: str | None = None
+    shading_floor: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +153,7 @@ def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
         error_m=detail.error_m,
         guard_deg=detail.guard_deg,
         off_screen_factor=detail.off_screen_factor,
+        shading_floor=detail.shading_floor if overrides.shading_floor is None else overrides.shading_floor,
         max_depth=detail.max_depth if detail.limit_depth else None,
         max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
         meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,

@@ -11,7 +11,6 @@ NO_BOUND = "none: may reach the eye"
 LIMITS = {
     "max_triangles": "the triangle limit",
     "max_depth": "the depth limit",
-    "resampling": "resampling at import",
     "precision": "float32 precision",
     "source": "the source's rounding",
 }

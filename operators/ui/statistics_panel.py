@@ -17,7 +17,6 @@ from .panel_parts import TerrainSubpanel, figures, message
 
 TERMS = {
     "geometric": "by triangles",
-    "resampling": "by resampling",
     "precision": "by precision",
     "source": "by the source's rounding",
 }
@@ -57,8 +56,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         except TerrainError as damaged:
             message(column, str(damaged), "INFO")
             return
-        follows = curve and not status.request.frozen
-        predicted = prediction_lines(status, curve, exact=bool(lines)) if follows else []
+        predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
         if predicted:
             column.separator()
         for line in predicted:
@@ -97,27 +95,18 @@ def _draw_measuring(column, obj, operator: str, icon: str) -> None:
 
 
 def _bounds(status) -> list[tuple[str, float, str, object]]:
-    """Name, value, unit and parts of every bound that was asked for, the one that counts most first. A vertical error
-    is large where nobody looks; it is told to those who have asked for metres."""
-    asked = status.request.criterion
-    bounds = [("Screen error", status.bound_px, "px", status.terms_px, asked.error_px)]
-    bounds += [
-        (
-            "Vertical error",
-            status.bound_m,
-            "m",
-            status.terms_m,
-            asked.error_m or not asked.needs_view or status.request.frozen,
-        )
-    ]
-    bounds += [("Longest edge", status.bound_edge_px, "px", None, asked.edge_px)]
-    bounds += [("Largest triangle", status.bound_area_px, "px²", None, asked.area_px)]
-    return [bound for *bound, wanted in bounds if bound[1] is not None and wanted]
+    """Name, value, unit and parts of every bound that was asked for, the one that counts most first."""
+    bounds = [("Screen error", status.bound_px, "px", status.terms_px)]
+    bounds += [("Vertical error", status.bound_m, "m", status.terms_m)]
+    bounds += [("Longest edge", status.bound_edge_px, "px", None)]
+    bounds += [("Largest triangle", status.bound_area_px, "px²", None)]
+    return [bound for bound in bounds if bound[1] is not None]
 
 
 def _bound(value: float, unit: str, digits: int) -> str:
-    """A bound that holds as it is shown."""
-    return f"≤ {bound_text(max(value, SMALLEST), unit, digits)}" if value < LARGEST else NO_BOUND
+    """A bound that holds as it is shown; 0 where nothing is in view."""
+    shown = max(value, SMALLEST) if value else 0.0
+    return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
 
 def summary_lines(status) -> list[tuple[str, str]]:

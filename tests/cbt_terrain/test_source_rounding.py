@@ -202,5 +202,5 @@ def test_what_the_source_leaves_open_is_not_refined_away_at_any_price():
     ):
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
         assert update.limited == reason and 0.5 < update.bound_m <= bound * (1 + 1e-6)
-        plain = Terrain(exact, 1).update(Criterion(error_px=0.0, error_m=max(0.8 * asked, 0.25 * 0.5)))
+        plain = Terrain(exact, 1).update(Criterion(error_px=0.0, error_m=max(0.8 * asked, 0.1251)))
         assert update.triangles == plain.triangles

@@ -65,7 +65,8 @@ def test_a_frame_is_arrays_with_what_they_mean(export):
         "edges": ("int32", (2,)),
         "normals": ("float32", (3,)),
         "uv": ("float32", (2,)),
-        "level": ("int32", ()),
+        "terrain_level": ("int32", ()),
+        "tree": ("uint8", ()),
     }
     assert info["triangles"] == len(mesh["triangles"]) > 100
     assert len(mesh["positions"]) - len(mesh["edges"]) + len(mesh["triangles"]) == 1
@@ -120,7 +121,7 @@ def test_budget_and_meshlet(export):
     assert info["triangles"] <= 3000 and info["triangles"] == 4 * info["leaves"]
     assert info["limited"] == "max_triangles" and info["relaxed"] > 1 and info["bound_px"] > 1
     assert sum(info["terms_px"].values()) == pytest.approx(info["bound_px"])
-    assert sum(info["terms_m"].values()) == pytest.approx(info["bound_m"])
+    assert info["terms_m"] is info["bound_m"] is info["bound_edge_px"] is info["bound_area_px"] is None
     [figures] = json.loads((folder / "frame_0004.json").read_text())["terrains"]
     assert {name: figures[name] for name in ("terms_px", "terms_m")} == {n: info[n] for n in ("terms_px", "terms_m")}
     assert "held back by the triangle limit" in said.out
@@ -162,7 +163,7 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
     assert code == 0
     info = read_npz(tmp_path / "hills.npz")["info"]
     assert 0 < info["bound_m"] <= 0.5 and info["bound_px"] is None and info["views"] == []
-    assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "resampling", "precision", "source"}
+    assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "precision", "source"}
     assert capsys.readouterr().out.startswith(f"hills.npz: {info['triangles']:,} triangles, bound 0.")
 
 

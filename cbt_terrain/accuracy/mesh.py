@@ -122,17 +122,20 @@ class MeasuredMesh:
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
         """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.
 
-        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample.
+        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; where the
+        terrain has holes, such samples are taken for theirs and count 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
         self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):
-            missing = int(np.isnan(difference).sum())
-            raise TerrainError(
-                f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
-            )
+            if self.ground.field.valid is None:
+                missing = int(np.isnan(difference).sum())
+                raise TerrainError(
+                    f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
+                )
+            np.nan_to_num(difference, copy=False)
         return difference, worst
 
     def edge_extremes(self, worst: np.ndarray) -> np.ndarray:

@@ -52,7 +52,9 @@ def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, thread
         assert least <= update.triangles <= max(budget, least)
         assert (update.limited == "max_triangles") == (budget < full.triangles)
         assert screen_error(VIEW, field, update.surface, points) <= update.bound_px
-        assert update.bound_px <= as_seen(VIEW, slant_of(VIEW, np.eye(4), Criterion().shading_floor), 0.5 * update.relaxed)
+        assert update.bound_px <= as_seen(
+            VIEW, slant_of(VIEW, np.eye(4), Criterion().shading_floor), 0.5 * update.relaxed
+        )
     assert arrays(update.surface) == arrays(full.surface)
     assert arrays(update.surface) == whole
 

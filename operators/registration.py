@@ -9,7 +9,17 @@ from . import handlers
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
-from .scene import add_terrain, frame_terrain, import_terrain, live, pack_store, properties, session, update_terrain
+from .scene import (
+    add_terrain,
+    frame_terrain,
+    freeze_detail,
+    import_terrain,
+    live,
+    pack_store,
+    properties,
+    session,
+    update_terrain,
+)
 from .ui import overlay_panel, panels, status_bar, status_row
 
 MODULES = (
@@ -19,6 +29,7 @@ MODULES = (
     frame_terrain,
     pack_store,
     update_terrain,
+    freeze_detail,
     bake_terrain,
     export_terrain,
     measuring,

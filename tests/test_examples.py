@@ -46,6 +46,11 @@ def check_04_measure(said, folder):
     assert 100 <= numbers(said, r"too high: measured ([\d.]+) m")[0] <= 101
 
 
+def check_05_inside_blender(said, folder):
+    asked, kept, free = numbers(said, r"(?:camera|away|free): ([\d,]+) triangles\n")
+    assert asked == kept > free > 0 and (folder / "island.blend").exists()
+
+
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}
 
 

@@ -72,6 +72,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
     `on_progress` gets the fraction done and what is being done; it may raise, which ends the measurement.
     """
+    request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = unit_asked(request.criterion)
     name = f"error_{unit}"
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)

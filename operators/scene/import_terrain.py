@@ -194,7 +194,7 @@ class ImportTerrain(bpy.types.Operator):
     def _take(self, context, obj, report: dict, folder: str):
         """The store is the terrain's from now on. One that is the first, or of another size, is brought into view."""
         before = _size_of(obj)
-        obj.adaptive_terrain.store = folder
+        obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         imported.tag_object(obj)
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):

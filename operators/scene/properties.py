@@ -147,6 +147,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Follow the camera in the viewport, without ever blocking it; it stands still in Edit Mode",
         default=True, update=changed,
     )  # fmt: skip
+    frozen: StringProperty(
+        name="Frozen Detail",
+        description="The triangles that the mesh keeps whatever its camera sees; empty: it follows its camera",
+        options={"HIDDEN"}, update=changed,
+    )  # fmt: skip
     smooth: BoolProperty(
         name="Smooth Shading",
         description="Shade with the height field's own normals at full resolution; otherwise each face is flat",

@@ -43,6 +43,7 @@ class Request:
     `interpolation`: of the height field, by its name in heightfield.py.
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
+    `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
     """
 
     store: str
@@ -57,6 +58,7 @@ class Request:
     overlay: str
     max_ms: float | None
     note: str
+    frozen: str
 
     def key(self) -> tuple:
         """Equal for equal requests."""
@@ -69,7 +71,8 @@ class Request:
 
     def _shape(self) -> tuple:
         views = tuple(view.key() for view in self.views)
-        return self.criterion, views, self.placement.tobytes(), (self.vertical_scale, self.vertical_offset)
+        heights = self.vertical_scale, self.vertical_offset
+        return self.criterion, views, self.placement.tobytes(), heights, self.frozen
 
 
 def gather(
@@ -101,8 +104,9 @@ def gather(
         )
     if determinant(placement[:3, :3]) == 0.0:
         raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
-    max_ms, note = None, ""
+    max_ms, note, frozen = None, "", ""
     if criterion is None:
+        frozen = settings.frozen if overrides == Overrides() else ""
         detail = settings.render if mode == RENDER else settings.viewport
         with _named(obj):
             criterion = criterion_from(detail, overrides)
@@ -126,6 +130,7 @@ def gather(
         overlay=settings.overlay,
         max_ms=max_ms,
         note=note,
+        frozen=frozen,
     )
 
 

@@ -22,6 +22,7 @@ from ...cbt_terrain.terrain import Terrain
 from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
+from . import frozen
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
@@ -145,15 +146,22 @@ def solve(record: Record, request: Request):
     heights = field_of(request)
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
-    update = record.terrain.update(
-        request.criterion,
-        views=request.views,
-        placement=request.placement,
-        vertical_scale=request.vertical_scale,
-        vertical_offset=request.vertical_offset,
-    )
+    placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
+    if request.frozen:
+        tree, meshlet = frozen.from_text(request.frozen)
+        update = record.terrain.restore(tree, meshlet=meshlet, **placed)
+    else:
+        update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
     record.serial += bool(update.changed)
     return update
+
+
+def frozen_now(obj) -> str:
+    """What `frozen` of the terrain's settings has to be so that it keeps the triangles that the viewport asks for."""
+    with engine_lock:
+        update_object(obj)
+        tree, how = record_of(obj).terrain.saved()
+        return frozen.to_text(tree, how["meshlet"])
 
 
 def paint(record: Record, request: Request, update) -> None:

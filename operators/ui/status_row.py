@@ -31,6 +31,8 @@ def draw_status(layout, context, obj) -> None:
         row.label(text="Stands still in Edit Mode", icon="PAUSE")
     elif not obj.adaptive_terrain.store:
         row.label(text="No height map yet: import one", icon="INFO")
+    elif obj.adaptive_terrain.frozen:
+        row.label(text="Frozen: keeps its triangles", icon="FREEZE")
     else:
         text, operator, button = sight_notice(context, obj)
         row = row.split(factor=NOTICE_WIDTH) if text else row

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Freeze Detail: the mesh keeps its triangles while the camera moves."""
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from . import session
+
+
+class FreezeDetail(bpy.types.Operator):
+    """Keep the triangles that the viewport shows now, whatever the camera sees, in renders too; press again to let the
+    mesh follow its camera. Heights still follow the vertical scale and offset"""
+
+    bl_idname = "adaptive_terrain.freeze"
+    bl_label = "Freeze Detail"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        try:
+            settings.frozen = "" if settings.frozen else session.frozen_now(context.object)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((FreezeDetail,))

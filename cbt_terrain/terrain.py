@@ -217,9 +217,9 @@ class Terrain:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or not most:
+            if over <= 0 or leaves.total > most:
                 break
-            most = max(0, most - math.ceil(over / 4**criterion.meshlet))
+            most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
         self._shape_key = shape
         outcome = Outcome(
             domain=domain,

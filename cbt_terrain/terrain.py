@@ -216,7 +216,7 @@ class Terrain:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or relaxed == math.inf:
+            if over <= 0 or not most:
                 break
             most = max(0, most - math.ceil(over / 4**criterion.meshlet))
         self._shape_key = shape
@@ -226,7 +226,7 @@ class Terrain:
             relaxed=relaxed,
             stopped=leaves.stopped,
             max_depth=depth,
-            deepest=int(surface.level.max()) - 2 * criterion.meshlet,
+            deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
             relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
             buffers=self._buffers,
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from ..ask.criterion import Criterion
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..mesh import cut
+from ..mesh import borders
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
@@ -71,7 +71,7 @@ def fit(
         more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
         if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
             best = fitter.interpolated(plain, error_m)
-        surface, _ = cut.cut(best.surface, cut.rims(fitter.plain), threads=threads)
+        surface, _ = borders.end(best.surface, field, fitter.plain, threads=threads)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(

@@ -26,6 +26,7 @@ from ...kernels.fitting import moving as kernels
 from ...kernels.refine.diamond import Asked, LocalView
 from ..field import codes
 from ..field.heightfield import HeightField
+from ..mesh.borders import in_holes
 from ..mesh.surface import Surface, SurfaceBuilder
 from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
 from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
@@ -86,8 +87,8 @@ class Fitter:
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> Mesh | None:
-        """The fit for one error; None if it was given up."""
-        if not self.scale:
+        """The fit for one error; None if it was given up; of a raster with holes, whose filling it would fit."""
+        if not self.scale or self.field.valid is not None:
             return None
         field, buffers = self.field, Buffers()
         refinement = Refinement(field, buffers, self.threads)
@@ -124,6 +125,9 @@ class Fitter:
         buffers, m = Buffers(), self._mesh(error_m)
         Sweeps(self, m, buffers, None).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
+        if self.field.valid is not None:
+            worst = buffers.numpy("fit_worst")[: update.triangles]
+            worst[in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
         mesh = self._judged(update.surface, buffers, error_m, 0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)

@@ -13,8 +13,6 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mesh import cut as kernels
-from ...kernels.refine.diamond import Domain
-from ..refine.refinement import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
 from .attributes import CORNER, FACE, NORMALS, POINT, UV
@@ -60,13 +58,6 @@ def rim(axis: int, at: float) -> Side:
     at = float(np.float32(at))
     known = (("positions", axis, at), (UV, axis, 1.0))
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
-
-
-def rims(domain: Domain) -> list[Side]:
-    """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
-    axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
-    # As the displacement places points.
-    return [rim(axis, start + at * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM]
 
 
 def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
@@ -128,11 +119,9 @@ class _Work:
             name: room(name, array, self.shape[name][1] * (self.before[self.shape[name][0]] + more))
             for name, array in surface.arrays().items()
         }
-        # One row a vertex, and one a triangle.
         domains = {"positions": POINT} | {name: a.domain for name, a in surface.attributes.items()}
-        rows = {name: self._rows(name) for name in domains}
-        self.points = {name: rows[name] for name, domain in domains.items() if domain == POINT}
-        self.faces = [rows[name] for name, domain in domains.items() if domain != POINT]
+        self.points = {name: self._rows(name) for name, domain in domains.items() if domain == POINT}
+        self.faces = [self._rows(name) for name, domain in domains.items() if domain != POINT]
         most = max(self.before) + more
         self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
         self.parent, self.moved = np.empty(more, np.int32), np.empty((3, most), np.int32)
@@ -147,9 +136,9 @@ class _Work:
         m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
 
     def _rows(self, name: str) -> np.ndarray:
-        """One of the arrays with a row for each vertex or triangle."""
+        """An array as one row a vertex, or one a triangle."""
         array, each = self.arrays[name], self.shape[name][1]
-        return array.reshape(len(array) // each, -1)
+        return array[: len(array) // each * each].reshape(len(array) // each, -1)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
         """`value`: of the vertices that were there before all cuts."""

@@ -21,8 +21,9 @@ from ..run import launch
 from ..run.buffers import Buffers, bind
 from ..run.memory import physical_memory
 from ..tree.concurrent_tree import no_runs
-from . import cut
+from . import borders
 from .attributes import CORNER, EDGE, FACE, LEVEL, NORMALS, POINT, UV, Attribute
+from .cut import swap
 from .meshlet_template import template
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
@@ -118,7 +119,7 @@ class SurfaceBuilder:
         self._points = displace_kernels.Points()
         self._recorded: dict = {}
         self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
-        self._swapped = cut.NONE_SWAPPED  # ... once these have changed places again
+        self._swapped: list[np.ndarray] = []  # ... once these have changed places again
         self._inner_runs = Runs()
 
     def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
@@ -131,8 +132,9 @@ class SurfaceBuilder:
         triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
         if shown is not None:
-            for name in DISPLACED:
-                cut.swap(self._buffers.numpy(name), self._swapped)
+            for swapped in reversed(self._swapped):
+                for name in DISPLACED:
+                    swap(self._buffers.numpy(name), swapped)
         _check_memory(triangles * 4**meshlet)
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
@@ -166,18 +168,18 @@ class SurfaceBuilder:
             },
         )
         if not self._whole:
-            surface = self._end_at_rim(surface, domain, prefix)
+            surface = self._end(surface, domain, prefix)
         self._shown = showing
         return surface
 
-    def _end_at_rim(self, surface: Surface, domain: Domain, prefix: str) -> Surface:
-        """Cut away what is beyond the rim, in the builder's memory: the points of the leaves are there again once what
+    def _end(self, surface: Surface, domain: Domain, prefix: str) -> Surface:
+        """Cut it at the rim and at holes, in the builder's memory: the points of the leaves are there again once what
         was swapped is swapped back."""
 
         def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
             return self._buffers.extend(name if name in DISPLACED else prefix + BUFFERS.get(name, name), count)
 
-        surface, self._swapped = cut.cut(surface, cut.rims(domain), room=room, threads=self._threads)
+        surface, self._swapped = borders.end(surface, self._field, domain, room=room, threads=self._threads)
         return surface
 
     def _weld_slices(self, leaves: Leaves, domain: Domain, triangles: int, vertices: int, edges: int) -> None:

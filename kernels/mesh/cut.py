@@ -56,6 +56,38 @@ def list_near(
 
 
 @wp.kernel
+def flag_holes(
+    offset: int,
+    corner: wp.vec2d,
+    step: wp.vec2d,
+    columns: int,
+    rows: int,
+    positions: wp.array(dtype=wp.vec3f),
+    corner_verts: wp.array(dtype=wp.int32),
+    valid: wp.array(dtype=wp.uint8),
+    flags: wp.array(dtype=wp.uint8),
+):
+    """Flag a triangle whose middle is in a cell with a sample that is not valid.
+
+    `corner`: the raster's south-western one; `columns`, `rows`: its samples.
+    """
+    t = offset + wp.tid()
+    x = wp.float64(0.0)
+    y = wp.float64(0.0)
+    for c in range(3):
+        p = positions[corner_verts[3 * t + c]]
+        x += wp.float64(p[0]) - corner[0]
+        y += wp.float64(p[1]) - corner[1]
+    i = wp.clamp(wp.int32(x / (wp.float64(3.0) * step[0])), 0, columns - 2)
+    j = wp.clamp(wp.int32(y / (wp.float64(3.0) * step[1])), 0, rows - 2)
+    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    above = at + wp.int64(columns)
+    one = wp.int64(1)
+    if wp.min(wp.min(valid[at], valid[at + one]), wp.min(valid[above], valid[above + one])) == wp.uint8(0):
+        flags[t] = wp.uint8(1)
+
+
+@wp.kernel
 def put_on_line(tolerance: wp.float64, m: Cut):
     """A vertex that is nearer to where an edge would be cut than this part of the edge is on the line: no sliver."""
     for i in range(m.counts[LISTED]):

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes that end at the rim of a raster and at its holes: exactly there, welded, and the bound holds up to it."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.fit.fit import fit
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from cut_surfaces import areas, assert_welded
+from invariants import arrays
+from own_surface import distances
+
+
+def raster(width: int, height: int, missing: int = 0) -> np.ndarray:
+    """Rough ground; samples that are missing lie in a block, on the rim and scattered."""
+    y, x = np.mgrid[:height, :width]
+    random = np.random.default_rng(width)
+    heights = 90.0 * np.sin(x / 17.0) * np.cos(y / 13.0) + 2.0 * random.standard_normal((height, width))
+    if missing:
+        heights[height // 3 : height // 2, width // 4 : width // 2] = heights[0, width // 2] = heights[-1, -1] = np.nan
+        heights[random.integers(height, size=missing), random.integers(width, size=missing)] = np.nan
+    return heights.astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (7, 200), (97, 50), (130, 33), (65, 33)])
+@pytest.mark.parametrize(("error_m", "meshlet"), [(1e9, 0), (8.0, 0), (8.0, 2), (0.8, 1)])
+def test_the_mesh_ends_exactly_on_the_rim(size, error_m, meshlet):
+    field = from_array(raster(*size), 8.0, 4.0)
+    criterion = Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)
+    surface = Terrain(field, 1).update(criterion).surface
+    place = surface.positions[assert_welded(surface)][:, :, :2]
+    west, south, east, north = field.lattice.rectangle()
+    assert ((place == (west, south)) | (place == (east, north))).all(axis=1).any(axis=1).all()
+    assert areas(surface).sum() == (east - west) * (north - south)
+    assert len(surface.positions) - len(surface.edges) + len(surface.level) == 1
+    for x, u in ((west, 0), (east, 1)):
+        assert (surface.uv[surface.positions[:, 0] == x, 0] == u).sum() >= 2
+    for y, v in ((south, 0), (north, 1)):
+        assert (surface.uv[surface.positions[:, 1] == y, 1] == v).sum() >= 2
+    assert surface.uv.min() == 0 and surface.uv.max() == 1
+    assert arrays(Terrain(field, 3).update(criterion).surface) == arrays(surface)
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+@pytest.mark.parametrize("missing", [0, 25])
+def test_a_flight_gives_the_meshes_of_terrains_that_know_of_no_other_frame(missing, meshlet):
+    """What is cut away from one frame's arrays is there again for the next one, which copies what stays."""
+    field = from_array(raster(300, 150, missing), 10.0, holes=True)
+    criterion, kept = Criterion(error_px=1.0, meshlet=meshlet), Terrain(field, 2)
+    for x in np.linspace(900.0, 1300.0, 6):
+        view = View.look((x, 300.0, 150.0), (x + 300.0, 900.0, 0.0), resolution=(320, 240))
+        assert arrays(kept.update(criterion, [view]).surface) == arrays(
+            Terrain(field, 1).update(criterion, [view]).surface
+        )
+
+
+@pytest.mark.parametrize("limit", [0, 2, 60, 500, 2000])
+def test_a_triangle_limit_counts_what_the_rim_adds(limit):
+    field = from_array(raster(64, 64, 20), 10.0, holes=True)
+    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=0.1, max_triangles=limit))
+    assert update.triangles <= max(limit, 4) and update.limited == "max_triangles"
+    assert update.leaves > 0.4 * limit
+
+
+@pytest.mark.parametrize("meshlet", [0, 1])
+@pytest.mark.parametrize("size", [(97, 50), (65, 65), (40, 200)])
+def test_holes_are_the_cells_of_missing_samples_and_the_bound_holds_beside_them(size, meshlet):
+    heights = raster(*size, missing=25)
+    field = from_array(heights, 10.0, holes=True)
+    missing = np.isnan(heights)
+    hole = missing[1:, 1:] | missing[:-1, 1:] | missing[1:, :-1] | missing[:-1, :-1]
+    for error_m in (5.0, 0.5):
+        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet))
+        surface = update.surface
+        border = assert_welded(surface)
+        assert areas(surface).sum() == 100.0 * (~hole).sum()
+        # The border runs along the sides of cells.
+        cells = surface.positions[border][:, :, :2] / np.float32(10.0) + (np.array(size, np.float32) - 1) / 2
+        assert ((cells == np.rint(cells)).all(axis=1) & (cells[:, 0] == cells[:, 1])).any(axis=1).all()
+        far = distances(np.where(missing, 0.0, heights), 10.0, 10.0, surface.positions, surface.corner_verts)
+        middles = far[2::4, 2::4]
+        assert np.array_equal(np.isnan(middles), hole) and np.nanmax(middles) <= error_m
+        far = far[np.kron(~hole, np.ones((4, 4), bool)).nonzero()]
+        assert not np.isnan(far).any() and 0.5 * error_m < far.max() <= error_m
+
+
+@pytest.mark.parametrize("missing", [0, 10])
+def test_a_fit_ends_where_the_mesh_of_an_update_does(missing):
+    heights = raster(97, 50, missing)
+    field = from_array(heights, 8.0, holes=True)
+    fitted = fit(field, 3.0)
+    plain = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=3.0))
+    assert_welded(fitted.surface)
+    assert areas(fitted.surface).sum() == areas(plain.surface).sum()
+    assert fitted.worst_m <= fitted.bound_m <= 3.0
+    if missing:  # what is fitted would be the filling, too: it is left to interpolation
+        assert fitted.rounds == 0 and arrays(fitted.surface) == arrays(plain.surface)
+    else:
+        assert fitted.rounds > 0 and len(fitted.surface.level) < plain.triangles
+
+
+def test_nothing_is_left_of_a_raster_whose_every_cell_is_a_hole():
+    heights = raster(33, 20)
+    heights[1::2, 1::2] = np.nan
+    update = Terrain(from_array(heights, 10.0, holes=True), 1).update(Criterion(error_px=0.0, error_m=1.0))
+    assert update.triangles == 0 and not len(update.surface.positions)

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 from ..cbt_terrain.ask.view import View
 from ..cbt_terrain.errors import TerrainError
@@ -21,7 +20,6 @@ FRAME_SIZES = (50_000, 250_000, MILLION)
 RESOLUTION = (1920, 1080)
 LENS_MM, SENSOR_MM = 36.0, 36.0
 FRAMES = SHORT_BLOCKS * RUNS + 1
-ARRAYS = ("positions", "normals", "uv", "corner_verts", "corner_edges", "edges", "level")
 
 
 def keep(field: HeightField, folder: Path) -> Path:
@@ -121,7 +119,7 @@ def surface_of(rough: HeightField, size: int, meshlet: int = 0):
     asked = partial(scenes.errors, meshlet=meshlet)
     px = scenes.pixels_for(rough, lambda _px: view, asked, size)
     surface = Terrain(rough).update(asked(px), [view]).surface
-    return SimpleNamespace(**{name: getattr(surface, name).copy() for name in ARRAYS}), px
+    return surface.copy(), px
 
 
 def seen_from(eye) -> View:

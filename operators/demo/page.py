@@ -146,7 +146,7 @@ def _table(frames: list[dict]) -> Table:
         ]
         for frame in frames
     ]
-    return Table(["Frame", "Triangles", "Vertices", "Screen bound", "Update, ms"], rows)
+    return Table(["Frame", "Triangles", "Vertices", "Bound", "Update, ms"], rows)
 
 
 def _chart(frames: list[dict]) -> str:

@@ -55,8 +55,8 @@ WORDS = [
     ("fitted", "Vertices are moved off the surface, within the bound."),
     (
         "geometric, precision, source",
-        "The parts of a bound: what triangles leave out, what float32 positions are off, by how much the source's own "
-        "heights may be rounded.",
+        "The parts of a bound: what is given to the triangles, what float32 positions take, and what the source's own "
+        "rounding takes.",
     ),
     ("hidden", "Points that lie in the picture behind other ground."),
     (

@@ -23,12 +23,12 @@ p { max-width: 42em; margin: 0 0 16px; }
   background: var(--line); border: 1px solid var(--line); }
 .figures div { background: var(--paper); padding: 18px 20px; }
 .figures b { display: block; font-size: 30px; font-weight: 600; line-height: 1.15; }
-.figures span, figcaption, th, td, svg text, .small {
+.figures span, figcaption, th, td {
   font-family: system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 .figures span { font-size: 14px; color: var(--soft); }
 figure { margin: 0 0 28px; }
 figure img { display: block; width: 100%; height: auto; }
-figcaption, .small { font-size: 14px; color: var(--soft); margin-top: 8px; }
+figcaption { font-size: 14px; color: var(--soft); margin-top: 8px; }
 .pair { display: grid; grid-template-columns: 1.78fr 1fr; gap: 20px; align-items: start; }
 @media (max-width: 760px) { .pair { grid-template-columns: 1fr; } h1 { font-size: 32px; } }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }

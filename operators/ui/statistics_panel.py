@@ -56,8 +56,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         except TerrainError as damaged:
             message(column, str(damaged), "INFO")
             return
-        follows = curve and not status.request.frozen
-        predicted = prediction_lines(status, curve, exact=bool(lines)) if follows else []
+        predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
         if predicted:
             column.separator()
         for line in predicted:

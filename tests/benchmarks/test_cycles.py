@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from adaptive_terrain.benchmarks import cycles_likeness
 from adaptive_terrain.benchmarks.cycles import similarity
 
 
@@ -34,3 +35,23 @@ def test_a_picture_is_like_itself_and_less_like_a_shifted_one():
     picture = np.repeat((128 + 90 * np.sin(x / 3) * np.cos(y / 4))[..., None], 3, axis=2).astype(np.float32)
     assert similarity(picture, picture) == 1.0
     assert 0.0 < similarity(picture, np.roll(picture, 2, axis=1)) < similarity(picture, np.roll(picture, 1, axis=1)) < 1
+
+
+@pytest.mark.parametrize(("least", "step"), [(0.06, 17), (1.0, 0), (2**-5.75, 23), (1e-3, 24)])
+def test_the_same_picture_is_the_coarsest_that_is_as_alike(monkeypatch, least, step):
+    """Pictures are numbers here: how alike they are to the grid's."""
+    rendered = []
+
+    def render(mode, px):
+        rendered.append((mode, px))
+        alike = {"grid": 1.0, "adaptive": 0.993, "bare": 0.5}.get(mode, 0.9911 if px <= least else 0.95)
+        said = {"ms": 9.0, "cpu_s": 2.0 if mode == "error" else 8.0, "triangles": int(1000 / px)}
+        return said | {"peak_mb": {"error": 900.0, "adaptive": 1300.0, "bare": 500.0}.get(mode)}, alike
+
+    monkeypatch.setattr(cycles_likeness, "_island", lambda folder: render)
+    monkeypatch.setattr(cycles_likeness, "similarity", lambda one, other: one)
+    time, memory = cycles_likeness.same_picture_rows(None)
+    assert time.figures["error_px"] == pytest.approx(2 ** (-step / 4)) and time.ratio == 0.25
+    assert time.figures["ssim"] == (0.9911 if step < 24 else 0.95), "a miss is told"
+    assert memory.ratio == 0.5 and time.size == memory.size == int(1000 / time.figures["error_px"])
+    assert len(rendered) == len(set(rendered)) <= 9, "each error once"

@@ -55,7 +55,7 @@ def test_a_browser_shows_the_page_with_every_picture(made, tmp_path):
     seen = opened(made / "index.html", tmp_path)
     assert not seen.errors and seen.wide <= 0
     assert len(seen.pictures) == 5 + len(demo.CROPS_PX) + 1 and all(there for _, there in seen.pictures)
-    assert seen.text.startswith("An island, seen from the air") and "Screen bound" in seen.text
+    assert seen.text.startswith("An island, seen from the air") and "Frame by frame" in seen.text
     (made / "frame_12.png").rename(made / "elsewhere.png")
     lacking = opened(made / "index.html", tmp_path)
     assert lacking.errors and [there for _, there in lacking.pictures].count(False) == 1

@@ -82,7 +82,7 @@ def test_it_keeps_a_curve_for_each_mode_and_the_errors_of_the_mesh(scene, add_te
     assert viewport.error == tuple(sorted({3.0, *PIXELS}, reverse=True)) and render.error == PIXELS
     update = session.update_object(terrain)
     assert dict(zip(viewport.error, viewport.triangles, strict=True))[3.0] == update.triangles
-    assert 0.0 < read_measured(settings.viewport)["vertical_max_m"] <= update.bound_m
+    assert 0.0 < read_measured(settings.viewport)["screen_px"]["max"] <= update.bound_px == 3.0
     status = session.record_of(terrain).status
     assert read_measured(settings.viewport)["digest"] == status.digest
     settings.viewport.error_px = 2.0

@@ -101,7 +101,7 @@ def updates(store: Path, rng: np.random.Generator) -> str:
         try:
             update = terrain.update(criterion, looks)
             assert_invariants(update.surface, lattice_of(store), criterion.meshlet)
-            assert not np.isnan([update.bound_px or 0.0, update.bound_m]).any()
+            assert not np.isnan([update.bound_px or 0.0, update.bound_m or 0.0]).any()
         except TerrainError as error:
             outcome = said(error)
     return outcome

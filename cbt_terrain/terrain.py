@@ -109,13 +109,18 @@ class Terrain:
         self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
         return update
 
+    def saved(self) -> tuple[bytes, dict]:
+        """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again."""
+        self._need_update()
+        meshlet, _, scale, offset = self._shape_key
+        return self.tree.to_bytes(), {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
+
     def restore(
         self, tree: bytes, *, meshlet: int = 0, vertical_scale: float = 1.0, vertical_offset: float = 0.0
     ) -> Update:
-        """The mesh of a tree that `tree.to_bytes()` has saved, without a criterion and a camera.
+        """The mesh of a saved tree, without a criterion and a camera: of what `saved` gives the same, byte for byte.
 
-        With the meshlet level and the heights of the update that left the tree it is the same mesh, byte for byte. Only
-        its bound in metres is known. Raises TerrainError for what is no tree of this height field.
+        Only its bound in metres is known. Raises TerrainError for what is no tree of this height field.
         """
         key = (tree, meshlet, vertical_scale, vertical_offset)
         if key == self._asked_key and not self._edited():
@@ -165,8 +170,7 @@ class Terrain:
         places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where a rim has
         cut triangles, their pieces are looked through too, which are listed once for a surface.
         """
-        if self._last is None:
-            raise TerrainError("The terrain has no triangles yet, so none is at a place; update it first.")
+        self._need_update()
         surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
         places = np.asarray(places, np.float64).reshape(-1, 2)
         found = locate(self.tree, lattice, places, meshlet)
@@ -175,6 +179,10 @@ class Terrain:
         if self._pieces is None or self._pieces.surface is not surface:
             self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
         return self._pieces.at(found, places)
+
+    def _need_update(self) -> None:
+        if self._last is None or self._shape_key is None:
+            raise TerrainError("The terrain has no mesh yet; update it first.")
 
     def _edited(self) -> bool:
         """Whether the tree is another one than the last update left."""

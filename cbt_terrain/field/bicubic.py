@@ -155,8 +155,8 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
         hierarchy.unite_ranges(lattice, ranges, threads)
 
 
-def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> None:
-    """Errors and bends, by way of how far the bicubic surface is from the bilinear one."""
+def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.ndarray:
+    """Errors and bends; returns how far the bicubic surface is from the bilinear one, as errors but not with bends."""
     lattice, off = field.lattice, np.zeros(field.lattice.node_count, np.float32)
     known = codes.decode(lattice, field.error, field.table)
     out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
@@ -174,3 +174,4 @@ def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> None:
             _launch(expand_kernels.add_centres, count, [wide, *inputs], threads)
         else:
             _launch(expand_kernels.add_sides, count, [wide, high, *inputs], threads)
+    return off

@@ -112,9 +112,8 @@ def from_array(
     """A height field in memory from a 2-D array of heights in metres, row 0 south.
 
     Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled, or
-    with `holes` cut out.
-    `source_max`: metres by which they may be rounded. `details` are further fields of HeightField: origin, crs,
-    provenance; `threads` limits the threads used.
+    with `holes` cut out. `source_max`: metres by which they may be rounded. `details` are further fields of
+    HeightField: origin, crs, provenance; `threads` limits the threads used.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)

@@ -12,10 +12,11 @@ of cells of side 2^(k-q), depth 2q + 2 the middles of their sides, and depth 2k 
 
 A walk goes from a diamond to its children, one or two bisections below and next to it, so what it reads together lies
 together. Group g holds the four depths with q = k - 1 - 2g and q = k - 2 - 2g: of the samples at multiples of 4^g all
-but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4, a cache line of float32 each, and
-pages of 8 x 8 tiles, the system's page: a line holds four bisections of one place, and as much of a memory-mapped array
-is read as the walk has gone through. The centres of the raster's cells follow as an image of their own. Entries of no
-diamond (one in sixteen: the vertices of the next group; and what fills the pages at the rim) are 0.
+but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4 and pages of 8 x 8 tiles: a cache
+line of errors, which are bytes, holds four bisections of four neighbouring places, and of a memory-mapped array as much
+is read as the walk has gone through. Ranges of heights are kept likewise, of every other sample. The centres of the
+raster's cells follow as an image of their own. Entries of no diamond (one in sixteen: the vertices of the next group;
+and what fills the pages at the rim) are 0.
 """
 
 from dataclasses import dataclass

@@ -21,9 +21,10 @@ def write_npz(path: Path, surface: Surface, origin, info: dict, tree: bytes = b"
     """Write a `Surface` to `path`, atomically.
 
     Entries: `positions` float32 [V, 3], metres about `origin` float64 [3]; `triangles` int32 [T, 3], counter-clockwise
-    seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree, if one is
-    given; and `info`, JSON text (no times, so that it is a function of the frame alone), with the domains and units of
-    the attributes under "attributes". Raises TerrainError for an attribute with the name of another entry.
+    seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree (see
+    `Terrain.restore`), if one is given; and `info`, JSON text (no times, so that it is a function of the frame alone),
+    with the domains and units of the attributes under "attributes". Raises TerrainError for an attribute with the name
+    of another entry.
     """
     about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {

@@ -47,7 +47,8 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
     field = session.record_of(obj).field
     step = 1 + (field.lattice.width - 1) // 2048
-    obj.data.materials.append(land_material(field.samples[::step, ::step], field.lattice.step_x * step))
+    every = slice(None, None, step)
+    obj.data.materials.append(land_material(field.heights(every, every), field.lattice.step_x * step))
     file = str((out / "island.blend").resolve())
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=file)

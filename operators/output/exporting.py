@@ -217,7 +217,7 @@ def write_piece(piece: Piece, path: Path) -> None:
     form = path.suffix[1:].lower()
     if form == "npz":
         with _written(path):
-            write_npz(path, piece.surface, piece.origin, piece.info)
+            write_npz(path, piece.surface, piece.origin, piece.info, piece.tree)
     elif form == "blend":
         write_blend([piece], path)
     else:

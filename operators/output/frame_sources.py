@@ -30,7 +30,8 @@ class Piece:
 
     `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
     the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
-    that surface may stay the engine's, until the next frame is asked for.
+    that surface may stay the engine's, until the next frame is asked for. `tree`: saved, see `Terrain.restore`; b"" of
+    a baked mesh.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Piece:
     update: Update
     info: dict
     obj: Any = None
+    tree: bytes = b""
 
 
 class StoreFrames:
@@ -71,12 +73,13 @@ class StoreFrames:
         """The terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view])
-        info = describe(update, self.criterion, [view], self.field) | {"frame": frame}
+        tree, how = self.terrain.saved()
+        info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..mesh.writer import write_mesh
 
             write_mesh(self.obj.data, update.surface)
-        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj)
+        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj, tree)
 
 
 class SceneFrames:
@@ -151,11 +154,12 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
-        surface = clean_up(session.shown_surface(session.record_of(obj), update), request.cleanup).copy()
-    field = session.record_of(obj).field
+        record = session.record_of(obj)
+        surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
+        field, (tree, how) = record.field, record.terrain.saved()
     info = describe(update, request.criterion, request.views, field, request.placement)
-    info |= {"frame": frame, **counts(surface)}
-    return Piece(file_name(obj), surface, field.origin, update, info, obj)
+    info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
+    return Piece(file_name(obj), surface, field.origin, update, info, obj, tree)
 
 
 def baked_piece(

@@ -160,8 +160,8 @@ def frozen_now(obj) -> str:
     """What `frozen` of the terrain's settings has to be so that it keeps the triangles that the viewport asks for."""
     with engine_lock:
         update_object(obj)
-        record = record_of(obj)
-        return frozen.to_text(record.terrain.tree.to_bytes(), record.status.request.criterion.meshlet)
+        tree, how = record_of(obj).terrain.saved()
+        return frozen.to_text(tree, how["meshlet"])
 
 
 def paint(record: Record, request: Request, update) -> None:

@@ -220,7 +220,7 @@ def test_a_store_keeps_the_raster_itself_and_the_steepest_slopes(tmp_path):
     np.save(source, hills(40, 60))
     run_import(ImportSettings(source=str(source), extent=(390.0, 590.0)), tmp_path / "store")
     kept, made = open_store(tmp_path / "store"), from_array(hills(40, 60)[::-1], 10.0)
-    assert kept.lattice.is_padded and np.array_equal(kept.samples, hills(40, 60)[::-1])
+    assert kept.lattice.is_padded and np.array_equal(kept.heights(), hills(40, 60)[::-1])
     assert np.array_equal(kept.error, made.error)
     assert (kept.steepest_x, kept.steepest_y) == (made.steepest_x, made.steepest_y) and made.steepest_x > 0
 

@@ -237,4 +237,5 @@ def test_threads_share_the_curve_by_cost(monkeypatch):
         half = leaves // 2
         refinement._last.work = np.array([half, leaves - half]), np.array(costs) * half
         _, cut, _ = refinement._cuts()
-        assert cut == refinement.tree.cell_of_leaf(int(share * leaves)) >> 6 << 6
+        near = (int(share * leaves) - 1, int(share * leaves))  # an odd number of leaves has no half
+        assert cut in [refinement.tree.cell_of_leaf(leaf) >> 6 << 6 for leaf in near]

@@ -319,7 +319,7 @@ def test_a_real_elevation_model_is_the_same_terrain_from_every_file(tmp_path):
     assert exr.key != whole[0].key and exr.source_max == 2.0**-14  # floats leave less open
     field = fields[0]
     assert (field.min_height, field.max_height) == (236.0, 1076.0)
-    assert np.array_equal(field.samples, heights[::-1]) and field.lattice.is_padded
+    assert np.array_equal(field.heights(), heights[::-1]) and field.lattice.is_padded
     tile, report = imported(tmp_path, tmp_path / "N36W085.hgt")
     assert report["filled"] == 1201 * 1201 - rows * columns
     assert (tile.min_height, tile.max_height) == (236.0, 1076.0)

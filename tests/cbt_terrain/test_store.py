@@ -281,6 +281,7 @@ def test_describe_names_units_and_is_plain_data(island):
     about = describe(island)
     assert about["samples"] == [129, 129] and about["extent_m"] == [8192.0, 8192.0]
     assert about["highest_m"] > 1000.0 and about["largest_error_m"] > 0.0
+    assert 7.0 < about["bytes_per_sample"] < 16.0  # of a small raster, with its padding
     json.dumps(about)
     with pytest.raises(TerrainError, match="no terrain store"):
         describe(island / "nowhere")

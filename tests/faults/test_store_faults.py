@@ -77,17 +77,16 @@ VIEWS = [[View.look((60.0 * k, -900.0, 500.0), (0, 0, 0))] for k in range(3)]
 
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("meshlet", [0, 2])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -1e9, "random"])
+@pytest.mark.parametrize("value", [0, 128, 255, "random"])
 def test_errors_that_are_anything_give_a_mesh_or_one_sentence(store, monkeypatch, value, meshlet, threads):
-    """In every second entry, so that nothing is nested; and the terrain goes on with what still can be had. What is not
-    a number or negative counts as none, which may be a coarser mesh without a fault."""
+    """In every second entry, so that nothing is nested; and the terrain goes on with what still can be had."""
     from adaptive_terrain.cbt_terrain.run import launch
 
     monkeypatch.setattr(launch, "SLICE_ITEMS", 50)
     file = next(store.glob("data-*/error.npy"))
     if value == "random":
-        value = np.random.default_rng(0).lognormal(0, 9, (len(np.load(file)) + 1) // 2)
-    overwrite(file, value, slice(None, None, 2))
+        value = np.random.default_rng(0).integers(0, 256, (len(np.load(file)) + 1) // 2)
+    overwrite(file, value, slice(None, None, 2), np.uint8)
     terrain, refused = Terrain(open_store(store), threads), 0
     for view in VIEWS:
         try:
@@ -97,8 +96,7 @@ def test_errors_that_are_anything_give_a_mesh_or_one_sentence(store, monkeypatch
             refused += 1
             continue
         assert_invariants(update.surface, terrain.field.lattice, meshlet)
-    assert refused == 3 or value not in (np.inf, 3e38, "random") or meshlet
-    assert refused == 3 or not meshlet or value == 3e38, "errors for meshlets are made of all errors"
+    assert refused == 3 or isinstance(value, int) and value < 255 or meshlet
     whole = terrain.update(Criterion(error_px=0, error_m=1e9), VIEWS[0])  # needs no error below the roots
     assert_invariants(whole.surface, terrain.field.lattice)
 
@@ -116,7 +114,7 @@ def test_heights_that_are_not_finite_do_not_reach_a_mesh(store, value):
 
 def test_info_verify_names_the_block(store, run_command):
     file = next(store.glob("data-*/error_m1.npy"))
-    overwrite(file, 7.0, 5, fits=False)
+    overwrite(file, np.load(file)[5] ^ 1, 5, np.uint8, fits=False)
     done = run_command("info", "--verify", store)
     assert done.returncode == 1 and "error_m1.npy is damaged (block 1 of 1, bytes 4096 to" in done.stderr
     assert "delete the file" in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -11,9 +11,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import (
-    mesh_heights,
     random_view,
-    reference_heights,
     rough,
     sample_position,
     scattered,

@@ -65,7 +65,8 @@ def test_a_frame_is_arrays_with_what_they_mean(export):
         "edges": ("int32", (2,)),
         "normals": ("float32", (3,)),
         "uv": ("float32", (2,)),
-        "level": ("int32", ()),
+        "terrain_level": ("int32", ()),
+        "tree": ("uint8", ()),
     }
     assert info["triangles"] == len(mesh["triangles"]) > 100
     assert len(mesh["positions"]) - len(mesh["edges"]) + len(mesh["triangles"]) == 1

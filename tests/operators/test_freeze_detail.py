@@ -5,6 +5,9 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.scene import frozen, session
 from adaptive_terrain.operators.scene.request import Overrides
@@ -68,6 +71,22 @@ def test_renders_and_exports_keep_them_unless_a_command_asks_for_others(terrain)
     assert len(scene_piece(terrain, depsgraph, 1).surface.triangles) == shown > free
     asked = scene_piece(terrain, depsgraph, 1, overrides=Overrides(error_px=8.0))
     assert len(asked.surface.triangles) == free
+
+
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_an_export_has_the_tree_and_with_it_its_mesh(terrain, tmp_path, is_frozen):
+    settings = terrain.adaptive_terrain
+    settings.render.error_px, settings.render.meshlet, settings.vertical_offset = 8.0, 1, 3.0
+    if is_frozen:  # to what the viewport shows, which has no meshlets
+        freeze()
+        look_from(-2500.0)
+    assert bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "a.npz")) == {"FINISHED"}
+    file = read_npz(tmp_path / "a.npz")
+    assert file["info"]["frozen"] is is_frozen and file["info"]["tree"]["meshlet"] == (0 if is_frozen else 1)
+    again = Terrain(open_store(settings.store)).restore(file["tree"].tobytes(), **file["info"]["tree"])
+    for name, array in again.surface.arrays().items():
+        assert name.startswith("corner_") or (file[name] == array).all(), name
+    assert (file["triangles"] == again.surface.triangles).all()
 
 
 def test_it_survives_the_file(terrain, tmp_path):

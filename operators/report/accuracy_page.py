@@ -194,8 +194,8 @@ def strip(subject, prefix: str) -> list[Strip]:
     ]
     where = f"frame {subject.numbers[0]}" if subject.numbers else "the picture"
     said = (
-        f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn in "
-        f"its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
+        f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
+        f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
     )
     return [Strip(shown), Text(said)] if shown else []
 

@@ -4,7 +4,7 @@
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.tree.bisection import diamond, from_tree_id, parent, to_tree_id
+from bisection import diamond, from_tree_id, parent, to_tree_id
 from fields import errors_of, least_triangles
 from hypothesis import given
 from hypothesis import strategies as st

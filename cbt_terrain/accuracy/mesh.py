@@ -15,7 +15,7 @@ from ..errors import TerrainError
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
-from ..refine.refinement import PLANE_BITS
+from ..refine.domain import PLANE_BITS
 from ..run import launch
 from ..run.buffers import shared
 

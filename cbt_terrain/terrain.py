@@ -166,16 +166,16 @@ class Terrain:
         )
 
     def triangles_at(self, places: np.ndarray) -> np.ndarray:
-        """Which triangle of the last update's surface is at each place: int64 [n], -1 beyond the raster.
+        """Which triangle of the last update's surface is at each place: int64 [n]; -1 in holes and beyond the raster.
 
-        places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where a rim has
-        cut triangles, their pieces are looked through too, which are listed once for a surface.
+        places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where triangles
+        were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
         """
         self._need_update()
         surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
         places = np.asarray(places, np.float64).reshape(-1, 2)
         found = locate(self.tree, lattice, places, meshlet)
-        if not lattice.is_padded:
+        if not lattice.is_padded and self.field.valid is None:
             return found
         if self._pieces is None or self._pieces.surface is not surface:
             self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
@@ -217,9 +217,9 @@ class Terrain:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or not most:
+            if over <= 0 or leaves.total > most:
                 break
-            most = max(0, most - math.ceil(over / 4**criterion.meshlet))
+            most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
         self._shape_key = shape
         outcome = Outcome(
             domain=domain,

@@ -7,6 +7,8 @@ import numpy as np
 
 from .surface import Surface
 
+ROUNDED = 4 * float(np.finfo(np.float32).eps)  # by which part of the largest coordinate a corner may be off its place
+
 
 @dataclass(frozen=True)
 class Pieces:
@@ -24,8 +26,8 @@ class Pieces:
         return cls(surface, order, whole[order])
 
     def at(self, whole: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """int64 [n]: of the pieces of the triangles `whole`, int64 [n], those at `places`, float64 [n, 2] in metres, or
-        nearest to them; -1 where there is none."""
+        """int64 [n]: of the pieces of the triangles `whole`, int64 [n], those at `places`, float64 [n, 2] in metres; -1
+        where none is but for the rounding of their corners."""
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
         found, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
         for k in range(int((end - first).max(initial=0))):
@@ -34,7 +36,8 @@ class Pieces:
             inside = _depth(self.surface.positions[self.surface.triangles[triangles], :2], places[rows])
             deeper = inside > depth[rows]
             found[rows[deeper]], depth[rows[deeper]] = triangles[deeper], inside[deeper]
-        return found
+        slack = ROUNDED * float(np.abs(self.surface.positions[:, :2]).max(initial=0.0))
+        return np.where(depth >= -slack, found, -1)
 
 
 def middles(surface: Surface) -> np.ndarray:

@@ -3,11 +3,11 @@
 
 import random
 
+import bisection
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree import bisection
 from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -6,6 +6,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.location import locate
 from fields import rough
@@ -45,6 +46,22 @@ def test_each_triangle_is_at_its_own_middle():
         surface = terrain.update(Criterion(error_px=2.0), [VIEW]).surface
         middles = surface.positions[surface.triangles, :2].astype(np.float64).mean(axis=1)
         assert (terrain.triangles_at(middles) == np.arange(len(middles))).all()
+
+
+def test_in_a_hole_there_is_no_triangle():
+    samples = np.array(rough(50, 66).samples)
+    samples[20:30, 30:44] = samples[0, 5] = samples[-1, -1] = np.nan
+    field = from_array(samples, 10.0, holes=True)
+    terrain = Terrain(field, 1)
+    surface = terrain.update(Criterion(error_px=4.0), [VIEW]).surface
+    middles = surface.positions[surface.triangles, :2].astype(np.float64).mean(axis=1)
+    assert (terrain.triangles_at(middles) == np.arange(len(middles))).all()
+    # In the raster's cells with a corner that is missing, and nowhere else, is nothing.
+    cells = np.random.default_rng(3).uniform((0, 0), (65, 49), (600, 2))
+    i, j = cells.astype(int).T
+    in_hole = np.isnan([samples[j + dy, i + dx] for dy in (0, 1) for dx in (0, 1)]).any(axis=0)
+    found = terrain.triangles_at((cells - (32.5, 24.5)) * 10.0)
+    assert 20 < in_hole.sum() and ((found < 0) == in_hole).all()
 
 
 def test_a_leaf_is_found_and_is_that_of_the_tree():

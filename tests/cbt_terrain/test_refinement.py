@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.tree.bisection import from_tree_id
+from bisection import from_tree_id
 from fields import errors_of, extent, random_view, ranges_of, rough
 from reference_bisection import forced_split_leaves
 

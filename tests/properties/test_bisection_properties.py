@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heap ids, vertices, neighbours and diamonds of longest-edge bisection, at any depth and on any grid."""
 
+import bisection
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree import bisection
 from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from hypothesis import given
 from hypothesis import strategies as st

@@ -10,10 +10,9 @@ Conforming split and merge edit a tree by hand; a refinement for a view needs ne
 """
 
 import numpy as np
-
-from ..errors import TerrainError
-from ..field.lattice import Lattice
-from .concurrent_tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 
 MAX_DEPTH = 62  # ids fit int64, and so do squared edge lengths in units
 

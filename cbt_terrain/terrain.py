@@ -19,7 +19,8 @@ from .field.heightfield import HeightField
 from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface, SurfaceBuilder, TornMesh
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
-from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from .refine.domain import depth_limit, make_domain
+from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding, weighed_as
 from .run import launch

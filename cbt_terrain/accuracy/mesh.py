@@ -15,7 +15,7 @@ from ..errors import TerrainError
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
-from ..refine.refinement import PLANE_BITS
+from ..refine.domain import PLANE_BITS
 from ..run import launch
 from ..run.buffers import shared
 
@@ -67,7 +67,7 @@ class Ground:
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
-        # The lattice of the finest mesh: as many bits a side as refinement.depth_limit allows.
+        # The lattice of the finest mesh: as many bits a side as domain.depth_limit allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         g = self.packed = kernels.Ground()
         g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
@@ -122,17 +122,20 @@ class MeasuredMesh:
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
         """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.
 
-        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample.
+        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; where the
+        terrain has holes, such samples are taken for theirs and count 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
         self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):
-            missing = int(np.isnan(difference).sum())
-            raise TerrainError(
-                f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
-            )
+            if self.ground.field.valid is None:
+                missing = int(np.isnan(difference).sum())
+                raise TerrainError(
+                    f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
+                )
+            np.nan_to_num(difference, copy=False)
         return difference, worst
 
     def edge_extremes(self, worst: np.ndarray) -> np.ndarray:

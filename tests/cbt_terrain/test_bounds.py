@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST, Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, HeightField
@@ -304,3 +305,20 @@ def test_nothing_in_view_is_a_bound_of_nothing(crop):
     found = Terrain(crop.field, 1).update(Criterion(), [view])
     assert found.bound_px == 0.0 and found.limited == "" and sum(vars(found.terms_px).values()) == 0.0
     assert len(found.surface.level) == 5, "two triangles a root square, cut at the rim"
+
+
+def test_from_above_a_lower_shading_floor_takes_fewer_triangles_and_the_bound_holds(crop):
+    view = View.look((0, 0, 9000.0), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=192 * 30.0)
+    aside = View.look((0, -3000.0, 900.0), (0, 0, 300.0))
+    counts, beside = [], set()
+    for floor in (1.0, 0.5, 0.1, 0.0):
+        criterion = Criterion(shading_floor=floor)
+        found = Terrain(crop.field, 1).update(criterion, [view])
+        check(found, crop, [view], np.eye(4), 1.0, 0.0)
+        counts.append(found.triangles)
+        beside.add(Terrain(crop.field, 1).update(criterion, [aside]).triangles if floor < 1 else 0)
+    assert counts[0] > 1.5 * counts[1] > 6 * counts[2] > 6 * counts[3] == 6 * 5
+    assert len(beside - {0}) == 1, "where errors show from the side the floor does not count"
+    for wrong in (-0.1, 1.1, math.nan):
+        with pytest.raises(TerrainError, match="The shading floor is .*; expected a number from 0 to 1"):
+            Criterion(shading_floor=wrong)

@@ -13,18 +13,18 @@ ATTEMPTS = 3
 
 # (row, size): the largest ratio that is good enough.
 GOALS: dict[tuple[str, int], float] = {
-    ("refine_1t", 5_500): 1.0,
-    ("refine_1t", 50_000): 0.4,
-    ("refine_1t", 500_000): 0.15,
-    ("refine_1t", 1_000_000): 0.15,
+    ("refine_1t", 5_500): 3.0,
+    ("refine_1t", 50_000): 2.2,
+    ("refine_1t", 500_000): 0.35,
+    ("refine_1t", 1_000_000): 0.25,
     ("refine_2t", 500_000): 0.10,
     ("refine_2t", 1_000_000): 0.10,
-    ("refine_error", 1_000_000): 0.4,
+    ("refine_error", 1_000_000): 0.30,
     ("still", 1_000_000): 0.002,
-    ("surface", 1_000_000): 0.4,
+    ("surface", 1_000_000): 0.38,
     ("meshlets", 1_000_000): 0.4,
     ("ingest", 1_000_000): 0.15,
-    ("frame", 1_000_000): 0.35,
+    ("frame", 1_000_000): 0.17,
     ("program_ingest", 1_000_000): 0.15,
     ("program_frame", 1_000_000): 0.35,
     ("depth", 500_000): 1.15,
@@ -43,20 +43,7 @@ GOALS: dict[tuple[str, int], float] = {
 
 # Rows known to fall short of their goal: the ratio that was measured, and what holds it, for docs/performance.md. Those
 # that are at SLACK times their goal or beyond may not become worse than SLACK times that ratio.
-GROUND = (
-    "the walk over level ground looks at a footprint a leaf, and at some more above; by its profile two thirds of the "
-    "time are footprints and the loop around them."
-)
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
-    ("refine_1t", 5_500): (
-        1.01,
-        GROUND + " A fifth of the time passes before the first leaves, in launches from Python.",
-    ),
-    ("refine_1t", 50_000): (0.43, GROUND),
-    ("refine_2t", 500_000): (
-        0.11,
-        GROUND + " From run to run 0.05 to 0.12: two threads have both cores only while the host does nothing else.",
-    ),
     ("surface", 1_000_000): (
         0.55,
         "from minute to minute 0.33 to 0.55: half of it is the refinement for an error, on two threads: nine leaves "

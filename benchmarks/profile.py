@@ -29,8 +29,6 @@ from .profiles import (
     DISPLACE,
     ERRORS,
     FILE,
-    FOOTPRINT,
-    GROUND,
     KEPT,
     LEAF,
     MERGED,
@@ -52,86 +50,43 @@ SECONDS = 4.0
 CYCLES_SECONDS = 30.0
 LAPS = 75  # frames of a flight, as in the benchmark; then it starts again
 LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
-# A function that the walk calls, to its part.
-CALLED = {
-    **dict.fromkeys(("error_at", "fetch_ahead", "leaves_tile"), ERRORS),
-    **dict.fromkeys(("metres2_of", "quiet"), BAND_TEST),
+# The walk's functions, each to its part; what they call is theirs where it is not named. The loop itself is DESCENT.
+PARTS = {
+    **dict.fromkeys(("error_at", "fetch_children", "fetch_ahead"), ERRORS),
+    "judge": BAND_TEST,
     "diamond_at": BOX,
-    **dict.fromkeys(("finest", "sizes", "too_coarse"), PIXEL),
-    **dict.fromkeys(("band_below", "remembered_at"), BAND),
-    **dict.fromkeys(("plan_of", "heights_between", "put_limits", "limits_at", "spans", "most_below"), FOOTPRINT),
-    **dict.fromkeys(("splits_at", "shape_below"), FOOTPRINT),
-    **dict.fromkeys(("next_kept", "carried", "within", "take", "keep_taken"), KEPT),
-    **dict.fromkeys(("open_subtree", "turning_span", "unmeasured_below", "close_subtree"), KEPT),
-    **dict.fromkeys(("write_block", "new_vertices", "number_cells", "write_shape", "place_starts"), BLOCK),
-    **dict.fromkeys(("left_state", "right_state"), DESCENT),
-    **dict.fromkeys(("is_apart", "is_inside", "leaf_word", "put_leaf", "put_cell", "end_of_entry", "third_edge"), LEAF),
-    "border_role": LEAF,
+    **dict.fromkeys(("measured_at", "finest", "too_coarse"), PIXEL),
+    "band_below": BAND,
+    **dict.fromkeys(("begin_keeping", "take", "looks_for_subtree", "open_subtree", "note_turning"), KEPT),
+    "close_subtree": KEPT,
+    "emit_block": BLOCK,
+    **dict.fromkeys(("emit", "stands_alone"), LEAF),
+    **dict.fromkeys(("square_at", "enter", "advance"), DESCENT),
 }
-# What is left of functions that call those.
-LOOPS = {"measured_at": PIXEL, "walk_level_ground": GROUND}
-# The walk's own lines, from each of these on, in their order.
-LINES = (
-    ("if kept_cell <= at:", KEPT),
-    ("x = (left_x + right_x) >> 1", BAND_TEST),
-    ("if below == LEVEL_GROUND", GROUND),
-    ("error = wp.float32(0.0)", BAND_TEST),
-    ("memory = wp.int32(0)", BAND),
-    ("m = measured_at(", PIXEL),
-    ("band = band_below(", BAND),
-    ("span = wp.sqrt(m.pixel2)", KEPT),
-    ("band.x = x", BAND),
-    ("near2 = m.pixel2 * limits.below", PIXEL),
-    ("levels = below - depth", BLOCK),
-    ("if below == 0:", DESCENT),
-    ("room = wp.where(n.leaves", LEAF),
-    ("# On along the curve", DESCENT),
-    ("if end > wp.uint64(0) and square_cell", KEPT),
-    ("if top == 0 or", DESCENT),
-)
 # Kernels by their module, where it is not the walk's.
 MODULES = {
-    "tree": COUNTERS,
+    "sum_reduction": COUNTERS,
     "count": SEARCH,
     "weld": WELD,
     "weld_border": WELD,
     "displace": DISPLACE,
     "ingest": OUR_WRITER,
 }
-KERNELS_OF_REFINEMENT = ("refine.", "tree.")
+KERNELS_OF_REFINEMENT = ("walk.", "sum_reduction.")
 CYCLES_SYNC = ("create_mesh", "ccl::Mesh::", "GuardedAllocator", "BlenderSync", "MeshManager", "GeometryManager")
 
 
 def part_of(sample: Sample) -> str:
     """Which part of a row's work a sample belongs to."""
     module, _, _ = sample.kernel.partition(".")
-    if module == "refine":
+    if module == "walk":
         if not sample.frames:
             return MERGED
-        if len(sample.frames) > 1:
-            called = [CALLED[name] for _, name, _ in sample.frames[1:] if name in CALLED]
-            return called[0] if called else LOOPS.get(sample.frames[1][1], DESCENT)
-        return walk_part(sample.frames[0][2])
+        named = [PARTS[name] for _, name, _ in sample.frames if name in PARTS]
+        return named[-1] if named else DESCENT
     if module:
         return MODULES.get(module, OTHER)
     return _outside(sample.library, sample.symbol)
-
-
-def walk_part(line: int) -> str:
-    """The part of a line of kernels/refine/walk.py inside the walk."""
-    return next((part for first, part in reversed(walk_lines()) if line >= first), DESCENT)
-
-
-def walk_lines() -> list[tuple[int, str]]:
-    """First line and part, ascending. Raises TerrainError where the walk has changed and LINES has not."""
-    from ..kernels.refine import walk as refine
-
-    text = Path(refine.__file__).read_text(encoding="utf-8").splitlines()
-    found = [([i for i, line in enumerate(text, 1) if mark in line], mark, part) for mark, part in LINES]
-    for lines, mark, _ in found:
-        if len(lines) != 1:
-            raise TerrainError(f"kernels/refine/walk.py has {mark!r} on {len(lines)} lines; mend LINES in {__file__}.")
-    return [(lines[0], part) for lines, _, part in found]
 
 
 def _outside(library: str, symbol: str) -> str:
@@ -219,7 +174,6 @@ def main() -> None:
     from .report import write_text  # imports kernels, which must wait for `with_lines`
 
     sampling.need_tools()
-    walk_lines()
     profiles = []
     with tempfile.TemporaryDirectory(prefix="adaptive-terrain-profile-") as folder:
         for row, size, scene, seconds, work, kernels in scenes_of_rows(Path(folder)):

@@ -7,9 +7,8 @@ from pathlib import Path
 FILE = Path(__file__).with_name("profiles.json")
 DESCENT, BAND_TEST, BAND = "walk: stack and branches", "walk: errors against bands", "walk: bands made"
 ERRORS, BOX, PIXEL = "walk: errors read", "walk: boxes of diamonds", "walk: pixels on a box"
-LEAF, BLOCK, MERGED = "walk: leaves written", "walk: blocks and shapes", "walk: not attributed"
+LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not attributed"
 KEPT = "walk: subtrees kept and taken"
-GROUND, FOOTPRINT = "walk: level ground", "walk: footprints"
 COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"
 SEARCH = "search for a triangle limit"
 SYSTEM, COPY, PYTHON = "the system: memory's pages", "memory copied or cleared", "Python and numpy"
@@ -24,10 +23,8 @@ MEANING = {
     BOX: "height ranges read, the box of a diamond made of them",
     PIXEL: "what a pixel spans at the nearest point of the box, frustum included; compared with what was asked",
     BAND: "the coarsest pixel on the box and the depths that are certain below it",
-    LEAF: "codes, points and cells of single leaves",
-    BLOCK: "even blocks and shapes: leaves copied from a table",
-    GROUND: "subtrees on level ground where only edges ask: stack, branches, what is carried along",
-    FOOTPRINT: "what a pixel spans at a diamond's footprint, held against the limits of its depth",
+    LEAF: "words, points and cells of single leaves",
+    BLOCK: "even blocks: leaves copied from a table",
     KEPT: "what the last frame has found copied, what the next one may copy noted",
     MERGED: "instructions that the compiler made of several lines",
     COUNTERS: "the tree's cells compared with the last ones, counters above changed ones",

@@ -20,7 +20,8 @@ from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
-from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from .refine.domain import depth_limit, make_domain
+from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding, weighed_as
 from .run import launch
@@ -217,9 +218,9 @@ class Terrain:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or not most:
+            if over <= 0 or leaves.total > most:
                 break
-            most = max(0, most - math.ceil(over / 4**criterion.meshlet))
+            most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
         self._shape_key = shape
         outcome = Outcome(
             domain=domain,

@@ -76,11 +76,13 @@ CASES = {
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",
+    62: "A raster that does not fit the lattice",
     63: "Height maps that are attacks",
     64: "A store with anything in it",
     65: "Interrupts at random times",
     67: "A terrain 32 km wide in a fresh scene",
     68: "A background render whose mesh is stale",
+    69: "A source 7 samples wide and 1,024 long",
 }
 
 HEAD = """\

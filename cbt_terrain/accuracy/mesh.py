@@ -15,7 +15,7 @@ from ..errors import TerrainError
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
-from ..refine.refinement import PLANE_BITS
+from ..refine.domain import PLANE_BITS
 from ..run import launch
 from ..run.buffers import shared
 
@@ -122,11 +122,17 @@ class MeasuredMesh:
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
         """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.
 
-        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample.
+        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; where holes
+        are cut out, what it does not cover, and what is no ground, are 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
         self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
+        valid = self.ground.field.valid
+        if valid is not None:
+            beside = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
+            ground = np.lib.stride_tricks.sliding_window_view(beside, (2, 2)).any(axis=(2, 3))
+            difference[np.isnan(difference) | ~ground] = 0.0
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):
             missing = int(np.isnan(difference).sum())

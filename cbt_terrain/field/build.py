@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import launch
-from . import codes, hierarchy, resample
+from . import cleaning, codes, hierarchy
 from .heightfield import HeightField
 from .holes import refine_borders
 from .lattice import Lattice, fit
@@ -73,7 +73,7 @@ def build(
         np.isfinite(samples, out=valid.view(bool))
         measured = samples.copy()
     if missing:
-        resample.fill_missing(samples, threads)
+        cleaning.fill_missing(samples, threads)
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
     climb_x, climb_y = hierarchy.climbs(samples)
@@ -121,7 +121,7 @@ def from_array(
         raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}: expected a 2-D array of real numbers.")
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
-    raster, missing = resample.clean_rows(resample.widen(samples))
+    raster, missing = cleaning.clean_rows(cleaning.widen(samples))
     asked = {"threads": details.pop("threads", None), "holes": details.pop("holes", False)}
     built = build(np.ascontiguousarray(raster), step_x, step_y, missing=missing, source_max=source_max, **asked)
     for name, value in details.items():

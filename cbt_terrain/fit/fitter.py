@@ -29,7 +29,8 @@ from ..field.heightfield import HeightField
 from ..mesh.borders import in_holes
 from ..mesh.builder import SurfaceBuilder
 from ..mesh.surface import Surface
-from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement, depth_limit, make_domain
+from ..refine.domain import depth_limit, make_domain
+from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
 from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared

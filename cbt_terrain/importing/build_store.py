@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import codes, resample, store
+from ..field import cleaning, codes, store
 from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
@@ -200,9 +200,9 @@ def _read_heights(
             with np.errstate(over="ignore", invalid="ignore"):
                 rows = rows.astype(np.float64) * scale + offset
         if raster.width == 1 or raster.height == 1:
-            rows = resample.widen(rows)
+            rows = cleaning.widen(rows)
         exact = rows
-        rows, absent = resample.clean_rows(exact, settings.source)
+        rows, absent = cleaning.clean_rows(exact, settings.source)
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))

@@ -12,7 +12,7 @@ import warp as wp
 from ...kernels.mesh import cut as kernels
 from ...kernels.refine.diamond import Domain
 from ..field.heightfield import HeightField
-from ..refine.refinement import NO_RIM
+from ..refine.domain import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
 from .cut import Room, Side, copied, cut, drop, rim

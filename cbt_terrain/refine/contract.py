@@ -111,8 +111,8 @@ def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
         return None
     wanted = math.sqrt(2 * criterion.area_px) * o.relaxed
     over, longer = o.stopped_above(AREA, wanted * spans.edge), spans.excess_of_edges(o.deepest)
-    side = over.most / spans.edge if over else wanted
-    return Bound(0.5 * (side * longer) ** 2, _of_edges(over, longer))
+    area = 0.5 * (over.most / spans.edge) ** 2 if over else criterion.area_px * o.relaxed**2
+    return Bound(area * longer**2, _of_edges(over, longer))
 
 
 def _fixed(o: Outcome) -> float:

@@ -15,10 +15,7 @@ from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
 from ...kernels.refine.sum_reduction import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
-from ..field import codes
 from ..field.heightfield import HeightField
-from ..field.lattice import MAX_MESHLET, Lattice
-from ..field.meshlet_errors import error_for
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared
 from ..tree.cell_streams import AHEAD
@@ -26,18 +23,7 @@ from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
 from .block_tables import blocks
 from .budget import Budget, Found, limit_of
 from .drift import MOST_DRIFT, Walked, move
-from .terms import Rounding
 
-# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
-PLANE_BITS = 23
-# Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
-MAX_TREE_DEPTH = curve.DEEPEST
-# An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
-# a bound a fifth smaller.
-ENOUGH = 0.25
-EXACT = Rounding()
-# Beyond all coordinates.
-NO_RIM = 2**31 - 1
 # Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
@@ -79,57 +65,6 @@ class Leaves:
     @property
     def total(self) -> int:
         return int(self.counts[:, 0].sum())
-
-
-def depth_limit(field: HeightField) -> int:
-    """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
-    lattice = field.lattice
-    side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
-    return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
-
-
-def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
-    """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
-    bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
-    return tuple(NO_RIM if cells == span else cells << bits for cells, span in sides)
-
-
-def make_domain(
-    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding = EXACT
-) -> Domain:
-    """The height field as the kernels read it; memory is shared, nothing is read.
-
-    rounding: what float32 positions do, see `terms.rounding`.
-    """
-    lattice = field.lattice
-    domain = Domain()
-    domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
-    domain.unit_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
-    domain.width, domain.height = lattice.width, lattice.height
-    unit = 2.0 ** (lattice.levels - domain.unit_bits)
-    domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
-    domain.west, domain.south, _, _ = lattice.rectangle()
-    domain.east, domain.north = rim(lattice, domain.unit_bits)
-    domain.height_scale, domain.height_offset = height_scale, height_offset
-    domain.range_base, domain.range_step = field.range_base, field.range_step
-    domain.error_scale = abs(height_scale)
-    domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
-    domain.source = field.source_max * abs(height_scale)
-    domain.enough = ENOUGH * (domain.rounding + domain.source)
-    domain.bicubic = int(field.interpolation == "bicubic")
-    base, pages = lattice.layout()
-    domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
-    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
-    domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
-    domain.cell_group, domain.bend_group = lattice.groups, lattice.groups + domain.bicubic
-    domain.error = shared(error_for(field, meshlet), wp.uint8)
-    domain.table = shared(field.table.reshape(-1), wp.float32)
-    base, pages = lattice.range_layout()
-    domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
-    domain.range_cells = base[-2]
-    domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
-    domain.samples = codes.packed(field.samples, field.steps)
-    return domain
 
 
 class Refinement:
@@ -223,9 +158,10 @@ class Refinement:
         while True:
             walks = self._walks(cuts, max_depth, max_leaves, self._capacity)
             for walk in walks:
-                bind(walk, last_slots=last.slots if kept else 0, last_room=last.room if kept else 1)
-                walk.slack = SLACK if keeps else 0.0
-                walk.room = _room_for(self._capacity) if keeps else 0
+                if keeps:
+                    bind(walk, slack=SLACK, room=_room_for(self._capacity))
+                if kept:
+                    bind(walk, last_slots=last.slots, last_room=last.room)
                 walk.motion = self._motion
             launch.slices(kernels.walk, [[domain, asked, w] for w in walks], step="refine", recorded=self._recorded[0])
             counts = self.buffers.numpy("counts")[: 4 * len(walks)].reshape(-1, 4).copy()

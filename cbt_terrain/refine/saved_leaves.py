@@ -7,7 +7,7 @@ from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET
 from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
-from .refinement import depth_limit
+from .domain import depth_limit
 
 
 def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[int, np.ndarray]:

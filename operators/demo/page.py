@@ -113,7 +113,7 @@ def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, 
     return [
         (f"{statistics.median(triangles):,.0f}", "triangles a frame, the median"),
         (f"{statistics.median(frame['ms']['total'] for frame in frames):.0f} ms", "an update, the median"),
-        (worst, f"the largest bound; {error_px:g} px was asked for"),
+        (worst, f"the largest bound, for {error_px:g} px asked"),
         (f"{size * size / 1e6:.1f} M", f"samples, {size:,} x {size:,}"),
         (f"{_share(statistics.median(triangles), size)}", "of the triangles of the whole grid"),
     ]

@@ -174,7 +174,7 @@ def figures(row: Row) -> list[tuple[str, str]]:
     return [
         (f"{row.triangles:,}", "triangles"),
         (f"{row.whole_ms:.3g} ms", "a frame, from the camera to the finished mesh"),
-        (bound_text(row.bound, unit), f"the bound; {label(row.setting)} was asked for"),
+        (bound_text(row.bound, unit), f"the bound, for {label(row.setting)} asked"),
         (f"{row.error:.3g} {unit}", "the largest error that was measured"),
         (f"{row.surface_mb:.3g} MB", "the mesh in memory"),
     ]
@@ -186,15 +186,16 @@ def strip(subject, prefix: str) -> list[Strip]:
     shown = [
         Picture(
             f"{prefix}{subject.name}_{crop.error_px:g}px.png",
-            f"{crop.triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
+            f"{costs[crop.error_px].triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
             f"{crop.error_px:g} px",
             png(crop.pixels),
         )
         for crop in subject.crops
     ]
+    where = f"frame {subject.numbers[0]}" if subject.numbers else "the picture"
     said = (
-        "The part of the picture in which these errors differ most, pixel by pixel; the edges of the triangles are "
-        "drawn in its lower left half."
+        f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
+        f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
     )
     return [Strip(shown), Text(said)] if shown else []
 

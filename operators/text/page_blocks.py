@@ -98,6 +98,8 @@ class Strip:
 
 @dataclass(frozen=True)
 class Code:
+    """Lines of a program; in HTML only, as a Picture by itself."""
+
     text: str
 
 
@@ -137,10 +139,6 @@ def _markdown(block) -> str:
             return "\n".join(f"* **{word}**: {meaning}" for word, meaning in pairs)
         case Figures(pairs):
             return "\n".join(f"* {what}: {value}" for value, what in pairs)
-        case Picture(name, caption):
-            return f"![{caption}]({name})"
-        case Code(text):
-            return f"```python\n{text}\n```"
         case Strip(pictures):
             rows = ([f"**{p.title}**<br>{p.caption}" for p in pictures], [f"![{p.title}]({p.name})" for p in pictures])
             return _markdown_table(*rows, rule=" :-: ")

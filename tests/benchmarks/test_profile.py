@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,12 +13,11 @@ from pathlib import Path
 import pytest
 from adaptive_terrain.benchmarks import goals, profile, profiles, sampling
 from adaptive_terrain.benchmarks.profiles import (
+    BAND_TEST,
     BLOCK,
     BOX,
     COPY,
     DESCENT,
-    FOOTPRINT,
-    GROUND,
     LEAF,
     MERGED,
     OTHER,
@@ -26,7 +26,7 @@ from adaptive_terrain.benchmarks.profiles import (
 )
 from adaptive_terrain.benchmarks.sampling import Sample
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.kernels.refine import walk as refine
+from adaptive_terrain.kernels.refine import walk
 
 # Loads the small module of the tree's kernels with line tables and names what its first instructions come from.
 RESOLVE = """
@@ -41,37 +41,30 @@ print(json.dumps({kernel.name: list(kernel.frames(list(range(0, kernel.size, 16)
 """
 
 
-def line_of(text: str) -> int:
-    lines = Path(refine.__file__).read_text().splitlines()
-    [number] = [i for i, line in enumerate(lines, 1) if text in line]
-    return number
+def in_walk(*called: str) -> Sample:
+    frames = [("walk.py", "walk", 1), *(("diamond.py", name, 1) for name in called)]
+    return Sample("walk.walk", tuple(frames))
 
 
-def in_walk(*called: str, line: int = 1) -> Sample:
-    frames = [("walk.py", "walk", line), *(("diamond.py", name, 1) for name in called)]
-    return Sample("refine.walk", tuple(frames))
-
-
-def test_the_walk_has_every_line_that_begins_a_part():
-    lines = [line for line, _ in profile.walk_lines()]
-    assert len(lines) == len(profile.LINES) and lines == sorted(lines)
-
-
-def test_a_walk_that_has_changed_is_named(monkeypatch):
-    monkeypatch.setattr(profile, "LINES", (("no such line", LEAF),))
-    with pytest.raises(TerrainError, match="has 'no such line' on 0 lines"):
-        profile.walk_lines()
+def test_every_function_that_has_a_part_is_called_by_the_walk():
+    """Or by what it calls: a function that was renamed would lose its part unseen."""
+    rooms = Path(walk.__file__).parent
+    calls = {path: set(re.findall(r"(\w+)\(", path.read_text())) for path in rooms.glob("*.py")}
+    defined = {name: path for path in calls for name in re.findall(r"def (\w+)\(", path.read_text())}
+    reached, new = set(), {Path(walk.__file__)}
+    while new:
+        reached |= new
+        new = {defined[name] for path in new for name in calls[path] if name in defined} - reached
+    assert {defined[name] for name in profile.PARTS} <= reached
 
 
 def test_a_sample_belongs_to_one_part():
-    assert profile.part_of(in_walk("diamond_at", "place")) == BOX
-    assert profile.part_of(in_walk(line=line_of("put_code(w.code"))) == LEAF
-    assert profile.part_of(in_walk(line=line_of("top -= 1"))) == DESCENT
-    assert profile.part_of(in_walk(line=line_of("created = new_vertices("))) == BLOCK
-    assert profile.part_of(in_walk("walk_level_ground")) == GROUND
-    assert profile.part_of(in_walk(line=line_of("n.edges = after.edges"))) == GROUND
-    assert profile.part_of(in_walk("walk_level_ground", "spans")) == FOOTPRINT
-    assert profile.part_of(Sample("refine.walk")) == MERGED
+    assert profile.part_of(in_walk()) == DESCENT
+    assert profile.part_of(in_walk("judge")) == BAND_TEST
+    assert profile.part_of(in_walk("judge", "measured_at", "diamond_at", "place")) == BOX
+    assert profile.part_of(in_walk("emit", "emit_leaf")) == LEAF
+    assert profile.part_of(in_walk("emit", "emit_block", "write_block")) == BLOCK
+    assert profile.part_of(Sample("walk.walk")) == MERGED
     assert profile.part_of(Sample("weld_border.weld_border")) == WELD
     assert profile.part_of(Sample(library="[kernel.kallsyms]", symbol="clear_page_erms")) == SYSTEM
     assert profile.part_of(Sample(library="libc.so.6", symbol="__memmove_avx512_unaligned_erms")) == COPY

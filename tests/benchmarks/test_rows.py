@@ -162,7 +162,7 @@ def test_a_cold_start_and_an_import_are_processes_of_their_own(rough, tmp_path, 
 def test_a_larger_store_is_generated_measured_and_removed(rough, tmp_path, monkeypatch):
     monkeypatch.setattr(scenes, "SAMPLES", SAMPLES)
     monkeypatch.setattr(files, "LARGE_SAMPLES", 4 * (SAMPLES - 1) + 1)
-    monkeypatch.setattr(files, "LARGE_SIZES", (3_000,))
+    monkeypatch.setattr(files, "LARGE_SIZES", (12_000,))
     small = in_blender.keep(rough, tmp_path / "small")
     rows = list(files.large_rows(small, tmp_path, pytest.fail))
     assert [row.name for row in rows][:2] == ["large_open", "large_frame"]

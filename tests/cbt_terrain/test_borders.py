@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -99,6 +100,14 @@ def test_a_fit_ends_where_the_mesh_of_an_update_does(missing):
         assert fitted.rounds == 0 and arrays(fitted.surface) == arrays(plain.surface)
     else:
         assert fitted.rounds > 0 and len(fitted.surface.level) < plain.triangles
+
+
+def test_what_is_measured_of_a_mesh_with_holes_is_within_its_bound():
+    field = from_array(raster(97, 50, missing=25), 10.0, holes=True)
+    view = View.look((-300.0, -500.0, 300.0), (0.0, 0.0, 0.0), resolution=(160, 120))
+    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
+    measured = measure(field, update.surface, view)
+    assert 1.0 < measured.vertical_max_m <= update.bound_m
 
 
 def test_nothing_is_left_of_a_raster_whose_every_cell_is_a_hole():

@@ -244,7 +244,7 @@ def test_no_error_is_above_its_bound(kind, interpolation):
 WASTE = {
     "horizon": (lambda w, low, high: View.look((0, -0.55 * w, high), (0, 0, low)), 0.8),
     "oblique": (lambda w, low, high: View.look((0, -0.8 * w, low + 0.5 * w), (0, 0, low)), 0.8),
-    "steep": (lambda w, low, high: View.look((0, -0.3 * w, low + 0.8 * w), (0, 0, low)), 0.75),
+    "steep": (lambda w, low, high: View.look((0, -0.3 * w, low + 0.8 * w), (0, 0, low)), 0.7),
     "from the top": (lambda w, low, high: View.look((0, -0.001 * w, low + w), (0, 0, low)), 0.75),
     "tele": (lambda w, low, high: View.look((0, -3 * w, low + w), (0, 0, low), fov_deg=10), 0.9),
     "map": (lambda w, low, high: View.look((0, -w, low + 0.5 * w), (0, 0, low), kind=ORTHOGRAPHIC, ortho_width=w), 0.9),
@@ -277,3 +277,30 @@ def test_the_vertical_bound_is_not_wasteful(asked, crop):
     found = Terrain(crop.field, 1).update(Criterion(error_px=0.0, error_m=asked))
     off = np.abs(mesh_heights(found.surface, crop.plane) - crop.heights)
     assert 0.9 * asked < np.nanmax(off) <= found.bound_m <= asked
+
+
+@pytest.mark.parametrize("name", ["horizon", "oblique", "tele", "map", "panorama"])
+def test_what_a_depth_limit_leaves_is_found_where_it_is(name, crop):
+    """A mesh that is too coarse by far: its bounds are those of the worst triangle in view, and little more."""
+    field = crop.field
+    view = WASTE[name][0](192 * 30.0, field.min_height, field.max_height)
+    for depth in (6, 9, 12):
+        criterion = Criterion(error_px=0.01, edge_px=0.01, area_px=0.01, error_m=0.01, max_depth=depth, guard_deg=0.0)
+        found = Terrain(field, 1).update(criterion, [view])
+        assert found.limited == "max_depth" and len(set(found.surface.level)) == 1
+        check(found, crop, [view], np.eye(4), 1.0, 0.0)
+        below = mesh_heights(found.surface, crop.plane)
+        worst = pixels_off(view, *(np.c_[crop.plane, z] for z in (crop.heights, below)), np.eye(4))
+        # A point is judged by its triangle's nearest corner; at depth 6 the triangles in front are half the frame.
+        assert found.bound_px < (20.0 if depth == 6 else 4.0) * worst
+        assert found.bound_m < 1.5 * np.abs(below - crop.heights).max()
+        if name == "map":
+            edge, area = sizes_seen(view, found.surface, np.eye(4))
+            assert found.bound_edge_px < 2.5 * edge and found.bound_area_px < 16.0 * area
+
+
+def test_nothing_in_view_is_a_bound_of_nothing(crop):
+    view = View.look((0, 0, 5000.0), (0, 0, 9000.0))
+    found = Terrain(crop.field, 1).update(Criterion(), [view])
+    assert found.bound_px == 0.0 and found.limited == "" and sum(vars(found.terms_px).values()) == 0.0
+    assert len(found.surface.level) == 5, "two triangles a root square, cut at the rim"

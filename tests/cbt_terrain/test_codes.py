@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.field.hierarchy import build_errors
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.refine.refinement import make_domain
+from adaptive_terrain.cbt_terrain.refine.domain import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.kernels.field.domain import Domain
 from adaptive_terrain.kernels.refine.diamond import range_at

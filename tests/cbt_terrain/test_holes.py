@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Holes of no-data: their border is refined down to the raster's cells; what they are filled with does not count."""
+"""Holes of no-data before they are cut out: borders go down to the raster's cells; what fills them does not count."""
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -58,7 +60,7 @@ def test_no_triangle_lies_across_the_border_of_a_hole_once_it_is_seen(interpolat
     assert np.isfinite(field.samples).all()
     mixed = []
     for error_m in (200.0, 50.0, 5.0):
-        surface = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        surface = Terrain(field, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m)).surface
         hole, ground = kinds_of(surface, hole_cells(heights))
         corners = surface.positions[surface.triangles][..., :2]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -71,12 +73,12 @@ def test_a_bound_holds_on_the_ground_and_holes_are_not_refined():
     heights = raster()
     cut, filled = from_array(heights, STEP, holes=True), from_array(heights, STEP)
     for error_m in (4.0, 0.5):
-        update = Terrain(cut, 1).update(Criterion(error_px=0.0, error_m=error_m))
+        update = Terrain(cut, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m))
         far = distances(cut.samples, STEP, STEP, update.surface.positions, update.surface.corner_verts)
         on_ground = np.kron(~hole_cells(heights), np.ones((4, 4), bool))
         assert far[:-1, :-1][on_ground].max() <= error_m
         hole, _ = kinds_of(update.surface, hole_cells(heights))
-        whole = Terrain(filled, 1).update(Criterion(error_px=0.0, error_m=error_m)).surface
+        whole = Terrain(filled, 1, whole=True).update(Criterion(error_px=0.0, error_m=error_m)).surface
         assert hole.sum() < 0.3 * kinds_of(whole, hole_cells(heights))[0].sum()
 
 
@@ -86,9 +88,10 @@ def test_a_hole_in_flat_ground_is_found():
     field = from_array(heights, STEP, holes=True)
     assert Terrain(from_array(heights, STEP), 1).update(Criterion(error_px=0.0, error_m=1.0)).triangles == 2
     view = View.look((0.0, -300.0, 300.0), (0.0, 0.0, 0.0), resolution=(640, 480))
-    update = Terrain(field, 1).update(Criterion(error_px=1.0), [view])
+    update = Terrain(field, 1, whole=True).update(Criterion(error_px=1.0), [view])
     hole, ground = kinds_of(update.surface, hole_cells(heights))
     assert hole.any() and not (hole & ground).any()
+    assert not kinds_of(Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface, hole_cells(heights))[0].any()
     far_away = View.look((0.0, -3e5, 3e5), (0.0, 0.0, 0.0), resolution=(640, 480))
     assert Terrain(field, 1).update(Criterion(error_px=1.0), [far_away]).triangles < update.triangles / 2
 
@@ -109,3 +112,10 @@ def test_a_store_keeps_holes(tmp_path):
     next((tmp_path / "True").glob("data-*/valid.npy")).unlink()
     with pytest.raises(TerrainError, match="lacks valid.npy"):
         open_store(tmp_path / "True")
+
+
+def test_a_mesh_with_holes_can_be_measured_and_fitted():
+    field = from_array(raster(), STEP, holes=True)
+    asked = Criterion(error_px=0.0, error_m=2.0)
+    for mesh in (Terrain(field, 1).update(asked), fit(field, 2.0)):
+        assert 1.0 < measure(field, mesh.surface, random_points=1000, threads=1).vertical_max_m <= 2.0

@@ -2,48 +2,13 @@
 """Rasters that do not fill their lattice: the bound over all of their own surface, by code that shares nothing."""
 
 import numpy as np
-import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from own_surface import distances
-
-# Samples from west to east and from south to north.
-SIZES = [(64, 64), (7, 256), (97, 33), (66, 40), (2, 3), (129, 90)]
-
-
-def raster(width: int, height: int) -> np.ndarray:
-    """Smooth and rough ground with spikes, some of them on the rim."""
-    y, x = np.mgrid[:height, :width]
-    random = np.random.default_rng(width)
-    heights = 90.0 * np.sin(x / 17.0) * np.cos(y / 13.0) + 2.0 * random.standard_normal((height, width))
-    heights[random.integers(height, size=9), random.integers(width, size=9)] += 40.0
-    heights[-1, width // 3] = heights[height // 2, -1] = 120.0
-    return heights.astype(np.float32)
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("meshlet", [0, 1])
-def test_a_bound_holds_over_the_rasters_whole_own_surface(size, meshlet):
-    heights, found = raster(*size), []
-    field = from_array(heights, 10.0, 7.0)
-    for error_m in (1e9, 20.0, 4.0, 0.5):
-        update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet))
-        far = distances(heights, 10.0, 7.0, update.surface.positions, update.surface.corner_verts)
-        assert np.isfinite(far).all(), "the mesh covers all of it"
-        assert far.max() <= min(update.bound_m, error_m)
-        found.append(far.max() / error_m)
-    assert max(found) > 0.8 or heights.size < 10, "and the bound is not wasteful"
-
-
-def test_a_coarse_view_of_a_thin_raster_takes_a_handful_of_triangles():
-    field = from_array(raster(7, 1024), 10.0)
-    update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e4))
-    assert update.leaves == 256 and update.triangles == 3 * 128 + 1, "the rim makes three of a square's two"
-    update = Terrain(from_array(raster(512, 512)), 1).update(Criterion(error_px=0.0, error_m=1e4))
-    assert update.leaves == 2 and update.triangles <= 4
+from padded import raster
 
 
 def test_what_is_beyond_the_rim_is_not_refined():

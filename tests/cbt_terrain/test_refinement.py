@@ -77,7 +77,7 @@ def test_leaves_equal_forced_splits(seed):
         asked = float(10 ** rng.uniform(0, 2.5))
         terrain = Terrain(field, 1)
         update = terrain.update(Criterion(error_px=asked, off_screen_factor=1.0, max_depth=depth), [view])
-        rounded = update.terms_m.precision
+        rounded = terrain._domain.rounding
         # the reference's units: 2^exponent a side of a root square
         exponent = lattice.levels + 1
         per_sample = 2.0 ** (exponent - lattice.levels)
@@ -132,7 +132,7 @@ def test_caps_hold_together_with_the_error():
 
 @pytest.mark.parametrize(
     ("height", "width", "edge_px", "limited"),
-    [(8e3, 2.0, 60.0, ""), (8e3, 2.0, 20.0, "max_depth"), (1e6, 4.0, 60.0, ""), (1e6, 4.0, 40.0, "precision")],
+    [(8e3, 2.0, 60.0, ""), (8e3, 2.0, 20.0, "max_depth"), (1e6, 4.0, 60.0, "precision"), (1e6, 4.0, 40.0, "precision")],
 )
 def test_edges_hold_where_float32_corners_stretch_them(height, width, edge_px, limited):
     """Corners far from the origin are off by millimetres, which edges of half a metre show."""

@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.ask.spans import as_seen, slant_of
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from fields import random_view, rough, scattered, screen_error
+from fields import least_triangles, random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants
 
 VIEW = View.look((-300.0, -400.0, 150.0), (0, 0, 0))
@@ -52,7 +52,9 @@ def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, thread
         assert least <= update.triangles <= max(budget, least)
         assert (update.limited == "max_triangles") == (budget < full.triangles)
         assert screen_error(VIEW, field, update.surface, points) <= update.bound_px
-        assert update.bound_px <= as_seen(VIEW, slant_of(VIEW, np.eye(4)), 0.5 * update.relaxed)
+        assert update.bound_px <= as_seen(
+            VIEW, slant_of(VIEW, np.eye(4), Criterion().shading_floor), 0.5 * update.relaxed
+        )
     assert arrays(update.surface) == arrays(full.surface)
     assert arrays(update.surface) == whole
 
@@ -185,5 +187,5 @@ def test_case_46_random_views_keep_all_invariants(monkeypatch):
         a, b = one.update(criterion, [view], vertical_scale=scale), two.update(criterion, [view], vertical_scale=scale)
         assert_invariants(a.surface, field.lattice, criterion.meshlet)
         assert arrays(a.surface) == arrays(b.surface)
-        assert a.triangles <= max(criterion.max_triangles, 2 * field.lattice.squares << (2 * criterion.meshlet))
+        assert a.triangles <= max(criterion.max_triangles, least_triangles(field, criterion.meshlet))
         assert a.bound_px == b.bound_px and np.isfinite(a.bound_px)

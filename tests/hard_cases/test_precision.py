@@ -6,7 +6,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.refine.refinement import depth_limit
+from adaptive_terrain.cbt_terrain.refine.domain import depth_limit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
 from fields import reference_heights, rough

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.codes import packed
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.kernels.accuracy.cubic import cubic_at, heights_about
 from adaptive_terrain.kernels.bicubic.surface import in_patch
+from adaptive_terrain.kernels.field.codes import Samples
 from adaptive_terrain.kernels.mesh.displace import on_sample
 from fields import bezier
 
@@ -18,7 +20,7 @@ SHAPES = [(2, 2), (2, 5), (3, 9), (9, 25)]
 @wp.kernel
 def evaluate(
     offset: wp.int32,
-    samples: wp.array(dtype=wp.float32),
+    samples: Samples,
     columns: wp.int32,
     rows: wp.int32,
     cell: wp.array(dtype=wp.vec2i),
@@ -37,7 +39,7 @@ def evaluate(
 @wp.kernel
 def at_samples(
     offset: wp.int32,
-    samples: wp.array(dtype=wp.float32),
+    samples: Samples,
     columns: wp.int32,
     rows: wp.int32,
     found: wp.array(dtype=wp.vec3d),
@@ -52,7 +54,7 @@ def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[n
     found, measured = np.zeros((len(cell), 3)), np.zeros((len(cell), 3))
     arrays = [(np.ascontiguousarray(cell, np.int32), wp.vec2i), (np.ascontiguousarray(place, np.float64), wp.vec2d)]
     arrays += [(found, wp.vec3d), (measured, wp.vec3d)]
-    inputs = [wp.array(np.array(field.samples).reshape(-1), dtype=wp.float32, device="cpu"), columns, rows]
+    inputs = [packed(field.samples, field.steps), columns, rows]
     inputs += [wp.array(array, dtype=dtype, device="cpu", copy=False) for array, dtype in arrays]
     launch.spread(evaluate, len(cell), inputs, step="test")
     return found, measured
@@ -104,7 +106,7 @@ def test_at_samples_the_gradient_is_the_central_difference_also_on_the_border(sh
     field = random_field(shape, 3)
     rows, columns = shape
     expected = np.zeros((rows * columns, 3))
-    samples = wp.array(field.samples.reshape(-1), dtype=wp.float32, device="cpu")
+    samples = packed(field.samples, field.steps)
     inputs = [samples, columns, rows, wp.array(expected, dtype=wp.vec3d, device="cpu", copy=False)]
     launch.spread(at_samples, rows * columns, inputs, step="test")
     j, i = np.divmod(np.arange(rows * columns), columns)

@@ -10,9 +10,10 @@ APEX_Z, RISE_LEFT, RISE_RIGHT, AIM = 501.0, 1.0, -2.0, 2.5
 
 
 @wp.kernel
-def run(h: wp.array(dtype=wp.float32), width: int, apex: int, legs: wp.vec4i, out: wp.array(dtype=wp.float32)):
+def run(h: wp.array(dtype=wp.float32), size: wp.vec2i, apex: wp.vec2i, legs: wp.vec4i, out: wp.array(dtype=wp.float32)):
     z = wp.float64(APEX_Z)
-    q = pushes_of(h, width, apex, legs[0], legs[1], legs[2], legs[3], z, RISE_LEFT, RISE_RIGHT, AIM)
+    x, y = apex[0], apex[1]
+    q = pushes_of(h, size[0], size[1], x, y, legs[0], legs[1], legs[2], legs[3], z, RISE_LEFT, RISE_RIGHT, AIM)
     for k in range(7):
         out[k] = q[k]
 
@@ -20,8 +21,7 @@ def run(h: wp.array(dtype=wp.float32), width: int, apex: int, legs: wp.vec4i, ou
 def pushes(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.ndarray:
     out = wp.zeros(7, dtype=wp.float32, device="cpu")
     h = wp.array(heights.ravel(), dtype=wp.float32, device="cpu")
-    width = heights.shape[1]
-    inputs = [h, width, apex[1] * width + apex[0], wp.vec4i(*left, *right), out]
+    inputs = [h, wp.vec2i(*heights.shape[::-1]), wp.vec2i(*apex), wp.vec4i(*left, *right), out]
     wp.launch(run, 1, inputs=inputs, device="cpu")
     return out.numpy()
 

@@ -5,7 +5,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import diamond, from_tree_id, parent, to_tree_id
-from fields import errors_of
+from fields import errors_of, least_triangles
 from hypothesis import given
 from hypothesis import strategies as st
 from scenarios import make, make_field, to_remember
@@ -67,7 +67,7 @@ def test_a_larger_budget_is_never_worse(scenario, budgets):
             field, views, criterion, placed = without_budget(scenario, max_triangles=budget)
             update = Terrain(field, 1).update(criterion, views, **placed)
             assert update.relaxed <= last_relaxed and update.triangles >= last_triangles
-            least = 2 * field.lattice.squares << 2 * criterion.meshlet
+            least = least_triangles(field, criterion.meshlet)
             assert update.triangles <= max(budget, least)
             # Several criteria are relaxed together: only that of the error alone must fall with each step.
             if not (criterion.edge_px or criterion.area_px or criterion.error_m):

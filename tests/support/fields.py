@@ -4,12 +4,14 @@
 import math
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import decode
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+from adaptive_terrain.cbt_terrain.terrain import Terrain
 from matplotlib.tri import Triangulation
 
 
@@ -143,6 +145,11 @@ def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     r = 1 - t
     values = np.stack([r**3, 3 * t * r**2, 3 * t**2 * r, t**3], axis=1)
     return values, np.stack([-3 * r**2, 3 * r**2 - 6 * t * r, 6 * t * r - 3 * t**2, 3 * t**2], axis=1)
+
+
+def least_triangles(field: HeightField, meshlet: int) -> int:
+    """Triangles of the coarsest mesh: its root squares', and what a rim makes of them."""
+    return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e30, meshlet=meshlet)).triangles
 
 
 def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from fields import extent, rough
+from fields import extent, least_triangles, rough
 from invariants import arrays, assert_invariants
 
 KINDS = ("rough", "noise", "spike", "cliff", "plane", "checkerboard", "constant", "twist")
@@ -107,7 +107,7 @@ def assert_sound(scenario: dict) -> None:
             two = Terrain(field, 2).update(criterion, views, **placed)
         assert arrays(two.surface) == arrays(update.surface)
         assert (two.bound_px, two.bound_m, two.leaves) == (update.bound_px, update.bound_m, update.leaves)
-        least = 2 * field.lattice.squares << 2 * criterion.meshlet
+        least = least_triangles(field, criterion.meshlet)
         assert update.triangles <= max(criterion.max_triangles or update.triangles, least)
         assert_bounds(field, views, update, placed)
         if "rounded_to" in scenario["field"]:

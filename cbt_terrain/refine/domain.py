@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The height field, its lattice and its place, as the kernels read them, and how deep they may go."""
+
+import warp as wp
+
+from ...kernels.field.domain import Domain
+from ...kernels.refine import curve
+from ..field import codes
+from ..field.heightfield import HeightField
+from ..field.lattice import MAX_MESHLET, Lattice
+from ..field.meshlet_errors import error_for
+from ..run.buffers import shared
+from .terms import Rounding
+
+# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
+PLANE_BITS = 23
+# Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
+MAX_TREE_DEPTH = curve.DEEPEST
+# An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
+# a bound a fifth smaller.
+ENOUGH = 0.25
+EXACT = Rounding()
+# Beyond all coordinates.
+NO_RIM = 2**31 - 1
+
+
+def depth_limit(field: HeightField) -> int:
+    """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
+    lattice = field.lattice
+    side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
+    return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
+
+
+def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
+    """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
+    bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
+    return tuple(NO_RIM if cells == span else cells << bits for cells, span in sides)
+
+
+def make_domain(
+    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding = EXACT
+) -> Domain:
+    """The height field as the kernels read it; memory is shared, nothing is read.
+
+    rounding: what float32 positions do, see `terms.rounding`.
+    """
+    lattice = field.lattice
+    domain = Domain()
+    domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
+    domain.unit_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
+    domain.width, domain.height = lattice.width, lattice.height
+    unit = 2.0 ** (lattice.levels - domain.unit_bits)
+    domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
+    domain.west, domain.south, _, _ = lattice.rectangle()
+    domain.east, domain.north = rim(lattice, domain.unit_bits)
+    domain.height_scale, domain.height_offset = height_scale, height_offset
+    domain.range_base, domain.range_step = field.range_base, field.range_step
+    domain.error_scale = abs(height_scale)
+    domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
+    domain.source = field.source_max * abs(height_scale)
+    domain.enough = ENOUGH * (domain.rounding + domain.source)
+    domain.bicubic = int(field.interpolation == "bicubic")
+    base, pages = lattice.layout()
+    domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
+    domain.cell_group, domain.bend_group = lattice.groups, lattice.groups + domain.bicubic
+    domain.error = shared(error_for(field, meshlet), wp.uint8)
+    domain.table = shared(field.table.reshape(-1), wp.float32)
+    base, pages = lattice.range_layout()
+    domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
+    domain.range_cells = base[-2]
+    domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
+    domain.samples = codes.packed(field.samples, field.steps)
+    return domain

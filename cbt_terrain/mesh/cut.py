@@ -7,7 +7,6 @@ holds. The rim of a padded raster is cut this way, and what a user has cut away.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -29,6 +28,9 @@ TOPOLOGY = {
 # Of attributes, by their domains. A triangle's parts have what it has at its corners, which is the same at all three;
 # of edges nobody has any yet.
 DOMAINS = {POINT: (int(kernels.VERTEX), 1), FACE: (int(kernels.TRIANGLE), 1), CORNER: (int(kernels.TRIANGLE), 3)}
+
+# Of a planar graph, for each vertex.
+MOST_EDGES = 3
 
 NONE_SWAPPED = np.empty((2, 0), np.int32)
 
@@ -106,9 +108,13 @@ class _Work:
     """A surface that is being cut, in arrays with room for what comes."""
 
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
-        self.surface, self.threads = surface, threads
+        self.surface = surface
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
         self.shape = TOPOLOGY | {name: DOMAINS[a.domain] for name, a in surface.attributes.items()}
+        # So many vertices may go at most, and with them edges between them: as many of the last may fill the gaps.
+        most_gone = int(np.count_nonzero(near))
+        near[max(0, len(near) - most_gone) :] = True
+        near[surface.edges[max(0, len(surface.edges) - MOST_EDGES * most_gone) :]] = True
         listed = _listed(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
@@ -167,9 +173,6 @@ class _Work:
         """Close the gaps."""
         launch.once(kernels.close, [self.m], step="cut")
         ends = self.counts[kernels.END : kernels.END + 3].tolist()
-        self._renumber("corner_verts", kernels.VERTEX, ends)
-        self._renumber("edges", kernels.VERTEX, ends)
-        self._renumber("corner_edges", kernels.EDGE, ends)
         launch.once(kernels.fill, [self.m], step="cut")
         swapped = self._moves(kernels.VERTEX, ends)
         for array in self.points.values():
@@ -180,15 +183,6 @@ class _Work:
         views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in self.shape.items()}
         attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
         return replace(self.surface, **views, attributes=attributes), swapped
-
-    def _renumber(self, name: str, kind: int, ends: list[int]) -> None:
-        """Say in one of the arrays where the vertices or edges behind the end have moved."""
-        numbers, moved = shared(self.arrays[name].reshape(-1), wp.int32), shared(self.moved[kind], wp.int32)
-        count = int(self.counts[TOPOLOGY[name][0]]) * (2 if name == "edges" else 3)
-        pieces = self.threads if count >= launch.SLICE_ITEMS else 1
-        cuts = [count * k // pieces for k in range(pieces + 1)]
-        inputs = [[first, stop, numbers, ends[kind], moved] for first, stop in pairwise(cuts)]
-        launch.slices(kernels.renumber, inputs, step="cut")
 
     def _moves(self, kind: int, ends: list[int]) -> np.ndarray:
         """int32 [2, n]: where something moves from, and where to."""

@@ -75,11 +75,13 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     Of heights that differ by R in all, no facet climbs more than R a raster cell along an axis: its corners are a cell
     apart or more, or it lies in one cell, where a bilinear surface climbs by no more than the cell's corners differ
     (a bicubic one: see above). So half steps of u and v cells along x and y move it by (u + v) R; and by no more
-    than (u + v) times the steepest climbs of all along x and y, added up.
+    than (u + v) times the steepest climbs of all along x and y, added up. Where a rim cuts edges, a new vertex lies
+    between two that are rounded, and is rounded again.
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
-    x, y, z = position_rounding(field, depth, vertical_scale, vertical_offset)
+    times = 2.0 if lattice.is_padded else 1.0
+    x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
     return Rounding(z * OUTWARD, lean, cells * climb * abs(vertical_scale))

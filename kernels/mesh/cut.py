@@ -7,7 +7,7 @@ number, but for the last ones, which fill the gaps: only what a cut touches cost
 
 import warp as wp
 
-from ..unchecked import has_near_corner, renumber_row
+from ..unchecked import has_near_corner
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,7 +20,7 @@ class Cut:
     corner_edges: wp.array(dtype=wp.int32)
     edges: wp.array(dtype=wp.vec2i)
     value: wp.array(dtype=wp.float64)  # of each vertex of a listed triangle
-    listed: wp.array(dtype=wp.int32)  # triangles with a vertex that is not positive, and new ones
+    listed: wp.array(dtype=wp.int32)  # triangles that are cut, left out or use what may move, and new ones
     ends: wp.array(dtype=wp.vec2i)  # of each new vertex' edge: the positive end and the negative one
     parent: wp.array(dtype=wp.int32)  # of each new triangle
     gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 where it goes
@@ -273,21 +273,25 @@ def close(m: Cut):
         fill_gaps(m, kind)
 
 
-@wp.kernel
-def renumber(
-    first: wp.int32,
-    stop: wp.int32,
-    numbers: wp.array(dtype=wp.int32),
-    end: wp.int32,
-    moved: wp.array(dtype=wp.int32),
-):
-    """Say in a row of numbers where those from `end` on have moved."""
-    renumber_row(numbers, first, stop, end, moved)
+@wp.func
+def renumbered(m: Cut, kind: wp.int32, number: wp.int32) -> wp.int32:
+    at = number - m.counts[END + kind]
+    if at >= 0:
+        return m.moved[kind, at]
+    return number
 
 
 @wp.kernel
 def fill(m: Cut):
-    """Move edges and triangles into the gaps."""
+    """Move what is to fill gaps, and say so in the listed triangles: no other uses any of it."""
+    for i in range(m.counts[LISTED]):
+        t = m.listed[i]
+        if m.gone[TRIANGLE, t] == wp.uint8(0):
+            for c in range(3):
+                e = m.corner_edges[3 * t + c]
+                m.edges[e] = wp.vec2i(renumbered(m, VERTEX, m.edges[e][0]), renumbered(m, VERTEX, m.edges[e][1]))
+                m.corner_edges[3 * t + c] = renumbered(m, EDGE, e)
+                m.corner_verts[3 * t + c] = renumbered(m, VERTEX, m.corner_verts[3 * t + c])
     end = m.counts[END + EDGE]
     for i in range(m.counts[EDGE] - end):
         to = m.moved[EDGE, i]

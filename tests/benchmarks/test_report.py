@@ -19,6 +19,8 @@ MACHINE = {"Processor": "Abacus 3", "Threads": "2"}
 def rows(monkeypatch, tmp_path):
     monkeypatch.setattr(profiles, "FILE", tmp_path / "profiles.json")
     monkeypatch.setattr(goals, "RECORDED", {("refine_1t", 1_000_000): (0.25, "a loop in Python")})
+    asked = {("refine_1t", 50_000): 0.4, ("refine_1t", 1_000_000): 0.15, ("meshlets", 1_000_000): 0.4}
+    monkeypatch.setattr(goals, "GOALS", asked)
     scale = Row("scale_refine", 1_000_000, 30.0, "slope", ratio=1.03)
     scale.figures = {"50000_ms": 1.5, "250000_ms": 7.0, "1000000_ms": 30.0}
     return [

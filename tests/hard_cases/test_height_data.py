@@ -172,7 +172,7 @@ def test_case_14_all_heights_negative():
 
 
 def test_case_15_a_spike_of_one_sample_is_found_wherever_it_is():
-    """A spike of one sample at 28 places is in the roots' error and within 40, 5 and 0.1 m of the mesh."""
+    """A spike of one sample at 28 places is in the roots' error and within 40, 5 and 0.2 m of the mesh."""
     random = np.random.default_rng(5)
     size = 65
     places = [(0, 0), (0, 64), (64, 0), (64, 64), (32, 32), (0, 31), (33, 64), (1, 1)]
@@ -184,7 +184,7 @@ def test_case_15_a_spike_of_one_sample_is_found_wherever_it_is():
         roots = errors_of(field)[field.lattice.root_entries]
         # A spike in a corner of the root square is in its plane; half of it is at the next corner but one.
         assert roots.min() >= (24.9 if (j % 64, i % 64) == (0, 0) else 99.0)
-        for metres in (40.0, 5.0, 0.1):
+        for metres in (40.0, 5.0, 0.2):
             update = mesh_within(field, metres)
             place = sample_position(field, i, j)
             assert abs(mesh_heights(update.surface, place[None, :2])[0] - 100.0) <= metres + 1e-3

@@ -16,8 +16,9 @@ from .ask.spans import Plan, Spans, spans_of
 from .ask.view import View
 from .errors import TerrainError
 from .field.heightfield import HeightField
+from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
-from .mesh.surface import Surface, SurfaceBuilder, TornMesh
+from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.domain import depth_limit, make_domain
 from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement

@@ -27,7 +27,8 @@ from ...kernels.refine.diamond import Asked, LocalView
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh.borders import in_holes
-from ..mesh.surface import Surface, SurfaceBuilder
+from ..mesh.builder import SurfaceBuilder
+from ..mesh.surface import Surface
 from ..refine.domain import depth_limit, make_domain
 from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
 from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding

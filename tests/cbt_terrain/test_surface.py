@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
-from adaptive_terrain.cbt_terrain.mesh.surface import SurfaceBuilder
+from adaptive_terrain.cbt_terrain.mesh.builder import SurfaceBuilder
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import reference_heights, rough

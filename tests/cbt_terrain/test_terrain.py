@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.mesh import surface
+from adaptive_terrain.cbt_terrain.mesh import builder
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import rough
@@ -106,7 +106,7 @@ def test_a_mesh_that_memory_cannot_hold_is_refused_and_the_next_is_as_ever(monke
     before = arrays(terrain.update(asked, [view]).surface)
     finer = Criterion(error_px=1e-30, max_depth=14, meshlet=meshlet)
     # Room for twice as many triangles; `level` has four bytes of each.
-    monkeypatch.setattr(surface, "physical_memory", lambda: 400 * len(before["terrain_level"]))
+    monkeypatch.setattr(builder, "physical_memory", lambda: 400 * len(before["terrain_level"]))
     with pytest.raises(TerrainError, match="The mesh would have .* triangles, expected .* ask for a larger error"):
         terrain.update(finer, [view])
     monkeypatch.undo()

@@ -29,10 +29,10 @@ def guard(suffix: str, folder: Path | None) -> dict[str, str]:
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
     """Before an import into the store `path`, whose folder is made. Raises TerrainError."""
-    from ...kernels.field import expand, fill, hierarchy, holes, island, ranges
+    from ...kernels.field import codes, expand, fill, hierarchy, holes, island, ranges
     from ..run.warmup import load
 
-    for module in (expand, fill, hierarchy, island, ranges, *([holes] if settings.holes else [])):
+    for module in (codes, expand, fill, hierarchy, island, ranges, *([holes] if settings.holes else [])):
         load(module)
     store.check_target(path)
     try:

@@ -20,9 +20,9 @@ COARSE = (1 / 8192, 16, 64), (1 / 64, 400, 2000)
 NEAR = 3
 # Of coarse meshes, at most so many steps are counted beyond one that is foretold.
 BEHIND = 64
-# In a flight the last coarse mesh is counted again: if it has as many splits as in the last frame, but for a twentieth,
+# In a flight the last coarse mesh is counted again: if it has as many splits as in the last frame, but for a twelfth,
 # the answer is near the last one, otherwise the camera has jumped.
-CHANGE = 0.05
+CHANGE = 0.08
 # From a step before the last frame's answer on, steps up to so many later are counted.
 WINDOW = 2
 # To so many times as many splits and more, a pass over a sample foretells the answer. It looks so many steps further

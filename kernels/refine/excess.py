@@ -206,6 +206,29 @@ def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle) -> wp.flo
 
 
 @wp.func
+def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
+    """How often the error of a raster cell is halved at a depth inside it, see `error_at`."""
+    finer = depth - 2 * domain.levels - 1
+    return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+
+
+@wp.func
+def error_below(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, deepest: wp.int32) -> wp.float64:
+    """The most error, metres, of leaves at depth `deepest` in a triangle of the diamond split at (x, y).
+
+    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection; but where
+    the diamond has no side of the cell, those below it that have one take the error of the next cell: at most four
+    times, of a bicubic surface twice, the cell's own.
+    """
+    error = wp.float64(error_at(domain, x, y, depth)) * domain.error_scale
+    if depth > 2 * domain.levels and depth < deepest:
+        beside = wp.where((depth & 1) == 0, 0, wp.where(domain.bicubic == 0, 2, 1))
+        falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, depth) - beside, 0)
+        error = error / wp.float64(wp.int64(1) << wp.int64(falls))
+    return error
+
+
+@wp.func
 def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
     """The triangle with the most that leaves at depth `deepest` in it have."""
     x = (t.left[0] + t.right[0]) >> 1
@@ -214,7 +237,7 @@ def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t:
     t.fixed = rest_of(domain, d) + domain.source
     t.total = t.fixed
     if what == ERROR or what == METRES:
-        t.total += wp.float64(error_at(domain, x, y, t.depth)) * domain.error_scale
+        t.total += error_below(domain, x, y, t.depth, deepest)
     all2 = t.total * t.total
     if what == EDGE or what == AREA:
         long2, legs2 = sizes(asked, domain.unit_bits, deepest)

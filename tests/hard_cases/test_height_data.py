@@ -106,7 +106,7 @@ def test_case_10_a_constant_map_is_two_triangles_a_root_square(shape):
     assert update.leaves == 2 * field.lattice.squares and update.triangles <= 2 * update.leaves
     assert np.array_equal(update.surface.normals, np.tile([0.0, 0.0, 1.0], (len(update.surface.normals), 1)))
     assert update.terms_m.geometric == 0.0
-    assert update.bound_m < np.spacing(np.float32(123.456))
+    assert update.bound_m < 1.0001 * np.spacing(np.float32(123.456))  # a corner at the rim is rounded twice
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 33), (77, 1), (2, 2), (2, 3), (3, 2)])

@@ -9,7 +9,7 @@ import warp as wp
 from adaptive_terrain import kernels
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.mesh import meshlet_template, surface
+from adaptive_terrain.cbt_terrain.mesh import builder, meshlet_template
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import rough
@@ -31,7 +31,7 @@ def in_warp_alone(tmp_path, monkeypatch):
         path = tmp_path / f"{name}_checked.py"
         path.write_text(source.replace("from ..unchecked import ", "from ..checked import "))
         twins[name] = load(f"mesh.{path.stem}", path)
-        monkeypatch.setattr(surface, f"{name}_kernels", twins[name])
+        monkeypatch.setattr(builder, f"{name}_kernels", twins[name])
     monkeypatch.setattr(meshlet_template, "Template", twins["meshlet"].Template)
     meshlet_template.template.cache_clear()
     yield

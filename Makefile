@@ -4,8 +4,8 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 VENV ?= .venv
 TESTS ?= tests
-SMOKE := tests/test_layers.py tests/properties tests/regressions tests/faults \
-	$(addprefix tests/cbt_terrain/test_,importing.py refinement.py store.py surface.py terrain.py tree.py warmup.py) \
+SMOKE := tests/test_layers.py tests/regressions tests/faults \
+	$(addprefix tests/cbt_terrain/test_,importing.py refinement.py store.py surface.py terrain.py tree.py) \
 	$(addprefix tests/operators/test_,exporting.py handlers.py mesh_writer.py panel.py registration.py session.py) \
 	$(addprefix tests/hard_cases/test_,camera_in_blender.py exports_in_blender.py life_in_blender.py)
 PY := $(VENV)/bin/python

@@ -125,6 +125,11 @@ class Terrain:
         Only its bound in metres is known. Raises TerrainError for what is no tree of this height field.
         """
         key = (tree, meshlet, vertical_scale, vertical_offset)
+        if type(meshlet) is not int or not all(isinstance(number, int | float) for number in key[2:]):
+            raise TerrainError(
+                f"A saved tree has meshlets of level {meshlet!r}, a vertical scale of {vertical_scale!r} and an offset "
+                f"of {vertical_offset!r}; expected a whole number and two numbers; save it again."
+            )
         if key == self._asked_key and not self._edited():
             return Update(**{**self._last.__dict__, "changed": False, "ms": {}})
         with launch.stopwatch() as ms, launch.timed("total"):

@@ -10,7 +10,7 @@ from ..errors import TerrainError
 from ..run import launch
 from . import cleaning, codes, hierarchy
 from .heightfield import HeightField
-from .holes import refine_borders
+from .holes import holes_leave_ground, refine_borders
 from .lattice import Lattice, fit
 
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
@@ -71,6 +71,11 @@ def build(
     if missing and holes:
         valid = allocate("valid", samples.shape, np.dtype(np.uint8))
         np.isfinite(samples, out=valid.view(bool))
+        if not holes_leave_ground(valid.view(bool)):
+            raise TerrainError(
+                f"{name} has no cell whose four samples are all known, so nothing would be left of it: import it "
+                "without cutting holes."
+            )
         measured = samples.copy()
     if missing:
         cleaning.fill_missing(samples, threads)

@@ -19,6 +19,12 @@ from .hierarchy import extent_of, flat, stored_at
 from .lattice import Lattice
 
 
+def holes_leave_ground(valid: np.ndarray) -> bool:
+    """Whether any cell has all its four samples. valid: bool [height, width]."""
+    rows = (south & north for south, north in zip(valid[:-1], valid[1:], strict=True))
+    return any((row[:-1] & row[1:]).any() for row in rows)
+
+
 def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int) -> None:
     """Raise `errors` (float32 [lattice.node_count], metres) of what lies on the border of a hole.
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from ..ask.criterion import Criterion
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..mesh import borders
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
@@ -61,7 +60,14 @@ def fit(
     most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
-        plain = Terrain(field, threads, whole=True).update(criterion, (), None, vertical_scale, vertical_offset)
+        heights = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
+        whole = Terrain(field, threads, whole=True)
+        if max_triangles is None:
+            plain = whole.update(criterion, **heights)
+        else:  # of the mesh as it is delivered: the cut at the rim makes two of some triangles
+            ended = Terrain(field, threads).update(criterion, **heights)
+            plain = whole.update(replace(criterion, max_triangles=ended.leaves), **heights)
+            plain = replace(plain, relaxed=ended.relaxed)
         best = None
         if plain.relaxed > 1.0:
             best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
@@ -69,9 +75,10 @@ def fit(
             best = fitter.run(error_m)
         more = best is not None and plain.relaxed == 1.0
         more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
+        more = more or (best is not None and max_triangles is not None and len(fitter.ended(best).triangles) > most)
         if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
             best = fitter.interpolated(plain, error_m)
-        surface, _ = borders.end(best.surface, field, fitter.plain, threads=threads)
+        surface = fitter.ended(best)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(
@@ -99,7 +106,7 @@ def check_interpolation(name: str) -> None:
 
 
 def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: float) -> Mesh | None:
-    """The fit for the least step from `error_m` on that has at most `most` triangles, as bisection finds it.
+    """The fit for the least step from `error_m` on that has at most `most` triangles when cut, as bisection finds it.
 
     relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
     """
@@ -112,7 +119,7 @@ def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: 
         step = (low + high) // 2
         factor = 2.0 ** (step / STEPS_PER_OCTAVE)
         mesh = fitter.run(error_m * factor)
-        if mesh is not None and mesh.triangles <= most:
+        if mesh is not None and len(fitter.ended(mesh).triangles) <= most:
             found, high = replace(mesh, relaxed=factor), step
         else:
             low = step

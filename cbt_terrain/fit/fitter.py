@@ -26,7 +26,7 @@ from ...kernels.fitting import moving as kernels
 from ...kernels.refine.diamond import Asked, LocalView
 from ..field import codes
 from ..field.heightfield import HeightField
-from ..mesh.borders import in_holes
+from ..mesh import borders
 from ..mesh.builder import SurfaceBuilder
 from ..mesh.surface import Surface
 from ..refine.domain import depth_limit, make_domain
@@ -120,6 +120,10 @@ class Fitter:
             self.spread(binding.keep, work.vertices, [m, *known])
         return None
 
+    def ended(self, mesh: Mesh) -> Surface:
+        """The mesh as it is delivered: cut at the raster's rim and for its holes."""
+        return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
+
     def interpolated(self, update: Update, error_m: float) -> Mesh:
         """The mesh of an update, measured as a fit is."""
         if not self.scale:
@@ -129,7 +133,7 @@ class Fitter:
         self._measure(m, update.surface)
         if self.field.valid is not None:
             worst = buffers.numpy("fit_worst")[: update.triangles]
-            worst[in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
+            worst[borders.in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
         mesh = self._judged(update.surface, buffers, error_m, 0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.cut import above, cut
 from ...cbt_terrain.mesh.outline import inside
 from ...cbt_terrain.mesh.surface import Surface
@@ -39,7 +40,10 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
 
 
 def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
-    """float64 [n, 3, 2]: the triangles of the evaluated mesh object `boundary` in plan, in the terrain's space."""
+    """float64 [n, 3, 2]: the triangles of the evaluated mesh object `boundary` in plan, in the terrain's space.
+
+    Raises TerrainError where one is not finite.
+    """
     mesh = boundary.data
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)
@@ -47,7 +51,12 @@ def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
     indices = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", indices)
     placed = _moved(_moved(vertices.reshape(-1, 3), boundary.matrix_world), terrain_from_world)
-    return placed[indices].reshape(-1, 3, 3)[:, :, :2]
+    triangles = placed[indices].reshape(-1, 3, 3)[:, :, :2]
+    if not np.isfinite(triangles).all():
+        raise TerrainError(
+            f"The boundary {boundary.name!r} has a vertex or a matrix that is not finite; check its mesh and parents."
+        )
+    return triangles
 
 
 def _moved(points: np.ndarray, matrix) -> np.ndarray:

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's own exporters, each called so that it writes one object's mesh of the current frame and nothing else."""
 
+import os
 from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 
@@ -34,6 +38,18 @@ def _enable_gltf() -> None:
 
     if not addon_utils.check("io_scene_gltf2")[1]:
         addon_utils.enable("io_scene_gltf2")
+
+
+def turn_faces_over(path: Path, faces: int) -> None:
+    """Turn the winding of all `faces` of a .ply over, which are last in the file. Of a mirrored object Blender's other
+    exporters do so themselves."""
+    face = np.dtype([("count", np.uint8), ("corners", "<u4", 3)])
+    with path.open("r+b") as file:
+        file.seek(-faces * face.itemsize, os.SEEK_END)
+        turned = np.fromfile(file, face, faces)
+        turned["corners"] = turned["corners"][:, ::-1].copy()
+        file.seek(-faces * face.itemsize, os.SEEK_END)
+        file.write(turned.tobytes())
 
 
 def export_selected(name: str, form: str) -> None:

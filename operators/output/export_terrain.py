@@ -50,7 +50,7 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
         if triangles:
             self.report({"INFO"}, f"{path.name}: {triangles:,} triangles")
         else:
-            self.report({"WARNING"}, f"{path.name}: the clean-up leaves nothing of the terrain; check its settings")
+            self.report({"WARNING"}, f"{path.name}: nothing is left of the terrain; check its clean-up, and its holes")
 
     def _restore_viewport(self, obj):
         """The viewport gets its own detail back, also when the export failed."""

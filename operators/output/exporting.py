@@ -22,7 +22,7 @@ from ...cbt_terrain.run.partial_files import (
 )
 from ..scene.pauses import paused
 from ..text.console import quiet
-from .blender_exporters import export_selected, only_selected
+from .blender_exporters import export_selected, only_selected, turn_faces_over
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 
@@ -279,6 +279,8 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
         except ValueError as reason:
             raise RuntimeError(str(reason)) from None
         _need_count(piece, path, found)
+        if form == "ply" and piece.obj.matrix_world.determinant() < 0:
+            turn_faces_over(partial, found)
 
 
 def _need_count(piece: Piece, path: Path, found: int) -> None:

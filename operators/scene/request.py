@@ -2,6 +2,7 @@
 """The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
 
 import hashlib
+import math
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -186,6 +187,10 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     if settings.boundary is not None:
         shape = settings.boundary.original.evaluated_get(depsgraph)
         boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
+    if settings.use_below and not math.isfinite(settings.below):
+        raise TerrainError(
+            f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below; expected a number."
+        )
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 

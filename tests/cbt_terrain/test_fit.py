@@ -157,6 +157,16 @@ def test_a_budget_is_used_well_also_for_errors_that_nothing_reaches(error_m):
     assert measured(field, fitted.surface) <= fitted.bound_m < 0.9 * base.bound_m
 
 
+@pytest.mark.parametrize("shape", [(129, 300), (6, 100)])
+def test_a_budget_counts_what_the_cut_at_the_rim_adds(shape):
+    field, error_m = rough(*shape), 1e-3
+    least = plain(field, error_m, max_triangles=0).triangles
+    for budget in (0, 150, 151, 777):
+        fitted, base = fit(field, error_m, max_triangles=budget), plain(field, error_m, max_triangles=budget)
+        assert len(fitted.surface.triangles) <= max(budget, least)
+        assert fitted.bound_m <= base.bound_m * (1 + 1e-9) and fitted.limited == base.limited == "max_triangles"
+
+
 def test_a_budget_that_only_the_fit_keeps_does_not_limit():
     field = rough(129, 129, seed=7)
     free = fit(field, 2.0)

@@ -119,3 +119,13 @@ def test_a_mesh_with_holes_can_be_measured_and_fitted():
     asked = Criterion(error_px=0.0, error_m=2.0)
     for mesh in (Terrain(field, 1).update(asked), fit(field, 2.0)):
         assert 1.0 < measure(field, mesh.surface, random_points=1000, threads=1).vertical_max_m <= 2.0
+
+
+def test_a_raster_of_which_holes_leave_nothing_is_refused():
+    """Every cell has a missing corner, though most samples are there."""
+    heights = hills(9, 7).astype(np.float32)
+    heights[1::2, 1::2] = np.nan
+    with pytest.raises(TerrainError, match="no cell whose four samples are all known"):
+        from_array(heights, holes=True)
+    heights[1, 1] = 0.0
+    assert Terrain(from_array(heights, holes=True), 1).update(Criterion(error_px=0.0, error_m=0.1)).triangles

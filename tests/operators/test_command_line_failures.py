@@ -136,7 +136,7 @@ def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, ca
     code = command_line.main([str(argument) for argument in [*argv, "--out", tmp_path / "out"]])
     said = capsys.readouterr()
     assert code == 0, said.err
-    assert "frame 1: 0 triangles" in said.out and "leaves nothing of Hills" in said.out
+    assert "frame 1: 0 triangles" in said.out and "nothing is left of Hills" in said.out
 
 
 LATE = """

@@ -10,7 +10,7 @@ from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.output.read_back import BLOCK, count_triangles
 from adaptive_terrain.operators.scene import session
 from blender_meshes import digest_alone
-from mesh_files import read_mesh
+from mesh_files import read_mesh, read_ply_fields
 
 FORMATS = ("ply", "obj", "stl", "glb")
 
@@ -38,6 +38,19 @@ def test_a_file_is_counted_as_another_reader_counts_it(terrain, tmp_path, form):
             path.write_bytes(damaged)
             with pytest.raises(ValueError):
                 count_triangles(path)
+
+
+@pytest.mark.parametrize("form", ("ply", "obj", "stl"))
+def test_faces_of_a_mirrored_terrain_are_counter_clockwise_from_above(terrain, tmp_path, form):
+    terrain.scale.x = -terrain.scale.x
+    bpy.context.view_layer.update()
+    path = tmp_path / f"hills.{form}"
+    assert export(path) == {"FINISHED"}
+    vertices, triangles = read_mesh(path)
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    assert np.cross(b - a, c - a)[:, 2].min() > 0
+    if form == "ply":
+        assert read_ply_fields(path)["nz"].min() > 0
 
 
 def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):

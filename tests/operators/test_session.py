@@ -144,6 +144,22 @@ def test_an_ordinary_object_keeps_the_mesh_that_it_shares(scene, add_terrain):
     assert len(shared.polygons) == 0 < len(terrain.data.polygons)
 
 
+def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    before, cleanup = positions(terrain), terrain.adaptive_terrain.cleanup
+    cleanup.use_below, cleanup.below = True, float("nan")
+    with pytest.raises(TerrainError, match="nan as the height of Delete Below"):
+        session.update_object(terrain)
+    cleanup.use_below = False
+    mesh = bpy.data.meshes.new("Torn")
+    mesh.from_pydata([(float("nan"), 0, 0), (9, 0, 0), (0, 9, 0)], [], [(0, 1, 2)])
+    cleanup.boundary = bpy.data.objects.new("Torn", mesh)
+    with pytest.raises(TerrainError, match="boundary 'Torn' has a vertex or a matrix that is not finite"):
+        session.update_object(terrain)
+    assert positions(terrain) == before
+
+
 def test_clean_up_follows_the_settings(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)

@@ -11,10 +11,8 @@ from ..ask.criterion import LARGEST, Criterion
 from ..ask.spans import Spans
 from ..run.buffers import Buffers
 from .excess import AREA, EDGE, ERROR, FIXED, METRES, Excess, greatest
-from .terms import Terms, weighed_as
+from .terms import MARGIN, Terms, weighed_as
 
-# Relative; above what rounding does to a sum of metres.
-MARGIN = 1e-12
 # What keeps a bound above what was asked; of several, the first is told.
 REASONS = ("max_triangles", "max_depth", "precision", "source")
 

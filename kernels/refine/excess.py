@@ -56,7 +56,7 @@ class Triangle:
     right: wp.vec2i
     depth: wp.int32
     most2: wp.float64  # squared: what it has at most; UNSEEN if nothing of it is in view
-    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/excess.py
+    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py
     total: wp.float64
 
 

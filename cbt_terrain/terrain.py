@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain: one height field and what keeps its mesh up to date with the views."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import warp as wp
 
-from ..kernels.refine.diamond import Asked, Domain, LocalView
+from ..kernels.refine.diamond import Domain
 from .ask.criterion import Criterion
 from .ask.linear import determinant
 from .ask.local_view import localise
@@ -20,10 +18,10 @@ from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
-from .refine.domain import depth_limit, make_domain
+from .refine.domain import depth_limit, make_domain, pack
 from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
-from .refine.terms import Terms, position_rounding, rounding, weighed_as
+from .refine.terms import Terms, position_rounding, rounding
 from .run import launch
 from .run.buffers import Buffers
 from .tree.location import locate
@@ -76,7 +74,6 @@ class Terrain:
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
-        self._stamp: object = None
         self._pieces: Pieces | None = None  # of the surface that was last asked for a place
 
     @property
@@ -104,12 +101,9 @@ class Terrain:
         """
         placement = np.eye(4) if placement is None else np.array(placement, np.float64)
         key = (criterion, tuple(v.key() for v in views), placement.tobytes(), vertical_scale, vertical_offset)
-        if key == self._asked_key and not self._edited():
-            return replace(self._last, changed=False, ms={})
-        with launch.stopwatch() as ms, launch.timed("total"):
-            update = self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
-        self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
-        return update
+        return self._made(
+            key, lambda ms: self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
+        )
 
     def saved(self) -> tuple[bytes, dict]:
         """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again."""
@@ -130,11 +124,17 @@ class Terrain:
                 f"A saved tree has meshlets of level {meshlet!r}, a vertical scale of {vertical_scale!r} and an offset "
                 f"of {vertical_offset!r}; expected a whole number and two numbers; save it again."
             )
-        if key == self._asked_key and not self._edited():
-            return Update(**{**self._last.__dict__, "changed": False, "ms": {}})
+        return self._made(
+            key, lambda ms: self._restore(tree, meshlet, float(vertical_scale), float(vertical_offset), ms)
+        )
+
+    def _made(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
+        """What `make` makes, given where to note milliseconds; or the last update where the same is asked again."""
+        if key == self._asked_key:
+            return replace(self._last, changed=False, ms={})
         with launch.stopwatch() as ms, launch.timed("total"):
-            update = self._restore(tree, meshlet, float(vertical_scale), float(vertical_offset), ms)
-        self._asked_key, self._last, self._stamp = key, update, self.tree.stamp
+            update = make(ms)
+        self._asked_key, self._last = key, update
         return update
 
     def _restore(self, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
@@ -144,9 +144,8 @@ class Terrain:
         domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
         shape = (meshlet, depth, vertical_scale, vertical_offset)
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        edited = self._edited()
         leaves, error = self._refinement.replay(domain, depths, cell_bits)
-        changed = bool(leaves.changed_cells) or shape != shape_key or edited
+        changed = bool(leaves.changed_cells) or shape != shape_key
         try:
             surface = self._builder.build(leaves, domain, meshlet) if changed else self._last.surface
         except TornMesh:
@@ -191,10 +190,6 @@ class Terrain:
         if self._last is None or self._shape_key is None:
             raise TerrainError("The terrain has no mesh yet; update it first.")
 
-    def _edited(self) -> bool:
-        """Whether the tree is another one than the last update left."""
-        return self.tree is None or self.tree.stamp is not self._stamp
-
     def _update(self, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check(criterion, views, placement)
@@ -209,11 +204,10 @@ class Terrain:
             localise(view, placement, box, criterion, scale, unsure)
             for view, scale in zip(spans.views, spans.scales, strict=True)
         ]
-        asked = _pack(criterion, local, spans, domain.source)
+        asked = pack(criterion, local, spans, domain.source)
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        edited = self._edited()
-        surface, changed = self._last.surface if self._last else None, shape != shape_key or edited
+        surface, changed = self._last.surface if self._last else None, shape != shape_key
         most = _max_leaves(criterion)
         while True:
             leaves, relaxed = self._refinement.run(domain, asked, depth, most, criterion.max_triangles is not None)
@@ -305,23 +299,3 @@ def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made) -> 
         limited=reason_of([px, metres, edge, area], outcome.relaxed),
         **made,
     )
-
-
-def _pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> Asked:
-    """What is asked, in spans of a pixel as the kernels measure them; `source`: metres that the source's own heights
-    may be off."""
-    asked = Asked()
-
-    def squared(value: float) -> float:
-        return value**2 if value > 0 else math.inf
-
-    asked.view_count = len(views)
-    asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
-    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
-    asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
-    asked.metres2 = squared(weighed_as(criterion.error_m, source) * (1 - 2 * MARGIN))
-    asked.diagonal2, asked.axis2 = spans.lengths
-    asked.limit = 1.0
-    views = views or [LocalView()]
-    asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
-    return asked

@@ -6,15 +6,16 @@ kept: where a leaf is as deep as leaves may be, and where float32 and the source
 import math
 from dataclasses import dataclass
 
+import warp as wp
+
 from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
 from ..ask.criterion import LARGEST, Criterion
 from ..ask.spans import Spans
+from ..run import launch
 from ..run.buffers import Buffers
-from .excess import AREA, EDGE, ERROR, FIXED, METRES, Excess, greatest
-from .terms import Terms, weighed_as
+from .terms import MARGIN, Terms, weighed_as
 
-# Relative; above what rounding does to a sum of metres.
-MARGIN = 1e-12
 # What keeps a bound above what was asked; of several, the first is told.
 REASONS = ("max_triangles", "max_depth", "precision", "source")
 
@@ -26,6 +27,16 @@ class Bound:
     value: float
     reason: str = ""
     terms: Terms | None = None
+
+
+@dataclass(frozen=True)
+class Excess:
+    """The most that ground has of something: spans of a pixel, or metres. Of errors also the metres of it that cannot
+    be refined away there, float32's and the source's, and all metres of it."""
+
+    most: float
+    fixed: float
+    total: float
 
 
 @dataclass(frozen=True)
@@ -47,7 +58,13 @@ class Outcome:
     buffers: Buffers
 
     def search(self, what: int, least: float) -> Excess | None:
-        return greatest(self.domain, self.asked, what, self.max_depth, least, self.buffers)
+        """The most of `what` (FIXED, ERROR, EDGE, AREA: on ground in view; METRES: anywhere) that leaves at the depth
+        limit have, rounded up by a thousandth; None where none has more than `least`."""
+        stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
+        inputs = [self.domain, self.asked, what, self.max_depth, math.copysign(least * least, least), stack, found]
+        launch.once(find_most, inputs, step="bound")
+        most2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
+        return None if total < 0.0 else Excess(math.sqrt(most2), fixed, total)
 
     def stopped_above(self, what: int, least: float) -> Excess | None:
         """What leaves that are too coarse have, where that is more than `least`."""

@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The height field, its lattice and its place, as the kernels read them, and how deep they may go."""
+"""The height field, its lattice and its place, and what is asked, as the kernels read them; how deep they may go."""
+
+import math
 
 import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
+from ...kernels.refine.diamond import Asked, LocalView
+from ..ask.criterion import Criterion
+from ..ask.spans import Spans
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run.buffers import shared
-from .terms import Rounding
+from .terms import MARGIN, Rounding, weighed_as
 
 # Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
 PLANE_BITS = 23
@@ -73,3 +78,23 @@ def make_domain(
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
     domain.samples = codes.packed(field.samples, field.steps)
     return domain
+
+
+def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> Asked:
+    """What is asked, in spans of a pixel as the kernels measure them; `source`: metres that the source's own heights
+    may be off."""
+    asked = Asked()
+
+    def squared(value: float) -> float:
+        return value**2 if value > 0 else math.inf
+
+    asked.view_count = len(views)
+    asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
+    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
+    asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
+    asked.metres2 = squared(weighed_as(criterion.error_m, source) * (1 - 2 * MARGIN))
+    asked.diagonal2, asked.axis2 = spans.lengths
+    asked.limit = 1.0
+    views = views or [LocalView()]
+    asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
+    return asked

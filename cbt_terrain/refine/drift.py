@@ -22,19 +22,22 @@ class Walked:
     room: int  # of subtrees, and of runs of leaves, in a slot
     work: tuple  # of each slot: leaves, and what they cost, in leaves that are found anew
     after: object  # the leaves that it has taken some from, or None
-    stamp: object = None  # of the tree that it marked; None: of none yet
-    leaves: object = None  # that it has found
+    leaves: object = None  # that it has found; None: the tree does not hold them yet
 
     def __post_init__(self):
         self.limit = self.asked.limit
 
-    def drift(self, domain: Domain, asked: Asked, max_depth: int, stamp: object) -> float:
+    def drift(self, domain: Domain, asked: Asked, max_depth: int) -> float:
         """By what part the lengths have changed that spans of a pixel are made of and compared with, all but those
-        that `Motion` has; infinity if more than the camera has moved, or the tree (its `stamp`) has."""
+        that `Motion` has; infinity if more than the camera has moved."""
         of_asked = "view_count", "measures_edges", "metres2"
         of_view = "kind", "plane_count", "off_screen2"
-        same = domain is self.domain and max_depth == self.max_depth and asked.limit == self.limit
-        same = same and stamp is self.stamp
+        same = (
+            self.leaves is not None
+            and domain is self.domain
+            and max_depth == self.max_depth
+            and asked.limit == self.limit
+        )
         same = same and all(getattr(asked, name) == getattr(self.asked, name) for name in of_asked)
         if not same or any(getattr(asked.view, name) != getattr(self.asked.view, name) for name in of_view):
             return math.inf

@@ -113,10 +113,12 @@ class Refinement:
         leaves = self._leaves(walks, counts)
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
-            self._last.leaves, self._last.after = leaves, None
+            self._last.after = None
             if leaves.after:
                 leaves.after.after = None  # or all leaves of a flight would stay
         leaves.changed_cells = self._mark(walks, counts)
+        if self._last:
+            self._last.leaves = leaves
         return leaves, math.sqrt(asked.limit)
 
     def replay(self, domain: Domain, depths: np.ndarray, cell_bits: int) -> tuple[Leaves, float]:
@@ -151,7 +153,7 @@ class Refinement:
         if keeps:
             for name in WRITTEN:
                 self.buffers.swap(name, "last_" + name)
-        drift = last.drift(domain, asked, max_depth, self.tree.stamp) if keeps and last else math.inf
+        drift = last.drift(domain, asked, max_depth) if keeps and last else math.inf
         kept = drift <= MOST_DRIFT
         if kept:
             move(self._motion, last.asked.view, asked.view, drift)
@@ -193,7 +195,7 @@ class Refinement:
             ends, costs = (np.cumsum([0, *of]) for of in self._last.work)
         at = np.interp(shares * costs[-1], costs, ends).astype(np.int64)
         inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) for leaf in at.tolist()]
-        return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]  # an edited tree may have leaves anywhere
+        return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]
 
     def _walks(self, cuts: list[int], max_depth: int, max_leaves: int, capacity: int) -> list[Walk]:
         """The walks of the slices between `cuts`; beyond `capacity` leaves each only counts."""
@@ -279,8 +281,6 @@ class Refinement:
         tree, self.tree = self.tree, None
         changed = tree.mark_written(parts, runs)
         self.tree = tree
-        if last:
-            last.stamp = tree.stamp
         self._walk_structs, self._recorded = self._walk_structs[::-1], self._recorded[::-1]
         return changed
 

@@ -6,7 +6,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET
-from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
+from ..tree.saved import MIN_DEPTH, depths_from_bytes
 from .domain import depth_limit
 
 
@@ -15,10 +15,12 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
 
     Raises TerrainError unless it is of a tree over the field's squares whose leaves can be so many triangles each.
     """
-    saved, lattice = ConcurrentBinaryTree.from_bytes(tree), field.lattice
-    cell_bits = saved.max_depth - lattice.square_bits
-    squares = saved.cells() < lattice.squares << max(0, cell_bits)
-    depths = saved.depths()[squares].astype(np.int64) - lattice.square_bits
+    (max_depth, depths), lattice = depths_from_bytes(tree), field.lattice
+    cell_bits = max_depth - lattice.square_bits
+    sizes = np.int64(1) << max_depth - depths.astype(np.int64)
+    depths = (
+        depths[np.cumsum(sizes) - sizes < lattice.squares << max(0, cell_bits)].astype(np.int64) - lattice.square_bits
+    )
     most = depth_limit(field) - 2 * meshlet if 0 <= meshlet <= MAX_MESHLET else 0
     if not (cell_bits >= MIN_DEPTH and 1 <= depths.min() and depths.max() <= most):
         raise TerrainError(

@@ -16,6 +16,7 @@ DISPLACEMENT_ERROR = 2.0**-48
 BICUBIC_LEAN = 6.0
 # Relative; above what rounding does to the sums below.
 OUTWARD = 1 + 1e-6
+MARGIN = 1e-12  # ... of a few metres
 
 
 @dataclass(frozen=True)

@@ -37,14 +37,6 @@ class CellStreams:
         """Memory of the next stream, at least `room` entries, one behind the cells of each part included."""
         return self._next.get("cells", room + AHEAD, wp.int64)
 
-    def write(self, slices: list[np.ndarray]) -> list[tuple[int, int]]:
-        """Copy consecutive slices of a stream to the next one's memory, and return its parts."""
-        memory, count = self._next.numpy("cells"), 0
-        for cells in slices:
-            memory[count : count + len(cells)] = cells
-            count += len(cells)
-        return [(0, count)] if count else []
-
     def link(self, parts: list[tuple[int, int]]) -> None:
         """Write the entries that lead through the parts of the next stream."""
         cells = self._next.numpy("cells")

@@ -18,7 +18,7 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     """Numbers of the triangles at `places`, in curve order, 4**meshlet for each leaf: int64 [n]; -1 beyond the raster.
 
     places: float64 [n, 2], x and y in metres in the terrain's own space. A place on an edge is in either triangle
-    beside it. Without meshlets a number is that of a leaf, as `tree.decode` takes it. O(depth + log leaves) a place.
+    beside it. Without meshlets a number is that of a leaf in the tree. O(depth + log leaves) a place.
     """
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()

@@ -9,13 +9,10 @@ a walk without memory gives.
 
 import warp as wp
 
-from .diamond import ORTHOGRAPHIC, PERSPECTIVE, Asked, LocalView, larger, smaller
+from .diamond import CLEAR, ORTHOGRAPHIC, OUTSIDE, PERSPECTIVE, Asked, LocalView, larger, smaller, stand_of
 
 wp.set_module_options({"enable_backward": False})
 
-CLEAR = wp.constant(1)
-OUTSIDE = wp.constant(0)
-CROSSED = wp.constant(-1)
 NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
 ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
 
@@ -50,34 +47,6 @@ class Motion:
     step: wp.float64  # metres of camera space that the eye has moved
     ratio: wp.float64  # span of a pixel at unit depth over what it was
     drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
-
-
-@wp.func
-def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Whether the frustum holds a box (CLEAR), none of it (OUTSIDE), or may hold a part (CROSSED)."""
-    zero = wp.float64(0.0)
-    stand = CLEAR
-    for p in range(view.plane_count):
-        plane = view.planes[p]
-        x0 = plane[0] * low[0]
-        x1 = plane[0] * high[0]
-        y0 = plane[1] * low[1]
-        y1 = plane[1] * high[1]
-        z0 = plane[2] * low[2]
-        z1 = plane[2] * high[2]
-        # in the order of `finest_in`: the same roundings
-        most = plane[3] + larger(x0, x1)
-        most += larger(y0, y1)
-        most += larger(z0, z1)
-        if most < zero:
-            stand = OUTSIDE
-            break
-        least = plane[3] + smaller(x0, x1)
-        least += smaller(y0, y1)
-        least += smaller(z0, z1)
-        if least < zero:
-            stand = CROSSED
-    return stand
 
 
 @wp.func

@@ -18,6 +18,9 @@ wp.set_module_options({"enable_backward": False})
 PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)
+CLEAR = wp.constant(1)
+OUTSIDE = wp.constant(0)
+CROSSED = wp.constant(-1)
 MAX_PLANES = wp.constant(6)
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
@@ -65,6 +68,38 @@ def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
 def larger(a: wp.float64, b: wp.float64) -> wp.float64:
     """As `smaller`, of wp.max."""
     return wp.where(a > b, a, b)
+
+
+@wp.func
+def most_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """The most that plane . (x, y, z, 1) is in a box."""
+    most = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
+    most += larger(plane[1] * low[1], plane[1] * high[1])
+    most += larger(plane[2] * low[2], plane[2] * high[2])
+    return most
+
+
+@wp.func
+def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """The least that plane . (x, y, z, 1) is in a box."""
+    least = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
+    least += smaller(plane[1] * low[1], plane[1] * high[1])
+    least += smaller(plane[2] * low[2], plane[2] * high[2])
+    return least
+
+
+@wp.func
+def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Whether the frustum holds a box (CLEAR), none of it (OUTSIDE), or may hold a part (CROSSED)."""
+    zero = wp.float64(0.0)
+    stand = CLEAR
+    for p in range(view.plane_count):
+        if most_of(view.planes[p], low, high) < zero:
+            stand = OUTSIDE
+            break
+        if least_of(view.planes[p], low, high) < zero:
+            stand = CROSSED
+    return stand
 
 
 @wp.func
@@ -362,17 +397,10 @@ def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
         dx = larger(larger(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
         dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
         dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
-        deep = view.depth[3] + smaller(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
-        deep += smaller(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
-        deep += smaller(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
-        pixel2 = pixel2_at(view, dx, dy, dz, deep)
+        pixel2 = pixel2_at(view, dx, dy, dz, least_of(view.depth, d.low, d.high))
     if clear == 0:
         for p in range(view.plane_count):
-            plane = view.planes[p]
-            side = plane[3] + larger(plane[0] * d.low[0], plane[0] * d.high[0])
-            side += larger(plane[1] * d.low[1], plane[1] * d.high[1])
-            side += larger(plane[2] * d.low[2], plane[2] * d.high[2])
-            if side < zero:
+            if most_of(view.planes[p], d.low, d.high) < zero:
                 pixel2 = pixel2 * view.off_screen2
                 break
     return pixel2
@@ -387,18 +415,11 @@ def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
         dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
         dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
         dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
-        deep = view.depth[3] + larger(view.depth[0] * d.low[0], view.depth[0] * d.high[0])
-        deep += larger(view.depth[1] * d.low[1], view.depth[1] * d.high[1])
-        deep += larger(view.depth[2] * d.low[2], view.depth[2] * d.high[2])
-        pixel2 = pixel2_at(view, dx, dy, dz, deep)
+        pixel2 = pixel2_at(view, dx, dy, dz, most_of(view.depth, d.low, d.high))
     inside = wp.int32(1)
     if clear == 0:
         for p in range(view.plane_count):
-            plane = view.planes[p]
-            side = plane[3] + smaller(plane[0] * d.low[0], plane[0] * d.high[0])
-            side += smaller(plane[1] * d.low[1], plane[1] * d.high[1])
-            side += smaller(plane[2] * d.low[2], plane[2] * d.high[2])
-            if side < zero:
+            if least_of(view.planes[p], d.low, d.high) < zero:
                 pixel2 = pixel2 * view.off_screen2
                 inside = 0
                 break

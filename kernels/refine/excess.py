@@ -14,6 +14,7 @@ import warp as wp
 
 from ..field.codes import sample_at
 from .diamond import (
+    OUTSIDE,
     PERSPECTIVE,
     Asked,
     Diamond,
@@ -26,6 +27,7 @@ from .diamond import (
     rest_of,
     sizes,
     smaller,
+    stand_of,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -54,7 +56,7 @@ class Triangle:
     right: wp.vec2i
     depth: wp.int32
     most2: wp.float64  # squared: what it has at most; UNSEEN if nothing of it is in view
-    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/excess.py
+    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py
     total: wp.float64
 
 
@@ -165,23 +167,10 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
 
 
 @wp.func
-def is_in_view(view: LocalView, d: Diamond) -> wp.bool:
-    """False only where the box is wholly outside one of the frustum's planes."""
-    inside = wp.bool(True)
-    for p in range(view.plane_count):
-        plane = view.planes[p]
-        side = plane[3] + larger(plane[0] * d.low[0], plane[0] * d.high[0])
-        side += larger(plane[1] * d.low[1], plane[1] * d.high[1])
-        side += larger(plane[2] * d.low[2], plane[2] * d.high[2])
-        inside = inside and side >= wp.float64(0.0)
-    return inside
-
-
-@wp.func
 def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
-    if is_in_view(view, d):
+    if stand_of(view, d.low, d.high) != OUTSIDE:
         pixel2 = finest_in(view, d, 1)
         if view.kind == PERSPECTIVE:
             ahead = least_depth(view, d)

@@ -6,8 +6,8 @@ import warp as wp
 from ..unchecked import copy_cells, copy_codes, copy_points
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
-from .coherence import CROSSED, Subtree, carried, stand_of
-from .diamond import Asked, coarsest, smaller
+from .coherence import Subtree, carried
+from .diamond import CROSSED, Asked, coarsest, smaller, stand_of
 from .emit import stands_alone
 from .steps import size_of
 from .sum_reduction import Run

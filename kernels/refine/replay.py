@@ -6,7 +6,8 @@ import warp as wp
 from .band import LEAF, SPLIT
 from .diamond import Domain, error_at
 from .emit import emit
-from .steps import advance, enter, middle_of, square_at
+from .kept import begin_keeping
+from .steps import advance, enter, middle_of, put_results, square_at
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})
@@ -19,6 +20,7 @@ def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.
     `worst` [1]: the largest error of a leaf's diamond, metres before scaling.
     """
     n = Written()
+    begin_keeping(w)
     largest = wp.float32(0.0)
     for number in range(domain.columns * domain.rows):
         q = square_at(domain, w, number)
@@ -31,8 +33,5 @@ def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.
                 largest = wp.max(largest, error_at(domain, middle[0], middle[1], c.depth))
                 n = emit(domain, w, q, c, n, verdict)
             c = advance(w, q, c, verdict)
-    w.counts[0] = n.leaves
-    w.counts[1] = n.vertices
-    w.counts[2] = n.edges
-    w.counts[3] = wp.int64(0)
+    put_results(w, n)
     worst[0] = largest

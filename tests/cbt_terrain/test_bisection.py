@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from edited_tree import EditedTree
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_bisection import ReferenceMesh, assert_conforming, corners_of, edges_of, forced_split_leaves
@@ -110,7 +110,7 @@ def test_tree_ids_round_trip(grid, data):
 @pytest.mark.parametrize("grid", GRIDS)
 def test_plant_makes_two_roots_a_square(grid):
     lattice = Lattice(*grid, 0)
-    tree = ConcurrentBinaryTree(12)
+    tree = EditedTree(12)
     bisection.plant(tree, lattice)
     assert leaves_of(tree, lattice) == {(s, n) for s in range(lattice.squares) for n in (2, 3)}
     assert tree.leaf_count == 2 * lattice.squares + (1 << lattice.square_bits) - lattice.squares
@@ -122,7 +122,7 @@ def test_conforming_edits_equal_the_brute_force(grid, seed):
     columns, rows = grid
     lattice = Lattice(columns, rows, 0)
     max_depth = 8
-    tree = ConcurrentBinaryTree(max_depth + lattice.square_bits)
+    tree = EditedTree(max_depth + lattice.square_bits)
     bisection.plant(tree, lattice)
     mesh = ReferenceMesh(columns, rows, 4)
     rng = random.Random(seed)
@@ -142,7 +142,7 @@ def test_conforming_edits_equal_the_brute_force(grid, seed):
 
 def test_merge_undoes_split():
     lattice = Lattice(3, 2, 0)
-    tree = ConcurrentBinaryTree(14)
+    tree = EditedTree(14)
     bisection.plant(tree, lattice)
     before = tree.to_bytes()
     done = bisection.split_conforming(tree, lattice, (1, 2))
@@ -181,7 +181,7 @@ def test_conformity_check_finds_a_t_junction():
 
 def test_bad_nodes_are_refused():
     lattice = Lattice(2, 2, 0)
-    tree = ConcurrentBinaryTree(6)
+    tree = EditedTree(6)
     bisection.plant(tree, lattice)
     with pytest.raises(TerrainError, match="not a leaf"):
         bisection.split_conforming(tree, lattice, (0, 4))

@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import from_tree_id
+from edited_tree import EditedTree
 from fields import errors_of, extent, random_view, ranges_of, rough
 from reference_bisection import forced_split_leaves
 
@@ -20,7 +21,7 @@ SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
 
 def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
     """(square, heap id) of the leaves of the tree, in curve order, without those that only fill it."""
-    lattice, tree = terrain.field.lattice, terrain.tree
+    lattice, tree = terrain.field.lattice, EditedTree.of(terrain.tree)
     spare = (1 << lattice.square_bits) - lattice.squares
     return [tuple(from_tree_id(lattice, tree.decode(k))) for k in range(tree.leaf_count - spare)]
 
@@ -210,20 +211,6 @@ def test_axes_in_one_plane_are_refused():
     flat[:3, 2] = flat[:3, 0] * (1 + 1e-16)
     with pytest.raises(TerrainError, match="scale|axes"):
         Terrain(rough(9, 9), 1).update(Criterion(), [View.look((0, -100, 50), (0, 0, 0))], flat)
-
-
-def test_an_edited_tree_cuts_nothing_outside_the_squares(monkeypatch):
-    """Three squares in a tree for four, its leaves evenly over all four."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    field, view = rough(65, 193), View.look((0.0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
-    terrain, criterion = Terrain(field, 7), Criterion(error_px=4.0, max_depth=12)
-    assert (field.lattice.squares, field.lattice.square_bits) == (3, 2)
-    terrain.update(criterion, [view])
-    for depth in range(6):
-        terrain.tree.reset(depth)
-        cuts = terrain._refinement._cuts()
-        assert cuts == sorted(set(cuts)) and cuts[0] == 0 and cuts[-1] == 3 << terrain._refinement._cell_bits
-        assert terrain.update(criterion, [view]).leaves == Terrain(field, 1).update(criterion, [view]).leaves
 
 
 def test_threads_share_the_curve_by_cost(monkeypatch):

@@ -83,21 +83,6 @@ def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, step, thr
         terrain.update(criterion, [views[0]])
 
 
-def test_an_edit_of_the_tree_does_not_outlive_an_update():
-    """The same view again marks its leaves again; leaves that another view will want are no mesh of it yet."""
-    terrain, other, fresh = (Terrain(rough(65, 65), 1) for _ in range(3))
-    criterion = Criterion(error_px=2.0, max_depth=12)
-    a, b = (View.look((x, -300.0, 200.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 60.0))
-    cells = (terrain.update(criterion, [a]), terrain.tree.cells())[1].copy()
-    terrain.tree.split(int(terrain.tree.leaves().min()))
-    assert terrain.update(criterion, [a]).changed and not terrain.update(criterion, [a]).changed
-    assert np.array_equal(terrain.tree.cells(), cells)
-    other.update(criterion, [b])
-    terrain.tree.mark(other.tree.cells())
-    update = terrain.update(criterion, [b])
-    assert update.changed and arrays(update.surface) == arrays(fresh.update(criterion, [b]).surface)
-
-
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_a_mesh_that_memory_cannot_hold_is_refused_and_the_next_is_as_ever(monkeypatch, meshlet):
     terrain = Terrain(rough(65, 65), 1)

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from edited_tree import EditedTree
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -64,7 +64,7 @@ def assert_same(tree, reference):
 
 def assert_counters_agree(tree):
     """Every counter is the sum of what lies below it, though only changed ones were summed again."""
-    fresh = ConcurrentBinaryTree(tree.max_depth)
+    fresh = EditedTree(tree.max_depth)
     fresh.mark(tree.cells())
     assert np.array_equal(fresh._upper_counts, tree._upper_counts)
     assert np.array_equal(fresh._block_counts, tree._block_counts)
@@ -77,7 +77,7 @@ def assert_counters_agree(tree):
 
 
 def test_a_new_tree_is_its_root():
-    tree = ConcurrentBinaryTree(20)
+    tree = EditedTree(20)
     assert (tree.leaf_count, tree.decode(0), tree.encode(1), tree.is_leaf(1)) == (1, 1, 0, True)
     assert not tree.is_leaf(2) and not tree.is_leaf(3)
     assert tree.leaf_at(0) == tree.leaf_at((1 << 20) - 1) == 1
@@ -87,7 +87,7 @@ def test_a_new_tree_is_its_root():
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from([6, 7, 12, 13, 19, 26, 32, 40]), st.integers(0, 2**32), st.lists(st.booleans(), max_size=60))
 def test_random_split_and_merge_equal_the_reference(max_depth, seed, splits):
-    tree, reference = ConcurrentBinaryTree(max_depth), ReferenceTree(max_depth)
+    tree, reference = EditedTree(max_depth), ReferenceTree(max_depth)
     rng = np.random.default_rng(seed)
     for split in splits:
         leaves = reference.in_order()
@@ -121,7 +121,7 @@ def test_random_split_and_merge_equal_the_reference(max_depth, seed, splits):
 @given(st.sampled_from([6, 11, 18, 25, 31]), st.integers(0, 2**32))
 def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
     rng = np.random.default_rng(seed)
-    tree = ConcurrentBinaryTree(max_depth)
+    tree = EditedTree(max_depth)
     for _ in range(4):
         reference = random_tree(rng, max_depth, int(rng.integers(1, 300)))
         before, after = set(tree.cells().tolist()), stream_of(reference)
@@ -134,27 +134,8 @@ def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
                 tree.split(heap_id)
 
 
-def test_mark_joins_slices():
-    rng = np.random.default_rng(3)
-    reference = random_tree(rng, 14, 400)
-    cells = stream_of(reference)
-    for cuts in ([200], [0, 1, 399], [100, 100, 101, 102]):
-        tree = ConcurrentBinaryTree(14)
-        tree.mark_slices(np.split(cells, cuts))
-        assert_same(tree, reference)
-        assert tree.mark(stream_of(reference)) == 0
-
-
-def test_mark_does_not_keep_the_callers_array():
-    tree = ConcurrentBinaryTree(10)
-    cells = np.array([0, 512, 768], np.int64)
-    tree.mark(cells)
-    cells[:] = 0
-    assert tree.leaves().tolist() == [2, 6, 7]
-
-
 def test_an_equal_stream_changes_nothing():
-    tree = ConcurrentBinaryTree(24)
+    tree = EditedTree(24)
     tree.reset(12)
     assert tree.mark(tree.cells().copy()) == 0
     assert tree.leaf_count == 4096
@@ -162,7 +143,7 @@ def test_an_equal_stream_changes_nothing():
 
 @pytest.mark.parametrize("max_depth", [6, 12, 18])
 def test_reset_gives_every_node_of_a_depth(max_depth):
-    tree = ConcurrentBinaryTree(max_depth)
+    tree = EditedTree(max_depth)
     for depth in (max_depth, 0, max_depth // 2):
         tree.reset(depth)
         assert tree.leaves().tolist() == list(range(1 << depth, 2 << depth))
@@ -173,12 +154,12 @@ def test_reset_gives_every_node_of_a_depth(max_depth):
 @given(st.sampled_from([6, 12, 27, 40]), st.integers(0, 2**32), st.integers(1, 200))
 def test_bytes_round_trip(max_depth, seed, leaves):
     reference = random_tree(np.random.default_rng(seed), max_depth, leaves)
-    tree = ConcurrentBinaryTree(max_depth)
+    tree = EditedTree(max_depth)
     tree.mark(stream_of(reference))
     data = tree.to_bytes()
     assert len(data) == 20 + len(reference.leaves)
     assert tree.depths().tolist() == [n.bit_length() - 1 for n in reference.in_order()]
-    again = ConcurrentBinaryTree.from_bytes(data)
+    again = EditedTree.from_bytes(data)
     assert again.max_depth == max_depth
     assert_same(again, reference)
     assert again.to_bytes() == data
@@ -190,57 +171,38 @@ def sealed(max_depth, depths, version=2):
 
 
 def test_damaged_bytes_are_refused():
-    tree = ConcurrentBinaryTree(16)
+    tree = EditedTree(16)
     tree.reset(5)
     data = tree.to_bytes()
     for length in (0, 3, 19, len(data) - 1):
         with pytest.raises(TerrainError):
-            ConcurrentBinaryTree.from_bytes(data[:length])
+            EditedTree.from_bytes(data[:length])
     for at in range(len(data)):
         with pytest.raises(TerrainError):
-            ConcurrentBinaryTree.from_bytes(data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :])
+            EditedTree.from_bytes(data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :])
     lying = struct.pack("<4sHHQ", b"ACBT", 2, 40, 10**15) + bytes(100)
     with pytest.raises(TerrainError, match="cut short or damaged"):
-        ConcurrentBinaryTree.from_bytes(lying + struct.pack("<I", zlib.crc32(lying)))
+        EditedTree.from_bytes(lying + struct.pack("<I", zlib.crc32(lying)))
 
 
 def test_bytes_that_are_no_tree_are_refused():
-    assert ConcurrentBinaryTree.from_bytes(sealed(8, [1, 1])).leaves().tolist() == [2, 3]
+    assert EditedTree.from_bytes(sealed(8, [1, 1])).leaves().tolist() == [2, 3]
     gaps = ([], [1], [1, 1, 8], [1, 2], [2, 1, 2], [1, 2, 3, 8], [9] * 512, [255], [0, 0], [1] * 257)
     for depths in gaps:
         with pytest.raises(TerrainError, match="do not form a tree"):
-            ConcurrentBinaryTree.from_bytes(sealed(8, depths))
+            EditedTree.from_bytes(sealed(8, depths))
     for max_depth, version in ((5, 2), (41, 2), (8, 1)):
         with pytest.raises(TerrainError, match="has version"):
-            ConcurrentBinaryTree.from_bytes(sealed(max_depth, [0], version=version))
+            EditedTree.from_bytes(sealed(max_depth, [0], version=version))
 
 
-def test_what_cannot_be_done_is_refused_and_changes_nothing():
-    tree = ConcurrentBinaryTree(6)
-    tree.split(1)
-    tree.split(2)
-    before = tree.to_bytes()
-    for action in (
-        lambda: tree.split(1),
-        lambda: tree.split(2),
-        lambda: tree.split(6),
-        lambda: tree.split(64),
-        lambda: tree.split(0),
-        lambda: tree.split(1 << 63),
-        lambda: tree.merge(1),
-        lambda: tree.merge(3),
-        lambda: tree.merge(0),
-        lambda: tree.merge(64),
-        lambda: tree.encode(2),
-        lambda: tree.decode(3),
-        lambda: tree.decode(-1),
-        lambda: tree.leaf_at(64),
-        lambda: tree.is_leaf(128),
-        lambda: tree.reset(7),
-    ):
-        with pytest.raises(TerrainError):
-            action()
-    assert tree.to_bytes() == before
+def test_what_is_no_tree_or_leaf_of_it_is_refused():
+    tree = EditedTree(6)
+    tree.reset(2)
+    assert [tree.cell_of_leaf(k) for k in range(5)] == [0, 16, 32, 48, 64]
+    for leaf in (-1, 5):
+        with pytest.raises(TerrainError, match="expected 0 .. 3"):
+            tree.cell_of_leaf(leaf)
     for max_depth in (5, 41, 20.0, "20"):
         with pytest.raises(TerrainError, match="expected a whole number, 6 .. 40"):
-            ConcurrentBinaryTree(max_depth)
+            EditedTree(max_depth)

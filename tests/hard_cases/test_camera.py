@@ -10,6 +10,7 @@ from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from edited_tree import EditedTree
 from fields import (
     random_view,
     rough,
@@ -160,7 +161,7 @@ def refined(field, views):
     terrain = Terrain(field, 1)
     terrain.update(Criterion(error_px=1.0), views)
     split = set()
-    for leaf in terrain.tree.leaves().tolist():
+    for leaf in EditedTree.of(terrain.tree).leaves().tolist():
         while (leaf := leaf >> 1) and leaf not in split:
             split.add(leaf)
     return split

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from edited_tree import EditedTree
 from reference_bisection import assert_conforming
 
 
@@ -53,7 +53,7 @@ def test_case_02_ids_round_trip_through_triangles(depth):
 @pytest.mark.parametrize("max_depth", [31, 32, 33, 40])
 def test_case_02_ids_round_trip_through_the_tree(max_depth):
     """Leaves at depths 31 .. 40 come back from their rank, as Python integers, also out of saved bytes."""
-    tree = ConcurrentBinaryTree(max_depth)
+    tree = EditedTree(max_depth)
     rng = random.Random(max_depth)
     targets = [1 << max_depth, (2 << max_depth) - 1, *(rng.randrange(1 << max_depth, 2 << max_depth) for _ in range(3))]
     for target in targets:
@@ -63,7 +63,7 @@ def test_case_02_ids_round_trip_through_the_tree(max_depth):
         assert type(tree.decode(tree.encode(target))) is int
     leaves = tree.leaves().tolist()
     assert [tree.encode(n) for n in leaves] == list(range(tree.leaf_count))
-    assert ConcurrentBinaryTree.from_bytes(tree.to_bytes()).leaves().tolist() == leaves
+    assert EditedTree.from_bytes(tree.to_bytes()).leaves().tolist() == leaves
 
 
 def random_leaves(max_depth, count, seed):
@@ -83,7 +83,7 @@ def test_case_03_memory_follows_the_leaves(max_depth):
     """100,000 leaves in trees of 2^28 to 2^36 cells: 8 bytes a leaf, twice, and nothing else grows."""
     cells = random_leaves(max_depth, 100_000, seed=max_depth)
     tracemalloc.start()
-    tree = ConcurrentBinaryTree(max_depth)
+    tree = EditedTree(max_depth)
     empty = tree.nbytes
     for _ in range(5):
         tree.mark(cells)
@@ -101,7 +101,7 @@ def test_case_03_memory_follows_the_leaves(max_depth):
 
 def test_case_03_one_deep_branch_costs_kilobytes():
     """One branch down to depth 40: 41 leaves, at most 640 bytes more."""
-    tree = ConcurrentBinaryTree(40)
+    tree = EditedTree(40)
     before = len(tree.to_bytes())
     while (leaf := tree.leaf_at(0x5A5A5A5A5A)) < tree.cell_count:
         tree.split(leaf)
@@ -113,7 +113,7 @@ def test_case_03_one_deep_branch_costs_kilobytes():
 def test_case_44_split_then_merge_gives_the_bits_back(grid):
     """30 random conforming splits, merged in reverse: the tree's bytes and every counter are those of before."""
     lattice = Lattice(*grid, 0)
-    tree = ConcurrentBinaryTree(30)
+    tree = EditedTree(30)
     bisection.plant(tree, lattice)
     rng = random.Random(44)
     for _ in range(30):
@@ -134,7 +134,7 @@ def test_case_44_split_then_merge_gives_the_bits_back(grid):
 def test_case_45_a_diamond_merges_whole_or_not_at_all(grid):
     """Random merges: all halves of the diamond or none, and every state is conforming (no T-junction, area adds up)."""
     lattice = Lattice(*grid, 0)
-    tree = ConcurrentBinaryTree(12)
+    tree = EditedTree(12)
     bisection.plant(tree, lattice)
     rng = random.Random(45)
     whole = refused = 0

@@ -3,7 +3,7 @@
 
 import bisection
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from edited_tree import EditedTree
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -74,7 +74,7 @@ def test_a_diamond_is_one_for_both_of_its_triangles(case):
 @given(GRIDS, st.lists(st.integers(0, 10**6), min_size=1, max_size=25), st.integers(0, 10**6))
 def test_split_then_merge_in_reverse_gives_the_tree_back(grid, picks, pick):
     lattice = Lattice(*grid, 0)
-    tree = ConcurrentBinaryTree(26)
+    tree = EditedTree(26)
     bisection.plant(tree, lattice)
 
     def splittable():

@@ -5,6 +5,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import diamond, from_tree_id, parent, to_tree_id
+from edited_tree import EditedTree
 from fields import errors_of, least_triangles
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +18,7 @@ MESHLETS = st.sampled_from([0, 1, 2, 3])
 def split_nodes(terrain) -> set[tuple[int, int]]:
     """(square, id) of every triangle that is split."""
     lattice, split = terrain.field.lattice, set()
-    for tree_id in terrain.tree.leaves().tolist():
+    for tree_id in EditedTree.of(terrain.tree).leaves().tolist():
         square, heap_id = from_tree_id(lattice, tree_id)
         while square < lattice.squares and (heap_id := heap_id >> 1) > 1 and (square, heap_id) not in split:
             split.add((square, heap_id))
@@ -139,8 +140,8 @@ def test_tree_ids_of_the_refinement_are_its_leaves(scenario, pick):
         terrain = Terrain(field, 1)
         update = terrain.update(criterion, views, **placed)
         k = pick % update.leaves
-        tree_id = terrain.tree.decode(k)
-        assert terrain.tree.encode(tree_id) == k
+        tree_id = EditedTree.of(terrain.tree).decode(k)
+        assert EditedTree.of(terrain.tree).encode(tree_id) == k
         node = from_tree_id(field.lattice, tree_id)
         assert to_tree_id(field.lattice, node) == tree_id
         depth = node[1].bit_length() - 1

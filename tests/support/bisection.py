@@ -12,7 +12,7 @@ Conforming split and merge edit a tree by hand; a refinement for a view needs ne
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from edited_tree import EditedTree
 
 MAX_DEPTH = 62  # ids fit int64, and so do squared edge lengths in units
 
@@ -176,7 +176,7 @@ def diamond(lattice: Lattice, node: Node) -> tuple[Node, Node | None]:
 # Edits that keep the mesh free of T-junctions
 
 
-def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
+def plant(tree: EditedTree, lattice: Lattice) -> None:
     """Make the tree's leaves the two roots of each square, and one leaf for each number after the last square."""
     shift = tree.max_depth - lattice.square_bits
     if shift < 1:
@@ -186,7 +186,7 @@ def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
     tree.mark(np.concatenate([roots, unused]))
 
 
-def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, node: Node) -> list[Node]:
+def split_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Node]:
     """Split a leaf with the other half of its diamond, coarser neighbours first; return what was split, in order.
 
     Forced splits as in ROAM (Duchaineau et al. 1997): a node's longest edge is split on both sides or not at all.
@@ -209,7 +209,7 @@ def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, node: Node) -
     return done
 
 
-def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, node: Node) -> list[Node]:
+def merge_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Node]:
     """Merge the halves of `node` and of the other triangle of its diamond; return what was merged.
 
     A diamond is merged whole or, where one of its four halves is split further, not at all: then the list is empty.
@@ -236,6 +236,6 @@ def _check(depth: int, exponent: int, heap_id: int) -> None:
         )
 
 
-def _check_leaf(tree: ConcurrentBinaryTree, lattice: Lattice, node: Node) -> None:
+def _check_leaf(tree: EditedTree, lattice: Lattice, node: Node) -> None:
     if not (0 <= node[0] < lattice.squares and tree.is_leaf(to_tree_id(lattice, node))):
         raise TerrainError(f"Node {node} is not a leaf of the tree; only a leaf can be split.")

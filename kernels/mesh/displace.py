@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ..bicubic.surface import in_patch
 from ..field.codes import Samples, prefetch_sample, sample_at
 from ..refine.diamond import Domain
 from ..refine.sum_reduction import Runs
@@ -166,7 +167,7 @@ def displace(
     domain: Domain,
     points: Points,
 ):
-    """Positions, normals and texture coordinates on the bilinear surface, about the local origin.
+    """Positions, normals and texture coordinates on the surface, about the local origin.
 
     `slot`: the list of points that were taken from the last frame.
     """
@@ -206,6 +207,9 @@ def displace(
                 j = wp.min(y >> bits, rows - 2)
                 s = wp.float64(x - (i << bits)) * part
                 t = wp.float64(y - (j << bits)) * part
-                g = in_cell(samples, columns, rows, i, j, s, t)
+                if domain.bicubic == 1:
+                    g = in_patch(samples, columns, rows, i, j, s, t)
+                else:
+                    g = in_cell(samples, columns, rows, i, j, s, t)
             put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
         v = stop

@@ -92,6 +92,17 @@ def column(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, cy: i
 
 
 @wp.func
+def most(known: wp.float64, v: wp.vec4d) -> wp.float64:
+    """The largest magnitude."""
+    return wp.max(known, wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.max(wp.abs(v[2]), wp.abs(v[3]))))
+
+
+@wp.func
+def most_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
+    return wp.max(known, wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2]))))
+
+
+@wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
     """One value of four columns."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
@@ -104,8 +115,8 @@ def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
     high = -wp.float64(wp.inf)
     for k in range(4):
         v = controls(across(a, b, c, d, k))
-        low = wp.min(low, wp.min(v))
-        high = wp.max(high, wp.max(v))
+        low = wp.min(low, wp.min(wp.min(v[0], v[1]), wp.min(v[2], v[3])))
+        high = wp.max(high, wp.max(wp.max(v[0], v[1]), wp.max(v[2], v[3])))
     return wp.vec2d(low, high)
 
 
@@ -126,9 +137,9 @@ def extents(offset: int, h: wp.array(dtype=wp.float32), width: int, height: int,
         low = wp.min(low, z[0])
         high = wp.max(high, z[1])
         for k in range(4):
-            steep_x = wp.max(steep_x, wp.max(wp.abs(slopes(across(a, b, c, d, k)))))
+            steep_x = most_of_3(steep_x, slopes(across(a, b, c, d, k)))
         for k in range(4, 7):
-            steep_y = wp.max(steep_y, wp.max(wp.abs(controls(across(a, b, c, d, k)))))
+            steep_y = most(steep_y, controls(across(a, b, c, d, k)))
         a = b
         b = c
         c = d
@@ -188,14 +199,14 @@ def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     lines = mat24d()
     for k in range(2):
         v = chord(across(a, b, c, d, 9 + k))
-        north = wp.max(north, wp.max(wp.abs(v)))
+        north = most(north, v)
         for i in range(4):
             lines[k, i] = v[i]
     for k in range(4):
         w = off_chord(across(a, b, c, d, k))
-        east = wp.max(east, wp.max(wp.abs(w)))
+        east = wp.max(east, wp.max(wp.abs(w[0]), wp.abs(w[1])))
         if k == 1 or k == 2:
-            both = wp.max(both, wp.max(wp.abs(w + wp.vec2d(lines[k - 1, 1], lines[k - 1, 2]))))
+            both = wp.max(both, wp.max(wp.abs(w[0] + lines[k - 1, 1]), wp.abs(w[1] + lines[k - 1, 2])))
     # The two inner control values of a row have 3/4 of the weight together, the twelve outside the corners 15/16.
     separate = wp.float64(0.75) * (east + north)
     return wp.min(separate, wp.float64(0.9375) * wp.max(both, wp.max(east, north)))

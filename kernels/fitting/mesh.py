@@ -132,6 +132,12 @@ def list_marked(m: Mesh, triangles: wp.int32) -> wp.int32:
 
 
 @wp.func
+def put_on_surface(m: Mesh, v: wp.int32):
+    d = m.domain
+    m.z[v] = wp.float32(surface(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
+
+
+@wp.func
 def replace_beside(m: Mesh, t: wp.int32, old: wp.int32, new: wp.int32):
     """Of a triangle, if there is one, the neighbour."""
     if t >= 0:
@@ -200,7 +206,7 @@ def split(
             v = vertices
             vertices += 1
             m.point[v] = p
-            m.z[v] = wp.float32(surface(d, p[0], p[1]) * d.height_scale + d.height_offset)
+            put_on_surface(m, v)
             m.state[v] = wp.uint8(0)
             m.push[2 * v] = wp.float64(0.0)
             m.push[2 * v + 1] = wp.float64(0.0)

@@ -88,18 +88,14 @@ def in_cell(
 
 
 @wp.func
-def put_vertex(
-    points: Points,
-    o: wp.int32,
-    domain: Domain,
-    p: wp.vec2i,
-    g: wp.vec3d,
-    slope_x: wp.float64,
-    slope_y: wp.float64,
-    per_width: wp.float64,
-    per_height: wp.float64,
-):
+def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
     """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
+    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    part = wp.float64(1.0) / units  # exact: a power of two
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    per_width = part / wp.float64(domain.width - 1)
+    per_height = part / wp.float64(domain.height - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x
     py = domain.south + wp.float64(p[1]) * domain.unit_y
     pz = g[0] * domain.height_scale + domain.height_offset
@@ -176,13 +172,7 @@ def displace(
     columns = domain.width
     rows = domain.height
     samples = domain.samples
-    whole = wp.float64(1.0)
-    units = wp.float64(cell)
-    part = whole / units  # exact: a power of two
-    slope_x = domain.height_scale / (domain.unit_x * units)
-    slope_y = domain.height_scale / (domain.unit_y * units)
-    per_width = part / wp.float64(columns - 1)
-    per_height = part / wp.float64(rows - 1)
+    part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
     last = wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
@@ -211,5 +201,5 @@ def displace(
                     g = in_patch(samples, columns, rows, i, j, s, t)
                 else:
                     g = in_cell(samples, columns, rows, i, j, s, t)
-            put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
+            put_vertex(points, vertex_base + u, domain, p, g)
         v = stop

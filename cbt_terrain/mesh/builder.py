@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels.bicubic import displace as smooth_kernels
 from ...kernels.mesh import displace as displace_kernels
 from ...kernels.mesh import join as join_kernels
 from ...kernels.mesh import meshlet as meshlet_kernels
@@ -262,10 +261,9 @@ class SurfaceBuilder:
         for (base, n), slot in zip(parts, slots, strict=True):
             inputs += [[*_piece(n, k, pieces), base, first, slot, domain, p] for k in range(pieces)]
             first += n
-        kernel = smooth_kernels.displace_bicubic if domain.bicubic else displace_kernels.displace
         not_finite = self._buffers.numpy("not_finite")
         not_finite[0] = 0
-        launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
+        launch.slices(displace_kernels.displace, inputs, step="displace", recorded=self._recorded)
         if not_finite[0]:
             raise self._field.damage("it has heights that are not finite or too large for a mesh")
 

@@ -14,25 +14,23 @@ import warp as wp
 from ...kernels.mesh import cut as kernels
 from ..run import launch
 from ..run.buffers import shared
-from .attributes import CORNER, FACE, NORMALS, POINT, UV
+from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
 
 # A vertex that is nearer to the line than this part of an edge is on it: no sliver, and no two vertices at one place.
 TOLERANCE = 2.0**-10
-# Of every array of the topology: what it has items of, and how many of each.
-TOPOLOGY = {
-    "positions": (int(kernels.VERTEX), 1),
-    "edges": (int(kernels.EDGE), 1),
-    "corner_verts": (int(kernels.TRIANGLE), 3),
-    "corner_edges": (int(kernels.TRIANGLE), 3),
+TOPOLOGY = {"positions": POINT, "edges": EDGE, "corner_verts": CORNER, "corner_edges": CORNER}
+# What the elements of a domain belong to, and how many to each.
+ITEMS = {
+    POINT: (int(kernels.VERTEX), 1),
+    EDGE: (int(kernels.EDGE), 1),
+    FACE: (int(kernels.TRIANGLE), 1),
+    CORNER: (int(kernels.TRIANGLE), 3),
 }
-# Of attributes, by their domains. A triangle's parts have what it has at its corners, which is the same at all three;
-# of edges nobody has any yet.
-DOMAINS = {POINT: (int(kernels.VERTEX), 1), FACE: (int(kernels.TRIANGLE), 1), CORNER: (int(kernels.TRIANGLE), 3)}
 
 # Of a planar graph, for each vertex.
 MOST_EDGES = 3
 
-NONE_SWAPPED = np.empty((2, 0), np.int32)
+NONE_SWAPPED = np.empty((2, 0), np.int64)
 
 # Of the array `name` of a surface one with room for so many items that begins with it: the array itself, or a copy.
 Room = Callable[[str, np.ndarray, int], np.ndarray]
@@ -74,7 +72,7 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
 
     One vertex is new on each edge that changes sign, so the mesh stays welded; its arrays are interpolated between the
     edge's ends. Vertices, edges and triangles keep their numbers, but for the last ones, which fill the gaps.
-    Returns a Surface and int32 [2, n]: the items of the arrays of vertices that were swapped. With another `room` than
+    Returns a Surface and int64 [2, n]: the items of the arrays of vertices that were swapped. With another `room` than
     `copied` the arrays are overwritten; swapping back gives the vertices that there were. The same bytes for any number
     of threads.
     """
@@ -110,7 +108,6 @@ class _Work:
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
         self.surface = surface
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
-        self.shape = TOPOLOGY | {name: DOMAINS[a.domain] for name, a in surface.attributes.items()}
         # So many vertices may go at most, and with them edges between them: as many of the last may fill the gaps.
         most_gone = int(np.count_nonzero(near))
         near[max(0, len(near) - most_gone) :] = True
@@ -119,76 +116,83 @@ class _Work:
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
         more = 2 * len(listed) * ((1 << sides) - 1)
-        self.counts = np.zeros(kernels.COUNTS, np.int32)
-        self.counts[:4] = *self.before, len(listed)
+        self.counts = np.array([*self.before, len(listed)], np.int32)
+        domains = TOPOLOGY | {name: a.domain for name, a in surface.attributes.items()}
+        self.items = {name: ITEMS[domain] for name, domain in domains.items()}
         self.arrays = {
-            name: room(name, array, self.shape[name][1] * (self.before[self.shape[name][0]] + more))
+            name: room(name, array, self.items[name][1] * (self.before[self.items[name][0]] + more))
             for name, array in surface.arrays().items()
         }
-        domains = {"positions": POINT} | {name: a.domain for name, a in surface.attributes.items()}
-        self.points = {name: self._rows(name) for name, domain in domains.items() if domain == POINT}
-        self.faces = [self._rows(name) for name, domain in domains.items() if domain != POINT]
-        most = max(self.before) + more
+        self.rows = {name: self._rows(name) for name in self.arrays}
         self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
-        self.parent, self.moved = np.empty(more, np.int32), np.empty((3, most), np.int32)
+        self.parent, self.gone = np.empty(more, np.int32), np.zeros((3, max(self.before) + more), bool)
         m = self.m = kernels.Cut()
         m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
         m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
         m.listed = shared(copied("", listed, len(listed) + more), wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
-        m.gone = shared(np.zeros((3, most), np.uint8), wp.uint8)
-        m.doomed = shared(np.empty((3, most), np.int32), wp.int32)
-        m.moved, m.counts = shared(self.moved, wp.int32), shared(self.counts, wp.int32)
+        m.gone, m.counts = shared(self.gone.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
 
     def _rows(self, name: str) -> np.ndarray:
-        """An array as one row a vertex, or one a triangle."""
-        array, each = self.arrays[name], self.shape[name][1]
+        """An array as one row for each vertex, edge or triangle."""
+        array, each = self.arrays[name], self.items[name][1]
         return array[: len(array) // each * each].reshape(len(array) // each, -1)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
         """`value`: of the vertices that were there before all cuts."""
-        first, first_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
+        first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
         if first > len(value):
             self.value[len(value) : first] = side.value(self.arrays["positions"][len(value) : first])
         if side.tolerance:
             launch.once(kernels.put_on_line, [wp.float64(side.tolerance), self.m], step="cut")
         launch.once(kernels.cut, [self.m], step="cut")
-        end, end_face = int(self.counts[kernels.VERTEX]), int(self.counts[kernels.TRIANGLE])
+        end, end_edge, end_face, _ = self.counts.tolist()
         p, q = self.ends[: end - first].T
         part = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
-        for name, array in self.points.items():
-            at_p, at_q = array[p].astype(np.float64), array[q].astype(np.float64)
-            new = at_p + part * (at_q - at_p)
-            if name == NORMALS:
-                new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
-            array[first:end] = new
+        for name, (kind, _) in self.items.items():
+            rows = self.rows[name]
+            if kind == kernels.VERTEX:
+                at_p, at_q = rows[p].astype(np.float64), rows[q].astype(np.float64)
+                new = at_p + part * (at_q - at_p)
+                if name == NORMALS:
+                    new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
+                rows[first:end] = new
+            elif kind == kernels.TRIANGLE and name not in TOPOLOGY:
+                # What a triangle has at its corners is the same at all three.
+                rows[first_face:end_face] = rows[self.parent[: end_face - first_face]]
+            elif name not in TOPOLOGY:  # edges across a triangle are of no other
+                rows[first_edge:end_edge] = 0
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
-        for rows in self.faces:
-            rows[first_face:end_face] = rows[self.parent[: end_face - first_face]]
 
     def close(self):
-        """Close the gaps."""
+        """Fill the gaps with the last of those that stay."""
         launch.once(kernels.close, [self.m], step="cut")
-        ends = self.counts[kernels.END : kernels.END + 3].tolist()
-        launch.once(kernels.fill, [self.m], step="cut")
-        swapped = self._moves(kernels.VERTEX, ends)
-        for array in self.points.values():
-            swap(array, swapped)
-        source, to = self._moves(kernels.TRIANGLE, ends)
-        for rows in self.faces:
-            rows[to] = rows[source]
-        views = {name: self.arrays[name][: each * ends[kind]] for name, (kind, each) in self.shape.items()}
+        ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)
+        inputs = [self.m, *ends[:2], *(shared(to, wp.int32) for to in moved[:2])]
+        launch.once(kernels.renumber, inputs, step="cut")
+        views = {}
+        for name, (kind, each) in self.items.items():
+            source, to = moves[kind]
+            if kind == kernels.VERTEX:
+                swap(self.rows[name], moves[kind])
+            else:
+                self.rows[name][to] = self.rows[name].take(source, axis=0)
+            views[name] = self.arrays[name][: each * ends[kind]]
         attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
-        return replace(self.surface, **views, attributes=attributes), swapped
+        return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 
-    def _moves(self, kind: int, ends: list[int]) -> np.ndarray:
-        """int32 [2, n]: where something moves from, and where to."""
-        to = self.moved[kind, : self.counts[kind] - ends[kind]]
-        stays = np.flatnonzero(to >= 0)
-        return np.stack([stays.astype(np.int32) + np.int32(ends[kind]), to[stays]])
+    def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
+        """How many stay; int64 [2, n]: where some move from, and where to; int32: of all behind the end where to."""
+        total = int(self.counts[kind])
+        gone = np.flatnonzero(self.gone[kind, :total])
+        end = total - len(gone)
+        stays, gaps = np.flatnonzero(~self.gone[kind, end:total]), gone[gone < end]
+        moved = np.full(total - end, -1, np.int32)
+        moved[stays] = gaps
+        return end, np.stack([end + stays, gaps]), moved
 
 
 def swap(array: np.ndarray, swapped: np.ndarray) -> None:

@@ -18,7 +18,8 @@ BLOCK = 1 << 20  # distances at a time
 
 def inside(triangles: np.ndarray, surface) -> list[Side]:
     """Sides that keep what of `surface` is above or below any of `triangles`, float64 [n, 3, 2] metres in plan."""
-    area2 = _cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    (ux, uy), (vx, vy) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
+    area2 = ux * vy - uy * vx
     triangles = np.where((area2 < 0)[:, None, None], triangles[:, ::-1], triangles)[area2 != 0]
     if not len(triangles):
         return [Side(lambda positions: np.full(len(positions), -1.0))]
@@ -84,10 +85,8 @@ def _covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     order = np.argsort(points[:, 0], kind="stable")
     x, y = points[order].T
     covered = np.zeros(len(points), bool)
-    low, high = (
-        np.searchsorted(x, triangles[:, :, 0].min(axis=1)),
-        np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right"),
-    )
+    low = np.searchsorted(x, triangles[:, :, 0].min(axis=1))
+    high = np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right")
     for (a, b, c), first, end in zip(triangles, low, high, strict=True):
         u, v = x[first:end], y[first:end]
         on = np.ones(end - first, bool)
@@ -95,7 +94,3 @@ def _covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
             on &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
         covered[order[first:end][on]] = True
     return covered
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

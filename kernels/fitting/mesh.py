@@ -88,6 +88,17 @@ def mark(m: Mesh, t: wp.int32):
 
 
 @wp.func
+def corner_of(m: Mesh, t: wp.int32, v: wp.int32) -> wp.int32:
+    """Which of a triangle's corners a vertex is."""
+    k = wp.int32(0)
+    if m.corner_verts[3 * t + 1] == v:
+        k = 1
+    if m.corner_verts[3 * t + 2] == v:
+        k = 2
+    return k
+
+
+@wp.func
 def mark_around(m: Mesh, v: wp.int32):
     """The triangles that have a vertex are to be listed."""
     start = m.first[v]
@@ -95,23 +106,10 @@ def mark_around(m: Mesh, v: wp.int32):
     way = wp.int32(0)
     while t >= 0:
         mark(m, t)
-        k = wp.int32(0)
-        if m.corner_verts[3 * t + 1] == v:
-            k = 1
-        if m.corner_verts[3 * t + 2] == v:
-            k = 2
-        if way == 1:
-            k = wp.where(k == 0, 2, k - 1)
-        t = m.beside[3 * t + k]
+        t = m.beside[3 * t + (corner_of(m, t, v) + way) % 3]
         if t < 0 and way == 0:  # at the border; now the other way round
-            way = 1
-            t = start
-            k = wp.int32(2)
-            if m.corner_verts[3 * t + 1] == v:
-                k = 0
-            if m.corner_verts[3 * t + 2] == v:
-                k = 1
-            t = m.beside[3 * t + k]
+            way = 2
+            t = m.beside[3 * start + (corner_of(m, start, v) + way) % 3]
         elif t == start:
             t = -1
 
@@ -134,12 +132,27 @@ def list_marked(m: Mesh, triangles: wp.int32) -> wp.int32:
 
 
 @wp.func
+def put_on_surface(m: Mesh, v: wp.int32):
+    d = m.domain
+    m.z[v] = wp.float32(surface(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
+
+
+@wp.func
 def replace_beside(m: Mesh, t: wp.int32, old: wp.int32, new: wp.int32):
     """Of a triangle, if there is one, the neighbour."""
     if t >= 0:
         for k in range(3):
             if m.beside[3 * t + k] == old:
                 m.beside[3 * t + k] = new
+
+
+@wp.func
+def put_triangle(m: Mesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
+    for c in range(3):
+        m.corner_verts[3 * t + c] = corners[c]
+        m.beside[3 * t + c] = beside[c]
+    m.level[t] = level
+    m.worst[t] = NOT_MEASURED
 
 
 @wp.func
@@ -150,26 +163,13 @@ def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int3
     right = m.corner_verts[3 * t + 2]
     near = m.beside[3 * t]
     far = m.beside[3 * t + 1]
-    m.corner_verts[3 * t] = apex
-    m.corner_verts[3 * t + 1] = middle
-    m.corner_verts[3 * t + 2] = left
-    m.beside[3 * t] = new
-    m.beside[3 * t + 1] = across_new
-    m.beside[3 * t + 2] = near
-    m.corner_verts[3 * new] = right
-    m.corner_verts[3 * new + 1] = middle
-    m.corner_verts[3 * new + 2] = apex
-    m.beside[3 * new] = across
-    m.beside[3 * new + 1] = t
-    m.beside[3 * new + 2] = far
+    level = m.level[t] + 1
+    put_triangle(m, t, wp.vec3i(apex, middle, left), wp.vec3i(new, across_new, near), level)
+    put_triangle(m, new, wp.vec3i(right, middle, apex), wp.vec3i(across, t, far), level)
     replace_beside(m, far, t, new)
-    m.level[t] = m.level[t] + 1
-    m.level[new] = m.level[t]
     m.first[left] = t
     m.first[right] = new
     m.first[apex] = t
-    m.worst[t] = NOT_MEASURED
-    m.worst[new] = NOT_MEASURED
 
 
 @wp.func
@@ -206,7 +206,7 @@ def split(
             v = vertices
             vertices += 1
             m.point[v] = p
-            m.z[v] = wp.float32(surface(d, p[0], p[1]) * d.height_scale + d.height_offset)
+            put_on_surface(m, v)
             m.state[v] = wp.uint8(0)
             m.push[2 * v] = wp.float64(0.0)
             m.push[2 * v + 1] = wp.float64(0.0)

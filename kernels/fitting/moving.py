@@ -96,13 +96,14 @@ def pull(first: int, end: int, m: Mesh):
             m.pushes[3 * t + 2] = weighted(q[6], q[5], all)
 
 
+@wp.func
+def add_push(m: Mesh, v: wp.int32, q: wp.vec2f):
+    m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
+    m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
+
+
 @wp.kernel
-def move(
-    count: int,
-    triangles: int,
-    m: Mesh,
-    found: wp.array(dtype=wp.int32),
-):
+def move(count: int, triangles: int, m: Mesh, found: wp.array(dtype=wp.int32)):
     """Every vertex by what pushes it; `m.active` becomes the list for the next sweep.
 
     `found` [2] receives how many that are, and how many triangles were beyond what they are allowed.
@@ -120,18 +121,15 @@ def move(
                     if m.push[2 * v + 1] == wp.float64(0.0):
                         m.movers[pushed] = v
                         pushed += 1
-                    m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
-                    m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
+                    add_push(m, v, q)
             mark(m, t)
     for k in range(count):
         t = m.active[k]
         if m.worst[t] > m.aim * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
             for c in range(3):
-                q = m.pushes[3 * t + c]
                 v = m.corner_verts[3 * t + c]
                 if m.push[2 * v + 1] > wp.float64(0.0):
-                    m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
-                    m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
+                    add_push(m, v, m.pushes[3 * t + c])
             mark(m, t)
     for k in range(pushed):
         v = m.movers[k]

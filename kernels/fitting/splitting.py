@@ -4,8 +4,7 @@
 import warp as wp
 
 from ..refine.diamond import cell_error, error_at, metres2_of
-from .facet import surface
-from .mesh import PINNED, Mesh, list_marked, mark, mark_around, split
+from .mesh import PINNED, Mesh, list_marked, mark, mark_around, put_on_surface, split
 from .raising import raise_cells
 
 wp.set_module_options({"enable_backward": False})
@@ -48,16 +47,15 @@ def refine(
                 m.push[2 * v] = wp.max(m.push[2 * v], over)
     for k in range(count):
         t = m.active[k]
-        worst = m.worst[t]
-        may = m.bound
-        if worst > may:
+        over = m.worst[t] - m.bound
+        if over > wp.float64(0.0):
             m.awake[t] = m.round + 1
             mark(m, t)
             left = m.corner_verts[3 * t]
             apex = m.corner_verts[3 * t + 1]
             right = m.corner_verts[3 * t + 2]
             most = wp.max(m.push[2 * left], wp.max(m.push[2 * apex], m.push[2 * right]))
-            if worst - may >= local * most:
+            if over >= local * most:
                 depth = m.level[t]
                 p = (m.point[left] + m.point[right]) / 2
                 x = p[0]
@@ -77,7 +75,7 @@ def refine(
                 pinned = m.state[left] & m.state[apex] & m.state[right] & PINNED
                 fresh = m.push[2 * left + 1] + m.push[2 * apex + 1] + m.push[2 * right + 1]
                 held = pinned != wp.uint8(0) and fresh == wp.float64(0.0)
-                rounded = held and wp.float64(error) * d.error_scale > wp.float64(0.5) * may
+                rounded = held and wp.float64(error) * d.error_scale > wp.float64(0.5) * m.bound
                 if depth < max_depth and (too_coarse or rounded):
                     if finer < 0:
                         if size[0] + 2 * depth + 2 < m.room:
@@ -96,8 +94,7 @@ def refine(
                         if (m.state[v] & PINNED) == wp.uint8(0):
                             m.state[v] = m.state[v] | PINNED
                             m.push[2 * v + 1] = wp.float64(1.0)  # its triangles' distances are of before
-                            q = m.point[v]
-                            m.z[v] = wp.float32(surface(d, q[0], q[1]) * d.height_scale + d.height_offset)
+                            put_on_surface(m, v)
                             pins += 1
                             mark_around(m, v)
     listed = list_marked(m, size[0])

@@ -24,16 +24,11 @@ class Cut:
     ends: wp.array(dtype=wp.vec2i)  # of each new vertex' edge: the positive end and the negative one
     parent: wp.array(dtype=wp.int32)  # of each new triangle
     gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 where it goes
-    doomed: wp.array(dtype=wp.int32, ndim=2)  # ... and the numbers for which that has ever been 1
-    moved: wp.array(dtype=wp.int32, ndim=2)  # ... and to where those behind the new end move, -1 for those that go
-    counts: wp.array(dtype=wp.int32)  # [COUNTS]
+    counts: wp.array(dtype=wp.int32)  # [COUNTS]: how many there are, and how many triangles are listed
 
 
-VERTEX, EDGE, TRIANGLE = wp.constant(0), wp.constant(1), wp.constant(2)
-LISTED = wp.constant(3)  # counts[kind] is how many there are, counts[LISTED] how many triangles are listed
-DOOMED = wp.constant(4)  # counts[DOOMED + kind]
-END = wp.constant(7)  # counts[END + kind]: how many stay
-COUNTS = 10
+VERTEX, EDGE, TRIANGLE, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+COUNTS = 4
 
 
 @wp.kernel
@@ -106,21 +101,12 @@ def put_on_line(tolerance: wp.float64, m: Cut):
 
 
 @wp.func
-def doom(m: Cut, kind: wp.int32, number: wp.int32):
-    """Whatever is not used by a triangle that stays will go."""
-    if m.gone[kind, number] == wp.uint8(0):
-        m.gone[kind, number] = wp.uint8(1)
-        at = m.counts[DOOMED + kind]
-        m.doomed[kind, at] = number
-        m.counts[DOOMED + kind] = at + 1
-
-
-@wp.func
-def doom_triangle(m: Cut, t: wp.int32):
-    doom(m, TRIANGLE, t)
+def leave_out(m: Cut, t: wp.int32):
+    """A triangle goes, and with it what no triangle that stays uses: see `close`."""
+    m.gone[TRIANGLE, t] = wp.uint8(1)
     for c in range(3):
-        doom(m, VERTEX, m.corner_verts[3 * t + c])
-        doom(m, EDGE, m.corner_edges[3 * t + c])
+        m.gone[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(1)
+        m.gone[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(1)
 
 
 @wp.func
@@ -148,65 +134,59 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
 
 
 @wp.func
-def new_edge(m: Cut, p: wp.int32, q: wp.int32) -> wp.int32:
-    e = added(m, EDGE)
-    m.edges[e] = wp.vec2i(p, q)
-    return e
-
-
-@wp.func
 def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
+    m.gone[TRIANGLE, t] = wp.uint8(0)
     for c in range(3):
         m.corner_verts[3 * t + c] = v[c]
         m.corner_edges[3 * t + c] = e[c]
 
 
 @wp.func
-def cut_triangle(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
-    """Keep what is positive of a triangle that has a positive and a negative corner: a triangle or two."""
-    o = 3 * t
-    # Corner a is alone on its side of the line; b and c follow counter-clockwise.
+def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
+    """Keep what is not negative of a triangle that has a positive and a negative corner: a triangle or two.
+
+    As Sutherland and Hodgman (1974) clip a polygon.
+    """
+    v = wp.vec4i()  # corners of what stays, counter-clockwise
+    e = wp.vec4i()  # ... and the edge from each to the next
+    n = wp.int32(0)
+    line = added(m, EDGE)
+    for i in range(3):
+        p = m.corner_verts[3 * t + i]
+        q = m.corner_verts[3 * t + (i + 1) % 3]
+        edge = m.corner_edges[3 * t + i]
+        at_p = m.value[p]
+        at_q = m.value[q]
+        if at_p >= wp.float64(0.0):
+            v[n] = p
+            e[n] = wp.where(at_p == wp.float64(0.0) and at_q < wp.float64(0.0), line, edge)
+            n += 1
+        if at_p > wp.float64(0.0) and at_q < wp.float64(0.0):
+            v[n] = cut_point(m, first_vertex, edge, p, q)
+            e[n] = line
+            n += 1
+        if at_p < wp.float64(0.0) and at_q > wp.float64(0.0):
+            v[n] = cut_point(m, first_vertex, edge, q, p)
+            e[n] = edge
+            n += 1
     k = wp.int32(0)
-    negative = wp.int32(0)
-    for i in range(3):
-        if m.value[m.corner_verts[o + i]] < wp.float64(0.0):
-            negative += 1
-    for i in range(3):
-        s = m.value[m.corner_verts[o + i]]
-        if (negative == 1 and s < wp.float64(0.0)) or (negative == 2 and s > wp.float64(0.0)):
+    for i in range(n):
+        if e[i] == line:
             k = i
-    a = m.corner_verts[o + k]
-    b = m.corner_verts[o + (k + 1) % 3]
-    c = m.corner_verts[o + (k + 2) % 3]
-    ab = m.corner_edges[o + k]
-    bc = m.corner_edges[o + (k + 1) % 3]
-    ca = m.corner_edges[o + (k + 2) % 3]
-    if negative == 2:
-        p = cut_point(m, first_vertex, ab, a, b)
-        q = cut_point(m, first_vertex, ca, a, c)
-        doom(m, VERTEX, b)
-        doom(m, VERTEX, c)
-        doom(m, EDGE, bc)
-        put_triangle(m, t, wp.vec3i(a, p, q), wp.vec3i(ab, new_edge(m, p, q), ca))
-        return
-    doom(m, VERTEX, a)
-    if m.value[b] == wp.float64(0.0):
-        q = cut_point(m, first_vertex, ca, c, a)
-        doom(m, EDGE, ab)
-        put_triangle(m, t, wp.vec3i(b, c, q), wp.vec3i(bc, ca, new_edge(m, q, b)))
-    elif m.value[c] == wp.float64(0.0):
-        p = cut_point(m, first_vertex, ab, b, a)
-        doom(m, EDGE, ca)
-        put_triangle(m, t, wp.vec3i(p, b, c), wp.vec3i(ab, bc, new_edge(m, c, p)))
+    a = (k + 1) % n
+    b = (k + 2) % n
+    m.edges[line] = wp.vec2i(v[k], v[a])
+    if n == 3:
+        put_triangle(m, t, wp.vec3i(v[k], v[a], v[b]), wp.vec3i(line, e[a], e[b]))
     else:
-        p = cut_point(m, first_vertex, ab, b, a)
-        q = cut_point(m, first_vertex, ca, c, a)
-        across = new_edge(m, p, c)
-        put_triangle(m, t, wp.vec3i(p, b, c), wp.vec3i(ab, bc, across))
+        c = (k + 3) % n
+        across = added(m, EDGE)
+        m.edges[across] = wp.vec2i(v[a], v[c])
+        put_triangle(m, t, wp.vec3i(v[a], v[b], v[c]), wp.vec3i(e[a], e[b], across))
         other = added(m, TRIANGLE)
         m.parent[other - first_triangle] = t
         m.listed[added(m, LISTED)] = other
-        put_triangle(m, other, wp.vec3i(p, c, q), wp.vec3i(across, ca, new_edge(m, q, p)))
+        put_triangle(m, other, wp.vec3i(v[a], v[c], v[k]), wp.vec3i(across, e[c], line))
 
 
 @wp.kernel
@@ -218,18 +198,16 @@ def cut(m: Cut):
     for i in range(listed):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):
-            positive = wp.int32(0)
-            negative = wp.int32(0)
+            lowest = wp.float64(wp.inf)
+            highest = -wp.float64(wp.inf)
             for c in range(3):
-                s = m.value[m.corner_verts[3 * t + c]]
-                if s > wp.float64(0.0):
-                    positive += 1
-                elif s < wp.float64(0.0):
-                    negative += 1
-            if negative > 0 and positive > 0:
-                cut_triangle(m, t, first_vertex, first_triangle)
-            elif negative > 0:
-                doom_triangle(m, t)
+                value = m.value[m.corner_verts[3 * t + c]]
+                lowest = wp.min(lowest, value)
+                highest = wp.max(highest, value)
+            if lowest < wp.float64(0.0):
+                leave_out(m, t)
+                if highest > wp.float64(0.0):
+                    clip(m, t, first_vertex, first_triangle)
 
 
 @wp.kernel
@@ -237,70 +215,43 @@ def drop(flagged: wp.array(dtype=wp.uint8), m: Cut):
     """Leave out the listed triangles that are flagged."""
     for i in range(m.counts[LISTED]):
         if flagged[m.listed[i]] != wp.uint8(0):
-            doom_triangle(m, m.listed[i])
-
-
-@wp.func
-def fill_gaps(m: Cut, kind: wp.int32):
-    """Have the last of those that stay moved to where others go."""
-    total = m.counts[kind]
-    end = total
-    for i in range(m.counts[DOOMED + kind]):
-        end -= wp.int32(m.gone[kind, m.doomed[kind, i]])
-    m.counts[END + kind] = end
-    i = wp.int32(0)
-    for number in range(end, total):
-        m.moved[kind, number - end] = -1
-        if m.gone[kind, number] == wp.uint8(0):
-            gap = m.doomed[kind, i]
-            while gap >= end or m.gone[kind, gap] == wp.uint8(0):
-                i += 1
-                gap = m.doomed[kind, i]
-            m.moved[kind, number - end] = gap
-            i += 1
+            leave_out(m, m.listed[i])
 
 
 @wp.kernel
 def close(m: Cut):
-    """What a triangle that stays uses stays; the rest is left out."""
+    """What a triangle that stays uses stays."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):
             for c in range(3):
                 m.gone[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(0)
                 m.gone[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(0)
-    for kind in range(3):
-        fill_gaps(m, kind)
 
 
 @wp.func
-def renumbered(m: Cut, kind: wp.int32, number: wp.int32) -> wp.int32:
-    at = number - m.counts[END + kind]
-    if at >= 0:
-        return m.moved[kind, at]
+def renumbered(number: wp.int32, end: wp.int32, moved: wp.array(dtype=wp.int32)) -> wp.int32:
+    if number >= end:
+        return moved[number - end]
     return number
 
 
 @wp.kernel
-def fill(m: Cut):
-    """Move what is to fill gaps, and say so in the listed triangles: no other uses any of it."""
+def renumber(
+    m: Cut,
+    vertices: wp.int32,
+    edges: wp.int32,
+    moved_vertices: wp.array(dtype=wp.int32),
+    moved_edges: wp.array(dtype=wp.int32),
+):
+    """Give vertices and edges behind the new ends their new numbers: only listed triangles that stay use any."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):
             for c in range(3):
                 e = m.corner_edges[3 * t + c]
-                m.edges[e] = wp.vec2i(renumbered(m, VERTEX, m.edges[e][0]), renumbered(m, VERTEX, m.edges[e][1]))
-                m.corner_edges[3 * t + c] = renumbered(m, EDGE, e)
-                m.corner_verts[3 * t + c] = renumbered(m, VERTEX, m.corner_verts[3 * t + c])
-    end = m.counts[END + EDGE]
-    for i in range(m.counts[EDGE] - end):
-        to = m.moved[EDGE, i]
-        if to >= 0:
-            m.edges[to] = m.edges[end + i]
-    end = m.counts[END + TRIANGLE]
-    for i in range(m.counts[TRIANGLE] - end):
-        to = m.moved[TRIANGLE, i]
-        if to >= 0:
-            for c in range(3):
-                m.corner_verts[3 * to + c] = m.corner_verts[3 * (end + i) + c]
-                m.corner_edges[3 * to + c] = m.corner_edges[3 * (end + i) + c]
+                ends = m.edges[e]
+                p = renumbered(ends[0], vertices, moved_vertices)
+                m.edges[e] = wp.vec2i(p, renumbered(ends[1], vertices, moved_vertices))
+                m.corner_edges[3 * t + c] = renumbered(e, edges, moved_edges)
+                m.corner_verts[3 * t + c] = renumbered(m.corner_verts[3 * t + c], vertices, moved_vertices)

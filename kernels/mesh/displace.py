@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ..bicubic.surface import in_patch
 from ..field.codes import Samples, prefetch_sample, sample_at
 from ..refine.diamond import Domain
 from ..refine.sum_reduction import Runs
@@ -87,18 +88,14 @@ def in_cell(
 
 
 @wp.func
-def put_vertex(
-    points: Points,
-    o: wp.int32,
-    domain: Domain,
-    p: wp.vec2i,
-    g: wp.vec3d,
-    slope_x: wp.float64,
-    slope_y: wp.float64,
-    per_width: wp.float64,
-    per_height: wp.float64,
-):
+def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
     """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
+    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    part = wp.float64(1.0) / units  # exact: a power of two
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    per_width = part / wp.float64(domain.width - 1)
+    per_height = part / wp.float64(domain.height - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x
     py = domain.south + wp.float64(p[1]) * domain.unit_y
     pz = g[0] * domain.height_scale + domain.height_offset
@@ -166,7 +163,7 @@ def displace(
     domain: Domain,
     points: Points,
 ):
-    """Positions, normals and texture coordinates on the bilinear surface, about the local origin.
+    """Positions, normals and texture coordinates on the surface, about the local origin.
 
     `slot`: the list of points that were taken from the last frame.
     """
@@ -175,13 +172,7 @@ def displace(
     columns = domain.width
     rows = domain.height
     samples = domain.samples
-    whole = wp.float64(1.0)
-    units = wp.float64(cell)
-    part = whole / units  # exact: a power of two
-    slope_x = domain.height_scale / (domain.unit_x * units)
-    slope_y = domain.height_scale / (domain.unit_y * units)
-    per_width = part / wp.float64(columns - 1)
-    per_height = part / wp.float64(rows - 1)
+    part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
     last = wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
@@ -206,6 +197,9 @@ def displace(
                 j = wp.min(y >> bits, rows - 2)
                 s = wp.float64(x - (i << bits)) * part
                 t = wp.float64(y - (j << bits)) * part
-                g = in_cell(samples, columns, rows, i, j, s, t)
-            put_vertex(points, vertex_base + u, domain, p, g, slope_x, slope_y, per_width, per_height)
+                if domain.bicubic == 1:
+                    g = in_patch(samples, columns, rows, i, j, s, t)
+                else:
+                    g = in_cell(samples, columns, rows, i, j, s, t)
+            put_vertex(points, vertex_base + u, domain, p, g)
         v = stop

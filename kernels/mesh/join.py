@@ -47,8 +47,7 @@ def resolve(
 ):
     """Find the (edge, vertex) that each import stands for, slice by slice; settle what later slices will ask for."""
     squares = w.columns * w.rows
-    top0 = wp.int32(0)
-    top1 = wp.int32(0)
+    tops = wp.vec2i(0, 0)
     for k in range(slices):
         e = STATE_SIZE * k
         leaves = wp.int32(w.counts[3 * k])
@@ -63,11 +62,11 @@ def resolve(
                 n = w.state[e - STATE_SIZE + END_FRONT + value]
                 number = wp.vec2i(n, n)
             elif kind == STACK or kind == STACK + 1:
-                at = wp.where(kind == STACK, top0, top1) - 1 - value
+                at = tops[kind - STACK] - 1 - value
                 if at < 0:  # nothing is open
                     w.state[e + TORN] = 1
                 else:
-                    at += wp.where(kind == STACK, 0, size)
+                    at += (kind - STACK) * size
                     number = open[at]
                     meet(w, e, level, open_level[at])
             elif kind == SIDE:
@@ -80,43 +79,31 @@ def resolve(
             found[first + i] = number
         w.state[e + END_FRONT] = settle(w.state[e + END_FRONT], first, found, 1)
         w.state[e + END_FRONT + 1] = settle(w.state[e + END_FRONT + 1], first, found, 1)
-        if w.state[e + RESTARTED] == 1:
-            top0 = 0
-            top1 = 0
-        else:
-            top0 = wp.max(top0 - w.state[e + POPS], 0)
-            top1 = wp.max(top1 - w.state[e + POPS + 1], 0)
-        for i in range(w.state[e + END_TOPS]):
-            at = stack_base(room, leaves, 0) + i
-            edge = w.stack[at]
-            open_level[top0] = w.stack_level[at]
-            open[top0] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
-            top0 += 1
-        for i in range(w.state[e + END_TOPS + 1]):
-            at = stack_base(room, leaves, 1) + i
-            edge = w.stack[at]
-            open_level[size + top1] = w.stack_level[at]
-            open[size + top1] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
-            top1 += 1
+        for side in range(2):
+            top = wp.max(tops[side] - w.state[e + POPS + side], 0)
+            if w.state[e + RESTARTED] == 1:
+                top = 0
+            for i in range(w.state[e + END_TOPS + side]):
+                at = stack_base(room, leaves, side) + i
+                edge = w.stack[at]
+                open_level[side * size + top] = w.stack_level[at]
+                open[side * size + top] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
+                top += 1
+            tops[side] = top
         # The sides and corners that this slice has written: up to where the next one begins.
         last = squares
         if k + 1 < slices:
             last = w.squares[k + 1]
         for q in range(w.squares[k], wp.min(last + 1, squares)):
-            right = w.side_base[q]
-            above = w.side_base[squares + q]
-            right_end = w.side_base[q + 1]
-            above_end = w.side_base[squares + q + 1]
-            if q == last:
-                right_end = right + w.before[4 * (k + 1) + 2]
-                above_end = above + w.before[4 * (k + 1) + 3]
-            if q == w.squares[k]:
-                right += w.before[4 * k + 2]
-                above += w.before[4 * k + 3]
-            for i in range(right, right_end):
-                w.side[i] = wp.vec2i(w.side[i][0], settle(w.side[i][1], first, found, 1))
-            for i in range(above, above_end):
-                w.side[i] = wp.vec2i(w.side[i][0], settle(w.side[i][1], first, found, 1))
+            for upper in range(2):
+                begin = w.side_base[upper * squares + q]
+                end = w.side_base[upper * squares + q + 1]
+                if q == last:
+                    end = begin + w.before[4 * (k + 1) + 2 + upper]
+                if q == w.squares[k]:
+                    begin += w.before[4 * k + 2 + upper]
+                for i in range(begin, end):
+                    w.side[i] = wp.vec2i(w.side[i][0], settle(w.side[i][1], first, found, 1))
             if q >= w.state[e + FIRST_OWN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_OWN]):
                 w.corners[2 * q] = settle(w.corners[2 * q], first, found, 1)
 

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.mesh.attributes import EDGE, Attribute
 from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, cut, drop, rim, swap
 from cut_surfaces import areas, assert_welded, surface_of
 
@@ -139,3 +140,15 @@ def test_triangles_that_are_dropped_leave_the_others_as_they_are(share):
         return rows[np.lexsort(rows.T)]
 
     assert np.array_equal(triangles(result, slice(None)), triangles(surface, ~gone))
+
+
+def test_edges_keep_what_they_carry_and_new_ones_have_none():
+    surface = surface_of(7, 5.0, 0)
+    carried = np.arange(1, len(surface.edges) + 1, dtype=np.int32)
+    surface = surface.with_attributes({"number": Attribute(carried, EDGE)})
+    result, _ = cut(surface, [rim(0, 95.0)])
+    number = result.attributes["number"].array
+    old, new = surface.positions[surface.edges[number - 1]], result.positions[result.edges]
+    kept = (number > 0) & (new[:, :, 0] < 95.0).all(axis=1)
+    assert len(number) == len(result.edges) and kept.sum() > 100 and np.array_equal(old[kept], new[kept])
+    assert np.isin(number[(new[:, :, 0] == 95.0).all(axis=1)], 0).all()

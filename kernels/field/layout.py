@@ -58,7 +58,9 @@ def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
 @wp.func
 def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
     """Whether a depth has the diamond p."""
-    return p[0] >= 0 and p[1] >= 0 and p[0] < depth.columns + depth.sides and p[1] < depth.rows + depth.sides
+    x = wp.uint32(p[0])  # a negative number is a large one
+    y = wp.uint32(p[1])
+    return x < wp.uint32(depth.columns + depth.sides) and y < wp.uint32(depth.rows + depth.sides)
 
 
 @wp.func

@@ -129,13 +129,16 @@ def describe(path: str | os.PathLike) -> dict:
     """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
     content = store.read_json(Path(path))
     field = store.open_store(path)
-    lattice, kept = field.lattice, sum(array.nbytes for array in (field.samples, field.error, field.ranges))
+    kept = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
+    # A parent's error is not below its children's, so the largest is in the group of the coarsest.
+    group = field.lattice.group(1)
+    errors = field.error[codes.parts(field.lattice, len(field.error))[group]]
     return {
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **content["report"],
         "origin": content["origin"],
-        "largest_error_m": float(field.table[lattice.group(1)][field.error[lattice.root_entries].max()]),
+        "largest_error_m": float(field.table[group][errors.max()]),
         "bytes_per_sample": round(kept / field.samples.size, 2),
         "key": field.key,
     }

@@ -226,10 +226,10 @@ def _read_heights(
 
 def _undeclared(raster: Raster, settings: ImportSettings, lowest: float) -> list[str]:
     """A warning where the lowest height is one that files write for no data."""
-    scale = raster.scale * settings.height_scale
+    scale, offset = _scaling(raster, settings)
     if scale == 0.0 or settings.no_data is not None:
         return []
-    value = (lowest - raster.offset * settings.height_scale - settings.height_offset) / scale
+    value = (lowest - offset) / scale
     value = next((known for known in NO_DATA_VALUES if np.isclose(value, known, rtol=1e-6, atol=0.0)), value)
     if value not in NO_DATA_VALUES and value > -1e30:
         return []
@@ -244,11 +244,10 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
 
     largest: metres, the largest height that was read.
     """
-    scale = abs(raster.scale * settings.height_scale)
+    scale, offset = map(abs, _scaling(raster, settings))
     stored = np.dtype(raster.stored)
     if stored.kind != "f" or scale == 0.0:  # a file may say that its scale is 0
         return 0.5 * scale
-    offset = abs(raster.offset * settings.height_scale + settings.height_offset)
     value = min((largest + offset) / scale, float(np.finfo(stored).max))
     return 0.5 * scale * float(np.spacing(stored.type(value)))
 

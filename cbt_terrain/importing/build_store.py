@@ -252,19 +252,15 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
     return 0.5 * scale * float(np.spacing(stored.type(value)))
 
 
-def _reference(raster: Raster, place: Georeference) -> str:
-    """What the bounds are measured against, where that is not the file's own raster."""
-    if not raster.projected_from:
-        return ""
-    return f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
-
-
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     lattice = field.lattice
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     if raster.stored == "float16":
         largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
         warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    against = ""  # the file's own raster
+    if raster.projected_from:
+        against = f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
     return {
         "format": raster.format,
         "raster": [raster.width, raster.height],
@@ -278,6 +274,6 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
         "cut_out": field.filled if field.valid is not None else 0,
         "source_step_m": field.source_max,
         "crs": field.crs,
-        "bounds_against": _reference(raster, place),
+        "bounds_against": against,
         "warnings": warnings,
     }

@@ -11,6 +11,8 @@ An outline is wherever terrain ends: against the sky, at the raster's border or 
 panorama is taken to be equirectangular; across, its distances are those on the sphere.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
@@ -19,9 +21,10 @@ from ..ask.linear import length
 from ..run import launch
 from ..run.buffers import shared
 from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
-from .screen import BLOCK, Sight
+from .screen import Sight, pixel_blocks
 
 MARGIN = 16
+HALVINGS = 10  # of a pixel, to find a crossing
 # Boxes grow by this part of the mesh's size: a float32 ray through it strays by less.
 PAD = 1e-6
 
@@ -41,6 +44,13 @@ class _Rays:
         self.inputs = [sight.ground.packed, mesh.packed, b, sight.eye]
         self.threads = mesh.ground.threads
 
+    def meet(self, places: np.ndarray) -> np.ndarray:
+        """bool [n]: whether the rays through places of the frame (float64 [n, 2]) meet the mesh."""
+        cover = np.zeros(len(places), bool)
+        inputs = [*self.inputs, shared(places, wp.vec2d), shared(cover, wp.bool)]
+        launch.spread(kernels.mesh_cover, len(cover), inputs, step="measure", threads=self.threads, cost=100)
+        return cover
+
 
 def silhouette(
     sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore
@@ -53,17 +63,16 @@ def silhouette(
     flips = _flips(sight.covered(), sight, 0)
     if not sum(len(places) for places in flips):
         return None
-    for places, step in zip(flips, ((1.0, 0.0), (0.0, 1.0)), strict=True):
-        inputs = [sight.ground.packed, sight.blocks, sight.eye, *step, shared(places, wp.vec2d)]
-        launch.spread(kernels.reference_crossings, len(places), inputs, step="measure", threads=threads, cost=500)
+    flips = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)
     rays = _Rays(sight, mesh, positions)
-    cover = _mesh_cover(rays, sight, on_progress)
-    crossings = _flips(cover, sight, MARGIN)
-    for places, step in zip(crossings, ((1.0, 0.0), (0.0, 1.0)), strict=True):
-        inputs = [*rays.inputs, *step, shared(places, wp.vec2d)]
-        launch.spread(kernels.mesh_crossings, len(places), inputs, step="measure", threads=threads, cost=500)
+    columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
+    cover = np.zeros(rows * columns, bool)
+    for row, places in pixel_blocks(columns, rows):
+        cover[row * columns :][: len(places)] = rays.meet(places)
+        on_progress((row * columns + len(places)) / len(cover))
+    cover = cover.reshape(rows, columns)
+    crossings = _crossings(_flips(cover, sight, MARGIN), rays.meet)
     first, segment = _lines(cover)
-    rows, columns = cover.shape
     place = np.concatenate(flips)
     distance = np.zeros(len(place))
     inputs = [columns, rows, 0.5 - columns / 2, 0.5 - rows / 2, sight.eye, shared(first, wp.int32)]
@@ -81,6 +90,18 @@ def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
     corner = np.array([0.5 - margin - sight.columns / 2, 0.5 - margin - sight.rows / 2])
     pairs = (cover[:, 1:] != cover[:, :-1]), (cover[1:] != cover[:-1])
     return [np.ascontiguousarray(np.argwhere(differ)[:, ::-1] + corner) for differ in pairs]
+
+
+def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarray]) -> list[np.ndarray]:
+    """Where between the two pixels of each pair coverage flips."""
+    found = []
+    for places, step in zip(flips, np.eye(2), strict=True):
+        first, along, size = covers(places), np.zeros((len(places), 1)), 0.5
+        for _ in range(HALVINGS):
+            along[covers(places + (along + size) * step) == first] += size
+            size /= 2
+        found.append(places + (along + size) * step)
+    return found
 
 
 def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,16 +126,3 @@ def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(square, kind="stable")
     first = np.concatenate([[0], np.cumsum(np.bincount(square, minlength=cover.size))])
     return first.astype(np.int32), np.ascontiguousarray(segment[order], np.int32)
-
-
-def _mesh_cover(rays: _Rays, sight: Sight, on_progress) -> np.ndarray:
-    """bool [rows, columns]: whether the ray of a pixel of the frame or of the margin meets the mesh."""
-    columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
-    cover = np.zeros((rows, columns), bool)
-    rows_at_once = max(1, BLOCK // columns)
-    for row in range(0, rows, rows_at_once):
-        part = cover[row : row + rows_at_once]
-        inputs = [columns, 0.5 - columns / 2, 0.5 + row - rows / 2, *rays.inputs, shared(part.reshape(-1), wp.bool)]
-        launch.spread(kernels.mesh_cover, part.size, inputs, step="measure", threads=rays.threads, cost=100)
-        on_progress((row + len(part)) / rows)
-    return cover

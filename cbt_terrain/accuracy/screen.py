@@ -150,18 +150,20 @@ class Sight:
         """The surface as rays read it."""
         return pack_blocks(self.ground)
 
+    def points_at(self, places: np.ndarray) -> np.ndarray:
+        """int64 [n, 2]: the point seen at each place (float64 [n, 2], pixels from the middle); -1 in the sky."""
+        x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
+        inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
+        self._launch(screen_kernels.seen_points, len(x), [*inputs, shared(x, wp.int64), shared(y, wp.int64)], cost=50.0)
+        return np.stack([x, y], axis=1)
+
     def pixel_points(self, on_progress: Progress = ignore) -> np.ndarray:
         """int64 [rows * columns, 2]: the point seen in the middle of each pixel, row 0 below; x is -1 in the sky."""
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
-            for row, rows in _row_blocks(self.rows, self.columns):
-                here = rows * self.columns
-                x, y = np.zeros(here, np.int64), np.zeros(here, np.int64)
-                inputs = [self.columns, 0.5 - self.columns / 2, 0.5 + row - self.rows / 2, self.ground.packed]
-                inputs += [self.blocks, self.eye, shared(x, wp.int64), shared(y, wp.int64)]
-                self._launch(screen_kernels.pixel_points, here, inputs, cost=50.0)
-                points[row * self.columns :][:here] = np.stack([x, y], axis=1)
-                on_progress((row + rows) / self.rows)
+            for row, places in pixel_blocks(self.columns, self.rows):
+                points[row * self.columns :][: len(places)] = self.points_at(places)
+                on_progress((row * self.columns + len(places)) / len(points))
             self._pixels = points
         return self._pixels
 
@@ -215,6 +217,15 @@ class Sight:
 
     def _launch(self, kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
+
+
+def pixel_blocks(columns: int, rows: int):
+    """Blocks of at most BLOCK pixels about the frame's middle: first row and float64 [n, 2], the pixels' middles."""
+    for row, here in _row_blocks(rows, columns):
+        places = np.empty((here, columns, 2))
+        places[..., 0] = np.arange(columns) + (0.5 - columns / 2)
+        places[..., 1] = np.arange(row, row + here)[:, None] + (0.5 - rows / 2)
+        yield row, places.reshape(-1, 2)
 
 
 def _row_blocks(rows: int, columns: int):

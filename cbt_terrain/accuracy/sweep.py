@@ -38,7 +38,7 @@ PARTS = ("count", "max", "p95", "mean", "rms")
 class Row:
     """What a setting gave, over all frames: the largest errors and bounds, the median of triangles and times.
 
-    `bound_px`: None in metres, `bound_m` in pixels. `limited`: as in Update, of any frame. `surface_mb`: the
+    `bound`: in the setting's unit. `limited`: as in Update, of any frame. `surface_mb`: the
     mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
     (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
@@ -46,8 +46,7 @@ class Row:
     """
 
     setting: Setting
-    bound_px: float | None
-    bound_m: float | None
+    bound: float
     limited: str
     triangles: int
     vertices: int
@@ -58,11 +57,6 @@ class Row:
     popping_px: Errors | None = None
     ms: dict[str, float] = field(default_factory=dict)
     spread_ms: tuple[float, float] | None = None
-
-    @property
-    def bound(self) -> float:
-        """In the setting's unit."""
-        return self.bound_px if self.setting.unit == "px" else self.bound_m
 
     @property
     def error(self) -> float:
@@ -77,7 +71,7 @@ class Row:
     def figures(self) -> dict[str, float | int | str | None]:
         """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
-        figures |= {"bound": self.bound, "measured": self.error, "bound_px": self.bound_px, "bound_m": self.bound_m}
+        figures |= {"bound": self.bound, "measured": self.error}
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
         figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
         figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
@@ -190,8 +184,7 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
     loosest = int(np.argmax(bounds))
     return Row(
         setting,
-        bounds[loosest] if in_pixels else None,
-        None if in_pixels else bounds[loosest],
+        bounds[loosest],
         ", ".join(sorted({update.limited for update in updates} - {""})),
         triangles,
         vertices,
@@ -230,7 +223,6 @@ def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Ro
     )
     return Row(
         setting,
-        None,
         fitted.bound_m,
         fitted.limited,
         fitted.triangles,

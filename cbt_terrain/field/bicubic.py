@@ -23,6 +23,7 @@ up to 1 + t (1 - t) at t of the way between two of them, 5/4 at most, and so do 
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -32,10 +33,11 @@ from ...kernels.field import expand as expand_kernels
 from ...kernels.field import ranges as range_kernels
 from ..errors import TerrainError
 from ..run import launch
+from ..run.buffers import flat
 from . import codes, hierarchy, store
 from .codes import LEAST_EXPONENT, MOST_EXPONENT
 from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField
-from .hierarchy import extent_of, flat, ranges_at, stored_at
+from .hierarchy import items, ranges_at, stored_at, upward
 
 # Indices of Warp's arrays are int32.
 MOST_ENTRIES = 2**31 - 1
@@ -149,9 +151,8 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
     _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.range_depth:
         finest = ranges_at(lattice, lattice.range_depth)
-        east, north = lattice.extent(lattice.range_depth)
-        inputs = [east, columns, rows, own, finest, out]
-        _launch(range_kernels.patches_around, north + 1, inputs, threads, 4.0 * columns)
+        inputs = [columns, rows, own, finest, out]
+        _launch(range_kernels.patches_around, finest.rows + 1, inputs, threads, 4.0 * columns)
         hierarchy.unite_ranges(lattice, ranges, threads)
 
 
@@ -164,14 +165,8 @@ def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.nda
     below.base = lattice.node_count
     inputs = [*_raster(field), own, own, below, apart, out]
     _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
-    hierarchy.saturate_cells(lattice, below, 0.5, out, "bicubic hierarchy", threads)
-    columns, rows = lattice.extent(lattice.cell_depth)
-    _launch(kernels.cover_sides, columns * rows, [columns, rows, below, own, out], threads)
-    for depth in range(lattice.cell_depth - 1, 0, -1):
-        wide, high, count = extent_of(lattice, depth)
-        inputs = [stored_at(lattice, depth + 1), stored_at(lattice, depth), plain, apart, out]
-        if depth % 2:
-            _launch(expand_kernels.add_centres, count, [wide, *inputs], threads)
-        else:
-            _launch(expand_kernels.add_sides, count, [wide, high, *inputs], threads)
+    hierarchy.saturate_cells(below, 0.5, out, "bicubic hierarchy", threads)
+    _launch(expand_kernels.cover_sides, items(own), [below, own, out], threads)
+    for _, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
+        _launch(expand_kernels.add_errors, count, [finer, coarser, plain, apart, out], threads)
     return off

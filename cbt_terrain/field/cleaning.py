@@ -7,14 +7,11 @@ import warp as wp
 from ...kernels.field import fill as fill_kernels
 from ..errors import TerrainError
 from ..run import launch
+from ..run.buffers import flat
 
 COLUMN_BLOCK = 64
 # Distances between heights beyond this leave float32; an undeclared no-data value is the usual cause.
 LARGEST_HEIGHT = 1e30
-
-
-def _flat(array: np.ndarray, dtype) -> wp.array:
-    return wp.array(array.reshape(-1), dtype=dtype, device=launch.DEVICE, copy=False)
 
 
 def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, int]:
@@ -38,7 +35,7 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
     """Give every NaN in `samples` (float32, in place) the height of the nearest valid sample, counted in samples."""
     height, width = samples.shape
     nearest = wp.empty(height * width, dtype=wp.int32, device=launch.DEVICE)
-    h = _flat(samples, wp.float32)
+    h = flat(samples, wp.float32)
     inputs = [h, width, height, COLUMN_BLOCK, nearest]
     cost = 0.5 * COLUMN_BLOCK * height
     blocks = -(-width // COLUMN_BLOCK)

@@ -20,7 +20,7 @@ import warp as wp
 
 from ...kernels.field import codes as kernels
 from ..run import launch
-from ..run.buffers import shared
+from ..run.buffers import flat
 from .lattice import Lattice
 
 # Entries in each octave, upwards; with 0 and the largest they are 256.
@@ -77,7 +77,7 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 
 def put(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarray, threads: int) -> None:
     """Fill `codes` (uint8, zeroed) with the least entries of `table` that are not below `errors`."""
-    arrays = [shared(table.reshape(-1), wp.float32), shared(errors, wp.float32), shared(codes, wp.uint8)]
+    arrays = [flat(table, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     for group, part in enumerate(parts(lattice, len(errors))):
         blocks = -(-(part.stop - part.start) // BLOCK)
         inputs = [BLOCK, wp.int64(part.start), wp.int64(part.stop), len(SHAPE) * group, *arrays]
@@ -113,11 +113,11 @@ class Steps:
 
 def packed(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
     """The samples of a height field as kernels read them; memory is shared."""
-    made, coded, flat = kernels.Samples(), steps is not None, samples.reshape(-1)
+    made, coded = kernels.Samples(), steps is not None
     made.coded = int(coded)
     made.first, made.scale, made.offset = (steps.first, steps.scale, steps.offset) if coded else (0, 1.0, 0.0)
-    made.floats = shared(np.zeros(1, np.float32) if coded else flat, wp.float32)
-    made.numbers = shared(flat if coded else np.zeros(1, np.uint16), wp.uint16)
+    made.floats = flat(np.zeros(1, np.float32) if coded else samples, wp.float32)
+    made.numbers = flat(samples if coded else np.zeros(1, np.uint16), wp.uint16)
     return made
 
 

@@ -16,7 +16,8 @@ the distance in steps from neighbour to neighbour.
 Saturated errors after Lindstrom and Pascucci (2002), "Terrain simplification simplified", sections 3 and 4.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -26,37 +27,28 @@ from ...kernels.field import hierarchy as kernels
 from ...kernels.field import ranges as range_kernels
 from ...kernels.field.layout import Depth
 from ..run import launch
+from ..run.buffers import flat
 from .lattice import Lattice
 
 COLUMN_BLOCK = 64
 
-Progress = Callable[[float], None]
-
-
-def _ignore(_fraction: float) -> None:
-    pass
-
-
-def flat(array: np.ndarray, dtype) -> wp.array:
-    """The array's memory as Warp sees it, flat."""
-    return wp.array(array.reshape(-1), dtype=dtype, device=launch.DEVICE, copy=False)
-
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:
     """Where the errors hold the diamonds of one depth (1 .. cell_depth)."""
-    return _place(*lattice.layout(), lattice.cell_depth - depth)
+    return _place(lattice.extent(depth), *lattice.layout(), lattice.cell_depth - depth)
 
 
 def ranges_at(lattice: Lattice, depth: int) -> Depth:
     """Where the ranges do (1 .. range_depth, and cell_depth)."""
     finer = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
-    return _place(*lattice.range_layout(), finer)
+    return _place(lattice.extent(depth), *lattice.range_layout(), finer)
 
 
-def _place(base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
+def _place(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
     """Where images hold the diamonds `finer` bisections above the raster's cells."""
     group = (finer - 1) // 4 if finer else len(pages) - 1
     place = Depth()
+    (place.columns, place.rows), place.sides = extent, int(finer % 2)
     place.base, place.pages, place.first, place.step = int(base[group]), int(pages[group]), 0, 1
     if finer:
         # Vertices of the group from a corner to the middle of a side: one, or two in the coarser half of the group.
@@ -65,10 +57,21 @@ def _place(base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
     return place
 
 
-def extent_of(lattice: Lattice, depth: int) -> tuple[int, int, int]:
-    """Columns and rows that have entries at a depth, see `Lattice.extent`, and the items of a launch over them."""
-    columns, rows = lattice.extent(depth)
-    return columns, rows, columns * rows if depth % 2 else (columns // 2 + 1) * (rows + 1)
+def upward(finest: int, place_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
+    """Every depth above `finest`, the deepest first: its number, what is below it, itself, and the items of a launch.
+
+    place_of(depth): where the arrays hold a depth.
+    """
+    finer = place_of(finest)
+    for depth in range(finest - 1, 0, -1):
+        own = place_of(depth)
+        yield depth, finer, own, items(own)
+        finer = own
+
+
+def items(own: Depth) -> int:
+    """Items of a launch over the diamonds of a depth."""
+    return (own.columns // 2 + 1) * (own.rows + 1) if own.sides else own.columns * own.rows
 
 
 def build_errors(
@@ -76,7 +79,7 @@ def build_errors(
     lattice: Lattice,
     errors: np.ndarray,
     threads: int,
-    on_progress: Progress = _ignore,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
     measured: np.ndarray | None = None,
 ) -> None:
     """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres).
@@ -90,30 +93,26 @@ def build_errors(
     def spread(kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
-    finer = stored_at(lattice, lattice.cell_depth)
-    spread(kernels.twists, lattice.cells_y, [counted, lattice.width, finer], 0.4 * lattice.cells_x)
-    saturate_cells(lattice, finer, 0.25, out, "error hierarchy", threads)
-    for depth in range(lattice.cell_depth - 1, 0, -1):
-        own = stored_at(lattice, depth)
-        columns, rows, count = extent_of(lattice, depth)
+    cells = stored_at(lattice, lattice.cell_depth)
+    spread(kernels.twists, lattice.cells_y, [counted, lattice.width, cells], 0.4 * lattice.cells_x)
+    saturate_cells(cells, 0.25, out, "error hierarchy", threads)
+    for depth, finer, own, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
-        if depth % 2:
-            spread(kernels.centre_errors, count, [*size, columns, side, int(depth == 1), finer, own], 4 * cost)
+        if own.sides:
+            spread(kernels.side_errors, count, [*size, side // 2, finer, own], 2 * cost)
         else:
-            spread(kernels.side_errors, count, [*size, columns, rows, side // 2, finer, own], 2 * cost)
-        finer = own
+            spread(kernels.centre_errors, count, [*size, side, int(depth == 1), finer, own], 4 * cost)
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 
-def saturate_cells(lattice: Lattice, cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
+def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
     """Raise what is stored of each cell to `part` of its four neighbours'."""
-    columns, rows = lattice.extent(lattice.cell_depth)
-    inputs = [columns, wp.float32(part), cells, out]
-    launch.spread(kernels.saturate_rows, rows, inputs, step=step, threads=threads, cost=0.2 * columns)
-    inputs = [columns, rows, COLUMN_BLOCK, wp.float32(part), cells, out]
-    blocks = -(-columns // COLUMN_BLOCK)
-    launch.spread(kernels.saturate_columns, blocks, inputs, step=step, threads=threads, cost=0.2 * COLUMN_BLOCK * rows)
+    about = {"step": step, "threads": threads}
+    inputs = [wp.float32(part), cells, out]
+    launch.spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns, **about)
+    blocks, cost = -(-cells.columns // COLUMN_BLOCK), 0.2 * COLUMN_BLOCK * cells.rows
+    launch.spread(kernels.saturate_columns, blocks, [COLUMN_BLOCK, *inputs], cost=cost, **about)
 
 
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
@@ -131,20 +130,15 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
         launch.spread(kernel, count, [*inputs, out], step="meshlet errors", threads=threads)
 
     for step in range(2 * meshlet):
-        for depth in range(1, lattice.cell_depth):
-            columns, rows, count = extent_of(lattice, depth)
-            places = [stored_at(lattice, depth + 1), stored_at(lattice, depth)]
-            if depth % 2:
-                spread(expand_kernels.raise_centres, count, [columns, *places])
-            else:
-                spread(expand_kernels.raise_sides, count, [columns, rows, *places])
+        for depth in range(1, lattice.cell_depth):  # from coarse to fine: a child is read before it changes
+            own = stored_at(lattice, depth)
+            spread(expand_kernels.raise_errors, items(own), [stored_at(lattice, depth + 1), own])
         # Of a bilinear surface a cell's diamond and the side diamonds one bisection below it have the same error, so
         # cells move in every other pass, by two bisections at once. Bends halve with each.
         if step % 2 == 0:
-            columns, rows, count = extent_of(lattice, lattice.cell_depth)
             first, part = (lattice.node_count, 0.5) if bicubic else (lattice.cell_base, 0.25)
             old = wp.clone(out[first:])
-            spread(expand_kernels.raise_cells, count, [columns, rows, before, old, cells, wp.float32(part)])
+            spread(expand_kernels.raise_cells, items(cells), [before, old, cells, wp.float32(part)])
             if bicubic:
                 errors[lattice.node_count :] = errors[lattice.cell_base : lattice.node_count]
         elif bicubic:
@@ -179,26 +173,16 @@ def build_ranges(
     """
     if lattice.range_depth == 0:
         return
-    columns, rows = lattice.extent(lattice.range_depth)
-    inputs = [flat(samples, wp.float32), lattice.width, lattice.height, columns, wp.float64(base), wp.float64(step)]
-    inputs += [ranges_at(lattice, lattice.range_depth), flat(ranges, wp.uint16)]
-    cost = 6.0 * lattice.width
-    launch.spread(range_kernels.finest_ranges, rows + 1, inputs, step="height ranges", threads=threads, cost=cost)
+    finest = ranges_at(lattice, lattice.range_depth)
+    inputs = [flat(samples, wp.float32), lattice.width, lattice.height, wp.float64(base), wp.float64(step)]
+    inputs += [finest, flat(ranges, wp.uint16)]
+    about = {"step": "height ranges", "threads": threads, "cost": 6.0 * lattice.width}
+    launch.spread(range_kernels.finest_ranges, finest.rows + 1, inputs, **about)
     unite_ranges(lattice, ranges, threads)
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
     """Fill the ranges of what is above the finest that are stored."""
-    out, finer = flat(ranges, wp.uint16), ranges_at(lattice, lattice.range_depth)
-
-    def spread(kernel, count: int, inputs: list) -> None:
-        launch.spread(kernel, count, [*inputs, out], step="height ranges", threads=threads)
-
-    for depth in range(lattice.range_depth - 1, 0, -1):
-        own = ranges_at(lattice, depth)
-        columns, rows, count = extent_of(lattice, depth)
-        if depth % 2:
-            spread(range_kernels.centre_ranges, count, [columns, *lattice.extent(depth + 1), finer, own])
-        else:
-            spread(range_kernels.side_ranges, count, [columns, rows, finer, own])
-        finer = own
+    out = flat(ranges, wp.uint16)
+    for _, finer, own, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
+        launch.spread(range_kernels.unite_children, count, [finer, own, out], step="height ranges", threads=threads)

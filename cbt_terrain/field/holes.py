@@ -9,13 +9,15 @@ plane, taken for one of height; where heights are scaled, so is it.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 import warp as wp
 
 from ...kernels.field import holes as kernels
 from ..run import launch
-from .hierarchy import extent_of, flat, stored_at
+from ..run.buffers import flat
+from .hierarchy import stored_at, upward
 from .lattice import Lattice
 
 
@@ -32,20 +34,12 @@ def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, thre
     """
     kinds, out = flat(np.zeros(lattice.node_count, np.uint8), wp.uint8), flat(errors, wp.float32)
 
-    def spread(kernel, count: int, inputs: list, cost: float = 1.0) -> None:
-        launch.spread(kernel, count, inputs, step="holes", threads=threads, cost=cost)
-
-    finer = stored_at(lattice, lattice.cell_depth)
-    spread(kernels.cell_kinds, lattice.cells_y, [flat(valid, wp.uint8), lattice.width, finer, kinds], lattice.cells_x)
-    for depth in range(lattice.cell_depth - 1, 0, -1):
-        own = stored_at(lattice, depth)
-        columns, rows, count = extent_of(lattice, depth)
+    cells = stored_at(lattice, lattice.cell_depth)
+    inputs = [flat(valid, wp.uint8), lattice.width, cells, kinds]
+    launch.spread(kernels.cell_kinds, lattice.cells_y, inputs, step="holes", threads=threads, cost=lattice.cells_x)
+    for depth, finer, own, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         inputs = [wp.float32(longest_edge(lattice, depth)), finer, own, kinds, out]
-        if depth % 2:
-            spread(kernels.raise_centres, count, [columns, *inputs])
-        else:
-            spread(kernels.raise_sides, count, [columns, rows, *inputs])
-        finer = own
+        launch.spread(kernels.raise_borders, count, inputs, step="holes", threads=threads)
 
 
 def longest_edge(lattice: Lattice, depth: int) -> float:

@@ -6,6 +6,7 @@ import warp as wp
 
 from ...kernels.field.island import raise_island
 from ..run import launch
+from ..run.buffers import flat
 
 # Metres: the side of the island's square.
 SIDE = 8192.0
@@ -20,11 +21,10 @@ def island_rows(
 
     Heights depend only on the seed and on the place, so that resolutions agree where their samples coincide.
     """
-    flat = wp.array(rows.reshape(-1), dtype=wp.float32, device=launch.DEVICE, copy=False)
     launch.spread(
         raise_island,
         rows.shape[0],
-        [size, first_row, wp.uint32(seed & 0xFFFFFFFF), flat],
+        [size, first_row, wp.uint32(seed & 0xFFFFFFFF), flat(rows, wp.float32)],
         step="island",
         threads=threads or launch.default_threads(),
         cost=30.0 * size,

@@ -134,28 +134,6 @@ class Lattice:
             sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
         return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
 
-    def index(self, depth: int, i, j) -> np.ndarray:
-        """Entries, int64, of the diamonds of `depth` (1 .. cell_depth) that are split at the samples (i, j).
-
-        i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
-        """
-        group = self.group(depth)
-        return _index(*self.layout(), group, 0 if depth == self.cell_depth else 2 * group, i, j)
-
-    def range_index(self, depth: int, i, j) -> np.ndarray:
-        """The same in the ranges of heights (depths 1 .. range_depth, and cell_depth)."""
-        group = (self.levels - 2 - (depth - 1) // 2) // 2
-        cells = (self.levels // 2, 0)
-        return _index(*self.range_layout(), *(cells if depth == self.cell_depth else (group, 1 + 2 * group)), i, j)
-
-    @property
-    def root_entries(self) -> np.ndarray:
-        """Entries, int64 [rows, columns], of the root squares' own diamonds: all others are below them."""
-        side = 1 << self.levels
-        return self.index(
-            1, np.arange(self.columns) * side + side // 2, np.arange(self.rows)[:, None] * side + side // 2
-        )
-
     @property
     def can_be_numbered(self) -> bool:
         """Whether indices of 31 bits can number it."""
@@ -180,12 +158,6 @@ class Lattice:
     def node_count(self) -> int:
         """Entries of an error hierarchy."""
         return int(self.layout()[0][-1])
-
-
-def _index(base: np.ndarray, pages: np.ndarray, group: int, shift: int, i, j) -> np.ndarray:
-    x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
-    page = (y >> 5) * pages[group] + (x >> 5)
-    return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))
 
 
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:

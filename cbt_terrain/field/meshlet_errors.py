@@ -25,11 +25,8 @@ def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     kept = store.load_kept(field, name, field.error.shape, np.uint8)
     if kept is not None:
         return kept
-    errors, made, threads = (
-        codes.decode(field.lattice, field.error, field.table),
-        np.zeros_like(field.error),
-        launch.default_threads(),
-    )
+    errors, made = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)
+    threads = launch.default_threads()
     hierarchy.expand_errors(field.lattice, errors, meshlet, threads)
     codes.put(field.lattice, errors, field.table, made, threads)
     store.keep(field, name, made)

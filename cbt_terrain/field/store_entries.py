@@ -114,28 +114,22 @@ _ENTRIES = {
 
 def check_entries(file: Path, content: dict) -> None:
     """Raise TerrainError that names the file and the first entry that is missing or cannot be."""
+
+    def damaged(what: str) -> TerrainError:
+        return TerrainError(f"The store {file} is damaged: {what}; import it again.")
+
     for name, (good, expected) in _ENTRIES.items():
         if name not in content:
-            raise TerrainError(
-                f"The store {file} is damaged: {name!r} is missing, expected {expected}; import it again."
-            )
+            raise damaged(f"{name!r} is missing, expected {expected}")
         if not good(content[name]):
             shown = repr(content[name])
             shown = shown if len(shown) < 200 else f"{shown[:200]}..."
-            raise TerrainError(
-                f"The store {file} is damaged: its {name!r} is {shown}, expected {expected}; import it again."
-            )
-    if content["min_height"] > content["max_height"]:
-        raise TerrainError(
-            f"The store {file} is damaged: its 'min_height' {content['min_height']} is above its 'max_height' "
-            f"{content['max_height']}; import it again."
-        )
-    lattice, low, high = fit(**content["lattice"]), content["min_height"], content["max_height"]
+            raise damaged(f"its {name!r} is {shown}, expected {expected}")
+    low, high, exponents = content["min_height"], content["max_height"], content["exponents"]
+    if low > high:
+        raise damaged(f"its 'min_height' {low} is above its 'max_height' {high}")
+    lattice = fit(**content["lattice"])
     extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
     most = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
-    exponents = content["exponents"]
     if len(exponents) != lattice.groups + 1 or max(exponents) > most:
-        raise TerrainError(
-            f"The store {file} is damaged: its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at "
-            "most; import it again."
-        )
+        raise damaged(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at most")

@@ -129,13 +129,16 @@ def describe(path: str | os.PathLike) -> dict:
     """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
     content = store.read_json(Path(path))
     field = store.open_store(path)
-    lattice, kept = field.lattice, sum(array.nbytes for array in (field.samples, field.error, field.ranges))
+    kept = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
+    # A parent's error is not below its children's, so the largest is in the group of the coarsest.
+    group = field.lattice.group(1)
+    errors = field.error[codes.parts(field.lattice, len(field.error))[group]]
     return {
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **content["report"],
         "origin": content["origin"],
-        "largest_error_m": float(field.table[lattice.group(1)][field.error[lattice.root_entries].max()]),
+        "largest_error_m": float(field.table[group][errors.max()]),
         "bytes_per_sample": round(kept / field.samples.size, 2),
         "key": field.key,
     }
@@ -223,10 +226,10 @@ def _read_heights(
 
 def _undeclared(raster: Raster, settings: ImportSettings, lowest: float) -> list[str]:
     """A warning where the lowest height is one that files write for no data."""
-    scale = raster.scale * settings.height_scale
+    scale, offset = _scaling(raster, settings)
     if scale == 0.0 or settings.no_data is not None:
         return []
-    value = (lowest - raster.offset * settings.height_scale - settings.height_offset) / scale
+    value = (lowest - offset) / scale
     value = next((known for known in NO_DATA_VALUES if np.isclose(value, known, rtol=1e-6, atol=0.0)), value)
     if value not in NO_DATA_VALUES and value > -1e30:
         return []
@@ -241,20 +244,12 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
 
     largest: metres, the largest height that was read.
     """
-    scale = abs(raster.scale * settings.height_scale)
+    scale, offset = map(abs, _scaling(raster, settings))
     stored = np.dtype(raster.stored)
     if stored.kind != "f" or scale == 0.0:  # a file may say that its scale is 0
         return 0.5 * scale
-    offset = abs(raster.offset * settings.height_scale + settings.height_offset)
     value = min((largest + offset) / scale, float(np.finfo(stored).max))
     return 0.5 * scale * float(np.spacing(stored.type(value)))
-
-
-def _reference(raster: Raster, place: Georeference) -> str:
-    """What the bounds are measured against, where that is not the file's own raster."""
-    if not raster.projected_from:
-        return ""
-    return f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
 
 
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
@@ -263,6 +258,9 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     if raster.stored == "float16":
         largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
         warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    against = ""  # the file's own raster
+    if raster.projected_from:
+        against = f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
     return {
         "format": raster.format,
         "raster": [raster.width, raster.height],
@@ -276,6 +274,6 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
         "cut_out": field.filled if field.valid is not None else 0,
         "source_step_m": field.source_max,
         "crs": field.crs,
-        "bounds_against": _reference(raster, place),
+        "bounds_against": against,
         "warnings": warnings,
     }

@@ -7,9 +7,9 @@ its symbols bind to Blender's own library and reading crashes.
 
 from pathlib import Path
 
-from ..errors import TerrainError, shown
+from ..errors import TerrainError
 from ..run.memory import physical_memory
-from .raster import ImportSettings, Raster, blank
+from .raster import ImportSettings, Raster, blank, cause
 
 # Where a height is looked for, in this order, when no channel is named; then the first channel.
 CHANNELS = ("height", "Height", "Y", "Z", "V", "R")
@@ -27,7 +27,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         low, high = header["dataWindow"]
         channels = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
     except Exception as reason:
-        raise TerrainError(f"{path} cannot be read as OpenEXR ({_short(reason)}): get the file again.") from reason
+        raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)}): get the file again.") from reason
     width, height = (int(high[axis]) - int(low[axis]) + 1 for axis in (0, 1))
     name = settings.channel or next((c for c in CHANNELS if c in channels), next(iter(channels), ""))
     if name not in channels:
@@ -47,7 +47,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             raise ValueError("its pixels cannot be decoded")
         pixels = parts[0].channels[name].pixels
     except Exception as reason:
-        raise TerrainError(f"{path} is damaged or incomplete ({_short(reason)}): get the file again.") from reason
+        raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)}): get the file again.") from reason
     if pixels.shape != (height, width):
         raise TerrainError(
             f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again."
@@ -59,7 +59,3 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         stored=str(pixels.dtype),
         format=f"OpenEXR channel {name}",
     )
-
-
-def _short(reason: BaseException) -> str:
-    return shown(reason, 300).rstrip(".")

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, ellipsoid_of, from_transform
-from .raster import ImportSettings, Raster, blank
+from .raster import ImportSettings, Raster, blank, cause
 from .vrt_source import read_mosaic
 
 # GDAL may try no other driver on a file than the one of its suffix.
@@ -65,7 +65,7 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         raise
     except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
         hint = "a name like N36W085.hgt" if driver == "SRTMHGT" else "a whole file of that kind"
-        raise TerrainError(f"{shown(path)} cannot be read as {driver} ({_short(reason)}): expected {hint}.") from reason
+        raise TerrainError(f"{shown(path)} cannot be read as {driver} ({cause(reason)}): expected {hint}.") from reason
 
 
 def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
@@ -146,7 +146,7 @@ def _open_vrt(path: Path) -> tuple:
             raise
         except Exception as reason:
             raise TerrainError(
-                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({_short(reason)}): expected "
+                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({cause(reason)}): expected "
                 "a whole file of that kind."
             ) from reason
     setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # files beside a source (.msk, .ovr) could be VRTs again
@@ -170,7 +170,7 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None)
             mask = dataset.read_masks(band, window=window) if masked else None
         except Exception as reason:
             raise TerrainError(
-                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({_short(reason)}): "
+                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)}): "
                 "get the file again."
             ) from reason
         if mask is not None:
@@ -215,8 +215,3 @@ def _check_blocks(path: Path, dataset) -> None:
         )
     if 2 * size > CACHE_BYTES:  # else one that is read in parts is unpacked for each of them
         setenv(GDAL_CACHEMAX=2 * LARGEST_BLOCK)
-
-
-def _short(reason: BaseException) -> str:
-    """GDAL's message without line breaks."""
-    return shown(reason.__cause__ or reason, 300).rstrip(".")

@@ -32,10 +32,6 @@ POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
 
 
-class ImportCancelled(TerrainError):
-    """The user has stopped the import; the store is as it was before."""
-
-
 @dataclass(frozen=True)
 class Progress:
     """How far an import is: `fraction` 0 .. 1; when `done`, either `error` or `report` is set."""
@@ -53,7 +49,7 @@ class ImportJob:
     def __init__(self, settings: ImportSettings, store: str | os.PathLike):
         stores.check_target(store)
         self._settings, self._store = settings, Path(store)
-        self._progress, self._cancelled, self._lines = Progress(), False, []
+        self._progress, self.cancelled, self._lines = Progress(), False, []
         self._process, self._stall, self._stalled = None, Stall(), False
         stores.remove_abandoned(self._store)
         report = finished_before(self._store, source_digest(settings))
@@ -116,17 +112,13 @@ class ImportJob:
         if self.poll().done:
             return
         self._process.kill()
-        self._cancelled = True
+        self.cancelled = True
         self._process.wait()
         self.poll()
 
-    @property
-    def cancelled(self) -> bool:
-        return self._cancelled
-
     def _reason_of_end(self) -> str:
         source = self._settings.source
-        if self._cancelled:
+        if self.cancelled:
             return f"The import of {source} was cancelled; the store is as it was before."
         if self._stalled:
             return stalled_text(source)
@@ -156,7 +148,7 @@ class ImportJob:
             error = self._reason_of_end() if report is None else None
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
-            self._cancelled = False
+            self.cancelled = False
         else:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)
             stores.discard(self._store, self._folder, self._made)
@@ -166,14 +158,12 @@ class ImportJob:
 def import_source(
     source: ImportSettings | str | os.PathLike,
     store: str | os.PathLike,
-    on_progress: Callable[[float, str], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
+    on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
 ) -> dict:
     """Import in a child process and wait; returns the report, with "unchanged" if the store held this source already.
 
     source: settings, or a path or "island" where their defaults do. on_progress(fraction, message) is called as it goes
-    on; the import stops when cancelled() is true. Raises TerrainError, and ImportCancelled if it was stopped; the store
-    is then as it was before.
+    on; what it raises stops the import. Raises TerrainError. The store is then as it was before.
     """
     settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
     with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
@@ -181,20 +171,13 @@ def import_source(
         try:
             while not (progress := job.poll()).done:
                 stopping.check()
-                if on_progress is not None:
-                    on_progress(progress.fraction, progress.message)
-                if cancelled is not None and cancelled():
-                    break
+                on_progress(progress.fraction, progress.message)
                 time.sleep(POLL_SECONDS)
         finally:
             job.cancel()
-    progress = job.poll()
-    if job.cancelled:
-        raise ImportCancelled(progress.error)
     if progress.error is not None:
         raise TerrainError(progress.error)
-    if on_progress is not None:
-        on_progress(1.0, progress.message)
+    on_progress(1.0, progress.message)
     return progress.report
 
 

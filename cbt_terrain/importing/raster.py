@@ -121,3 +121,8 @@ def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
         rows = rows.astype(np.float64 if rows.dtype.kind in "iu" and rows.itemsize > 2 else np.result_type(rows, "f4"))
         rows[missing] = np.nan
     return rows
+
+
+def cause(reason: BaseException) -> str:
+    """A library's message as part of a sentence: GDAL's own is behind rasterio's."""
+    return shown(reason.__cause__ or reason, 300).rstrip(".")

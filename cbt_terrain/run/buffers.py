@@ -19,6 +19,11 @@ def shared(array: np.ndarray, dtype) -> wp.array:
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
+def flat(array: np.ndarray, dtype) -> wp.array:
+    """The same, of one dimension: in C order."""
+    return shared(array.reshape(-1), dtype)
+
+
 def bind(struct, **values) -> None:
     """Set the fields of a Warp struct that are not so already: setting an array costs as much as a launch."""
     for name, value in values.items():

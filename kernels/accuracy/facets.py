@@ -79,46 +79,37 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 def facet_of(ground: Ground, mesh: Mesh, t: wp.int32) -> Facet:
     """Triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
     f = Facet()
-    a = mesh.positions[mesh.corners[3 * t]]
-    b = mesh.positions[mesh.corners[3 * t + 1]]
-    c = mesh.positions[mesh.corners[3 * t + 2]]
-    au, av = place_of(ground, a)
-    bu, bv = place_of(ground, b)
-    cu, cv = place_of(ground, c)
+    u = wp.vec3d()
+    v = wp.vec3d()
+    z = wp.vec3d()
     for k in range(3):
-        u = au
-        v = av
-        if k == 1:
-            u = bu
-            v = bv
-        if k == 2:
-            u = cu
-            v = cv
-        f.x[k] = to_lattice(u, ground.bits)
-        f.y[k] = to_lattice(v, ground.bits)
+        position = mesh.positions[mesh.corners[3 * t + k]]
+        across, up = place_of(ground, position)
+        u[k] = across
+        v[k] = up
+        z[k] = wp.float64(position[2])
+        f.x[k] = to_lattice(across, ground.bits)
+        f.y[k] = to_lattice(up, ground.bits)
     f.west = wp.min(f.x[0], wp.min(f.x[1], f.x[2]))
     f.south = wp.min(f.y[0], wp.min(f.y[1], f.y[2]))
     f.east = wp.max(f.x[0], wp.max(f.x[1], f.x[2]))
     f.north = wp.max(f.y[0], wp.max(f.y[1], f.y[2]))
     f.area2 = (f.x[1] - f.x[0]) * (f.y[2] - f.y[0]) - (f.x[2] - f.x[0]) * (f.y[1] - f.y[0])
     units = wp.float64(wp.int64(1) << wp.int64(ground.bits))
-    area2 = (bu - au) * (cv - av) - (cu - au) * (bv - av)
+    area2 = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
     if area2 * units * units < wp.float64(0.25) * wp.float64(f.area2):
-        au = wp.float64(f.x[0]) / units
-        av = wp.float64(f.y[0]) / units
-        bu = wp.float64(f.x[1]) / units
-        bv = wp.float64(f.y[1]) / units
-        cu = wp.float64(f.x[2]) / units
-        cv = wp.float64(f.y[2]) / units
+        for k in range(3):
+            u[k] = wp.float64(f.x[k]) / units
+            v[k] = wp.float64(f.y[k]) / units
         area2 = wp.float64(f.area2) / (units * units)
-    f.u = au
-    f.v = av
-    f.z = wp.float64(a[2])
+    f.u = u[0]
+    f.v = v[0]
+    f.z = z[0]
     if f.area2 > wp.int64(0):
-        bz = wp.float64(b[2]) - f.z
-        cz = wp.float64(c[2]) - f.z
-        f.slope_u = (bz * (cv - av) - cz * (bv - av)) / area2
-        f.slope_v = (cz * (bu - au) - bz * (cu - au)) / area2
+        bz = z[1] - z[0]
+        cz = z[2] - z[0]
+        f.slope_u = (bz * (v[2] - v[0]) - cz * (v[1] - v[0])) / area2
+        f.slope_v = (cz * (u[1] - u[0]) - bz * (u[2] - u[0])) / area2
     return f
 
 

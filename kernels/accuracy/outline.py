@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The outlines of reference and mesh in a frame: where a pixel's ray meets them and its neighbour's does not.
-
-Places are in pixels from the frame's middle; a flip is the pair of a pixel and its neighbour to the east or north.
-"""
+"""Rays against a mesh, and distances to its outline in a frame. Places are in pixels from the frame's middle."""
 
 import warp as wp
 
 from ..refine.diamond import PANORAMIC
 from .facets import Ground, Mesh
-from .rays import NOWHERE, Blocks, Ray, first_crossing, within
+from .rays import NOWHERE, Ray, within
 from .screen import Eye, ray_through
 
 wp.set_module_options({"enable_backward": False})
-
-HALVINGS = wp.constant(10)  # of a pixel, to find a crossing
 
 
 @wp.struct
@@ -95,74 +90,16 @@ def meets_mesh(ground: Ground, mesh: Mesh, boxes: Boxes, ray: Ray, start: wp.flo
 @wp.kernel
 def mesh_cover(
     offset: wp.int32,
-    columns: wp.int32,
-    west: wp.float64,
-    south: wp.float64,
     ground: Ground,
     mesh: Mesh,
     boxes: Boxes,
     eye: Eye,
+    place: wp.array(dtype=wp.vec2d),
     cover: wp.array(dtype=wp.bool),
 ):
-    """Whether the rays of pixels, `columns` a row from (west, south) on, meet the mesh."""
+    """Whether the rays through places of the frame meet the mesh."""
     p = offset + wp.tid()
-    row = p / columns
-    ray = ray_through(eye, west + wp.float64(p - row * columns), south + wp.float64(row))
-    cover[p] = meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end)
-
-
-@wp.kernel
-def reference_crossings(
-    offset: wp.int32,
-    ground: Ground,
-    blocks: Blocks,
-    eye: Eye,
-    step_x: wp.float64,
-    step_y: wp.float64,
-    place: wp.array(dtype=wp.vec2d),
-):
-    """Moves `place` from the middle of the first pixel of a flip to where the reference's outline crosses the pair."""
-    p = offset + wp.tid()
-    start = place[p]
-    ray = ray_through(eye, start[0], start[1])
-    covered = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0)) < NOWHERE
-    low = wp.float64(0.0)
-    size = wp.float64(0.5)
-    for _ in range(HALVINGS):
-        at = low + size
-        ray = ray_through(eye, start[0] + at * step_x, start[1] + at * step_y)
-        same = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0)) < NOWHERE
-        if same == covered:
-            low = at
-        size = size * wp.float64(0.5)
-    place[p] = wp.vec2d(start[0] + (low + size) * step_x, start[1] + (low + size) * step_y)
-
-
-@wp.kernel
-def mesh_crossings(
-    offset: wp.int32,
-    ground: Ground,
-    mesh: Mesh,
-    boxes: Boxes,
-    eye: Eye,
-    step_x: wp.float64,
-    step_y: wp.float64,
-    place: wp.array(dtype=wp.vec2d),
-):
-    """The same for the outline of the mesh."""
-    p = offset + wp.tid()
-    start = place[p]
-    ray = ray_through(eye, start[0], start[1])
-    covered = meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end)
-    low = wp.float64(0.0)
-    size = wp.float64(0.5)
-    for _ in range(HALVINGS):
-        at = low + size
-        ray = ray_through(eye, start[0] + at * step_x, start[1] + at * step_y)
-        if meets_mesh(ground, mesh, boxes, ray, eye.start, eye.end) == covered:
-            low = at
-        size = size * wp.float64(0.5)
-    place[p] = wp.vec2d(start[0] + (low + size) * step_x, start[1] + (low + size) * step_y)
+    cover[p] = meets_mesh(ground, mesh, boxes, ray_through(eye, place[p][0], place[p][1]), eye.start, eye.end)
 
 
 @wp.func

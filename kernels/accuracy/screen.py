@@ -227,24 +227,21 @@ def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> Ray:
 
 
 @wp.kernel
-def pixel_points(
+def seen_points(
     offset: wp.int32,
-    columns: wp.int32,
-    west: wp.float64,
-    south: wp.float64,
     ground: Ground,
     blocks: Blocks,
     eye: Eye,
+    place: wp.array(dtype=wp.vec2d),
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
 ):
-    """The point of the reference surface that is seen in each pixel, `columns` a row from (west, south) on; -1: none.
+    """The points of the reference surface that are seen at places of the frame, pixels from its middle; -1: none.
 
     Points are in units of 2^-(bits + 7) cells.
     """
     p = offset + wp.tid()
-    row = p / columns
-    ray = ray_through(eye, west + wp.float64(p - row * columns), south + wp.float64(row))
+    ray = ray_through(eye, place[p][0], place[p][1])
     t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0))
     x[p] = wp.int64(-1)
     if t < NOWHERE:

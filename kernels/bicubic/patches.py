@@ -244,25 +244,6 @@ def patch_errors(
 
 
 @wp.kernel
-def cover_sides(offset: int, columns: int, rows: int, below: Depth, own: Depth, errors: wp.array(dtype=wp.float32)):
-    """A cell's own error is not below that of the four diamonds on its sides: half the larger bend."""
-    t = offset + wp.tid()
-    cy = t / columns
-    cx = t - cy * columns
-    bend = errors[entry(below, cx, cy)]
-    if cx > 0:
-        bend = wp.max(bend, errors[entry(below, cx - 1, cy)])
-    if cx < columns - 1:
-        bend = wp.max(bend, errors[entry(below, cx + 1, cy)])
-    if cy > 0:
-        bend = wp.max(bend, errors[entry(below, cx, cy - 1)])
-    if cy < rows - 1:
-        bend = wp.max(bend, errors[entry(below, cx, cy + 1)])
-    at = entry(own, cx, cy)
-    errors[at] = wp.max(errors[at], bend * wp.float32(0.5))
-
-
-@wp.kernel
 def patch_ranges(
     offset: int,
     h: wp.array(dtype=wp.float32),

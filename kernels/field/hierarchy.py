@@ -9,7 +9,7 @@ flat or planar map has an error of exactly zero.
 
 import warp as wp
 
-from .layout import Depth, entry
+from .layout import Depth, child, diamond, entry, holds
 
 wp.set_module_options({"enable_backward": False})
 
@@ -133,12 +133,14 @@ def diagonal_inside(
 
 
 @wp.func
-def beside(errors: wp.array(dtype=wp.float32), sides: Depth, cx: int, cy: int):
-    """Largest value of the middles of the four sides of a cell."""
-    across = wp.max(errors[entry(sides, 2 * cx + 1, 2 * cy)], errors[entry(sides, 2 * cx + 1, 2 * cy + 2)])
-    return wp.max(
-        across, wp.max(errors[entry(sides, 2 * cx, 2 * cy + 1)], errors[entry(sides, 2 * cx + 2, 2 * cy + 1)])
-    )
+def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, own: Depth, p: wp.vec2i) -> wp.float32:
+    """Largest value of a diamond's up to four children."""
+    largest = wp.float32(0.0)
+    for k in range(4):
+        c = child(own, p, k)
+        if holds(finer, c):
+            largest = wp.max(largest, values[entry(finer, c[0], c[1])])
+    return largest
 
 
 @wp.kernel
@@ -148,23 +150,19 @@ def centre_errors(
     measured: wp.array(dtype=wp.float32),
     width: int,
     height: int,
-    columns: int,
     side: int,
     root: int,
     finer: Depth,
     own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the centres of cells of `side` samples (at least 2), `columns` cells a row.
+    """Diamonds at the centres of cells of `side` samples (at least 2).
 
     `root` is 1 where these cells are the root squares. `measured`: what of `h` counts, NaN elsewhere.
-    `finer` holds the diamonds at the middles of the cells' sides: the children.
     """
-    t = offset + wp.tid()
-    cy = t / columns
-    cx = t - cy * columns
-    x = cx * side
-    y = cy * side
+    p = diamond(own, offset + wp.tid())
+    x = p[0] * side
+    y = p[1] * side
     h00 = corner(h, width, height, x, y)
     h10 = corner(h, width, height, x + side, y)
     h01 = corner(h, width, height, x, y + side)
@@ -172,7 +170,7 @@ def centre_errors(
     n = wp.float64(side)
     rows = wp.min(side + 1, height - y)
     largest = wp.float64(0.0)
-    if root == 1 or ((cx + cy) & 1) == 1:
+    if root == 1 or ((p[0] + p[1]) & 1) == 1:
         # Anti-diagonal: triangles at the south-west and at the north-east corner.
         for j in range(rows):
             v = wp.float64(j)
@@ -192,7 +190,7 @@ def centre_errors(
             middle = h00 + (h11 - h10) / n * v + slope * v
             largest = row_inside(measured, width, height, x + j, y + j, side + 1 - j, middle, slope, largest)
         largest = diagonal_inside(measured, width, height, x, y, 1, 1, side, h00, (h11 - h00) / n, largest)
-    errors[entry(own, cx, cy)] = wp.max(round_up(largest), beside(errors, finer, cx, cy))
+    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
 
 
 @wp.func
@@ -256,29 +254,6 @@ def upright_base_error(
     return diagonal_inside(measured, width, height, x, y + half, right, -1, half, north, rise - slope, largest)
 
 
-@wp.func
-def around(errors: wp.array(dtype=wp.float32), centres: Depth, x: int, y: int, columns: int, rows: int):
-    """Largest value of the up to four cells that meet in the lattice point (x, y)."""
-    largest = wp.float32(0.0)
-    for j in range(2):
-        for i in range(2):
-            cx = x - i
-            cy = y - j
-            if cx >= 0 and cx < columns and cy >= 0 and cy < rows:
-                largest = wp.max(largest, errors[entry(centres, cx, cy)])
-    return largest
-
-
-@wp.func
-def side_point(t: int, stride: int):
-    """Lattice point (x, y), x + y odd, of number `t` of the middles of sides, `stride` a row.
-
-    A row between cells has one more than a row through centres, where the last number is beyond the east end.
-    """
-    y = t / stride
-    return wp.vec2i(2 * (t - y * stride) + ((y + 1) & 1), y)
-
-
 @wp.kernel
 def side_errors(
     offset: int,
@@ -286,21 +261,14 @@ def side_errors(
     measured: wp.array(dtype=wp.float32),
     width: int,
     height: int,
-    columns: int,
-    rows: int,
     half: int,
     finer: Depth,
     own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the middles of cells' sides, `half` samples from the ends of the side.
-
-    `measured`: as in `centre_errors`. `finer` holds the diamonds at the centres of the `columns` x `rows` cells of
-    `half` the side: the children.
-    """
-    t = offset + wp.tid()
-    p = side_point(t, columns / 2 + 1)
-    if p[0] > columns:
+    """Diamonds at the middles of cells' sides, `half` samples from the ends of the side; `measured` as before."""
+    p = diamond(own, offset + wp.tid())
+    if not holds(own, p):
         return
     x = p[0] * half
     y = p[1] * half
@@ -314,14 +282,14 @@ def side_errors(
     elif flat == 1:
         if y > 0:
             largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, -1))
-        if p[1] < rows:
+        if p[1] < own.rows:
             largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, 1))
     else:
         if x > 0:
             largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, -1))
-        if p[0] < columns:
+        if p[0] < own.columns:
             largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, 1))
-    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), around(errors, finer, p[0], p[1], columns, rows))
+    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
 
 
 @wp.kernel
@@ -337,39 +305,31 @@ def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, cells: Depth,
 
 
 @wp.kernel
-def saturate_rows(offset: int, columns: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
+def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Row `offset + tid` of cells: each to at least `part` of its western and eastern neighbours."""
     cy = offset + wp.tid()
     last = wp.float32(0.0)
-    for cx in range(columns):
+    for cx in range(cells.columns):
         cell = entry(cells, cx, cy)
         last = wp.max(errors[cell], last * part)
         errors[cell] = last
-    for i in range(columns):
-        cell = entry(cells, columns - 1 - i, cy)
+    for i in range(cells.columns):
+        cell = entry(cells, cells.columns - 1 - i, cy)
         last = wp.max(errors[cell], last * part)
         errors[cell] = last
 
 
 @wp.kernel
-def saturate_columns(
-    offset: int,
-    columns: int,
-    rows: int,
-    block: int,
-    part: wp.float32,
-    cells: Depth,
-    errors: wp.array(dtype=wp.float32),
-):
+def saturate_columns(offset: int, block: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Block `offset + tid` of columns: each cell to at least `part` of its southern and northern neighbours."""
     x0 = (offset + wp.tid()) * block
-    x1 = wp.min(x0 + block, columns)
-    for i in range(rows - 1):
+    x1 = wp.min(x0 + block, cells.columns)
+    for i in range(cells.rows - 1):
         for x in range(x0, x1):
             cell = entry(cells, x, i + 1)
             errors[cell] = wp.max(errors[cell], errors[entry(cells, x, i)] * part)
-    for i in range(rows - 1):
-        cy = rows - 2 - i
+    for i in range(cells.rows - 1):
+        cy = cells.rows - 2 - i
         for x in range(x0, x1):
             cell = entry(cells, x, cy)
             errors[cell] = wp.max(errors[cell], errors[entry(cells, x, cy + 1)] * part)

@@ -7,8 +7,7 @@ where there is no entry or no raster.
 
 import warp as wp
 
-from .hierarchy import side_point
-from .layout import Depth, entry
+from .layout import Depth, child, diamond, entry, holds
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,57 +25,24 @@ def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: 
         kinds[entry(cells, cx, cy)] = wp.where(least > wp.uint8(0), GROUND, HOLE)
 
 
-@wp.func
-def note(
-    kinds: wp.array(dtype=wp.uint8),
-    errors: wp.array(dtype=wp.float32),
-    at: wp.int64,
-    kind: wp.uint8,
-    longest: wp.float32,
-):
-    """The kind of a diamond, and an error of `longest` metres at least if it is both."""
-    kinds[at] = kind
-    if kind == GROUND | HOLE:
-        errors[at] = wp.max(errors[at], longest)
-
-
 @wp.kernel
-def raise_centres(
+def raise_borders(
     offset: int,
-    columns: int,
     longest: wp.float32,
     finer: Depth,
     own: Depth,
     kinds: wp.array(dtype=wp.uint8),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Cell centres, from their children: the middles of the cell's sides."""
-    t = offset + wp.tid()
-    cy = t / columns
-    cx = t - cy * columns
-    kind = kinds[entry(finer, 2 * cx + 1, 2 * cy)] | kinds[entry(finer, 2 * cx + 1, 2 * cy + 2)]
-    kind = kind | kinds[entry(finer, 2 * cx, 2 * cy + 1)] | kinds[entry(finer, 2 * cx + 2, 2 * cy + 1)]
-    note(kinds, errors, entry(own, cx, cy), kind, longest)
-
-
-@wp.kernel
-def raise_sides(
-    offset: int,
-    columns: int,
-    rows: int,
-    longest: wp.float32,
-    finer: Depth,
-    own: Depth,
-    kinds: wp.array(dtype=wp.uint8),
-    errors: wp.array(dtype=wp.float32),
-):
-    """Side middles, from their up to four children: the centres of the cells around them."""
-    t = offset + wp.tid()
-    p = side_point(t, columns / 2 + 1)
-    if p[0] > columns:
-        return
-    kind = wp.uint8(0)
-    for j in range(wp.max(p[1] - 1, 0), wp.min(p[1] + 1, rows)):
-        for i in range(wp.max(p[0] - 1, 0), wp.min(p[0] + 1, columns)):
-            kind = kind | kinds[entry(finer, i, j)]
-    note(kinds, errors, entry(own, p[0], p[1]), kind, longest)
+    """The kinds of diamonds, from their children; an error of `longest` metres at least for those that are both."""
+    p = diamond(own, offset + wp.tid())
+    if holds(own, p):
+        kind = wp.uint8(0)
+        for k in range(4):
+            c = child(own, p, k)
+            if holds(finer, c):
+                kind = kind | kinds[entry(finer, c[0], c[1])]
+        at = entry(own, p[0], p[1])
+        kinds[at] = kind
+        if kind == GROUND | HOLE:
+            errors[at] = wp.max(errors[at], longest)

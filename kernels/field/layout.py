@@ -19,12 +19,16 @@ def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:
 
 @wp.struct
 class Depth:
-    """Where the arrays hold the diamonds of one depth.
+    """The diamonds of one depth, and where the arrays hold them.
 
-    They are counted by cells (odd depths) or by the corners of cells of half the side (even depths), (0, 0) in the
-    south-west; number (x, y) is the vertex (first + x * step, first + y * step) of its group.
+    They are the middles of `columns` x `rows` cells (odd depths, `sides` 0), or of the sides of such cells (even
+    depths, `sides` 1). A cell's is (x, y), a side's is numbered by the corners of the cells of half the side: x + y is
+    odd there. (0, 0) is in the south-west; (x, y) is the vertex (first + x * step, first + y * step) of its group.
     """
 
+    columns: wp.int32  # of sides: cells of half the side
+    rows: wp.int32
+    sides: wp.int32
     base: wp.int64
     pages: wp.int32
     first: wp.int32
@@ -35,3 +39,35 @@ class Depth:
 def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
     """Entry of the diamond (x, y) of a depth."""
     return depth.base + tile_index(depth.first + x * depth.step, depth.first + y * depth.step, depth.pages)
+
+
+@wp.func
+def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
+    """Number `t` of a depth's diamonds, row by row.
+
+    A row of sides between cells has one more than a row through centres, where the last number is beyond the east end.
+    """
+    stride = wp.where(depth.sides == 1, depth.columns / 2 + 1, depth.columns)
+    y = t / stride
+    x = t - y * stride
+    if depth.sides == 1:
+        x = 2 * x + ((y + 1) & 1)
+    return wp.vec2i(x, y)
+
+
+@wp.func
+def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
+    """Whether a depth has the diamond p."""
+    x = wp.uint32(p[0])  # a negative number is a large one
+    y = wp.uint32(p[1])
+    return x < wp.uint32(depth.columns + depth.sides) and y < wp.uint32(depth.rows + depth.sides)
+
+
+@wp.func
+def child(depth: Depth, p: wp.vec2i, k: wp.int32) -> wp.vec2i:
+    """Child k (0 .. 3) of a diamond, if the finer depth holds it: a side's middle; of a side, a cell at its middle."""
+    c = wp.vec2i(p[0] - (k & 1), p[1] - (k >> 1))
+    if depth.sides == 0:
+        ahead = 2 * (k & 1)
+        c = wp.vec2i(2 * p[0] + wp.where(k < 2, ahead, 1), 2 * p[1] + wp.where(k < 2, 1, ahead))
+    return c

@@ -7,8 +7,7 @@ are flat: lower and upper of one diamond lie side by side, diamonds in the order
 
 import warp as wp
 
-from .hierarchy import side_point
-from .layout import Depth, entry
+from .layout import Depth, child, diamond, entry, holds
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,13 +39,12 @@ def finest_ranges(
     h: wp.array(dtype=wp.float32),
     width: int,
     height: int,
-    columns: int,
     base: wp.float64,
     step: wp.float64,
     own: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `2 * (offset + tid)` of samples, up to `2 * columns`: diamonds about the middles of sides of 4 x 4 cells.
+    """Row `2 * (offset + tid)` of samples: diamonds about the middles of sides of 4 x 4 cells.
 
     From all samples that their boxes hold, or the nearest; so those below, which reach over into the next cell, are in.
     """
@@ -54,7 +52,7 @@ def finest_ranges(
     per_step = wp.float64(1.0) / step
     south = wp.clamp(2 * y - REACH, 0, height - 1)
     north = wp.min(2 * y + REACH, height - 1)
-    for x in range(1 - (y & 1), columns + 1, 2):
+    for x in range(1 - (y & 1), own.columns + 1, 2):
         west = wp.clamp(2 * x - REACH, 0, width - 1)
         low = h[south * width + west]
         high = low
@@ -76,12 +74,10 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 
 
 @wp.kernel
-def patches_around(
-    offset: int, last: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
-):
+def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Row `2 * (offset + tid)` of samples: the diamonds of `finest_ranges`, from all cells that their boxes hold."""
     y = offset + wp.tid()
-    for x in range(1 - (y & 1), last + 1, 2):
+    for x in range(1 - (y & 1), own.columns + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for cy in range(wp.max(2 * y - REACH, 0), wp.min(2 * y + REACH, rows)):
             for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
@@ -92,42 +88,15 @@ def patches_around(
 
 
 @wp.kernel
-def centre_ranges(
-    offset: int, columns: int, east: int, north: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)
-):
-    """Cell centres: the union of their four children, the middles of the cell's sides, up to (`east`, `north`)."""
-    t = offset + wp.tid()
-    cy = t / columns
-    cx = t - cy * columns
-    r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
-    for k in range(4):
-        x = 2 * cx + 1
-        y = 2 * cy + 1
-        if k < 2:
-            x += 2 * k - 1
-        else:
-            y += 2 * k - 5
-        if x <= east and y <= north:
-            r = unite(r, ranges, entry(finer, x, y))
-    at = wp.int64(2) * entry(own, cx, cy)
-    ranges[at] = r[0]
-    ranges[at + wp.int64(1)] = r[1]
-
-
-@wp.kernel
-def side_ranges(offset: int, columns: int, rows: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Side middles: the union of their up to four children, the centres of the `columns` x `rows` cells around them."""
-    t = offset + wp.tid()
-    p = side_point(t, columns / 2 + 1)
-    if p[0] > columns:
-        return
-    r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
-    for j in range(2):
-        for i in range(2):
-            cx = p[0] - i
-            cy = p[1] - j
-            if cx >= 0 and cx < columns and cy >= 0 and cy < rows:
-                r = unite(r, ranges, entry(finer, cx, cy))
-    at = wp.int64(2) * entry(own, p[0], p[1])
-    ranges[at] = r[0]
-    ranges[at + wp.int64(1)] = r[1]
+def unite_children(offset: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
+    """Diamonds get the union of the ranges of their up to four children."""
+    p = diamond(own, offset + wp.tid())
+    if holds(own, p):
+        r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
+        for k in range(4):
+            c = child(own, p, k)
+            if holds(finer, c):
+                r = unite(r, ranges, entry(finer, c[0], c[1]))
+        at = wp.int64(2) * entry(own, p[0], p[1])
+        ranges[at] = r[0]
+        ranges[at + wp.int64(1)] = r[1]

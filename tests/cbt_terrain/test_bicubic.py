@@ -16,6 +16,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, Heigh
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from diamond_entries import error_index, range_index
 from fields import bezier, errors_of, mesh_heights, ranges_of, reference_heights, rough
 from invariants import arrays, assert_invariants
 from rasters import jacksboro
@@ -53,12 +54,12 @@ def error_at(field, middle, depth):
     """What the hierarchy holds for diamonds split at `middle` [n, 2], in cells."""
     lattice, errors = field.lattice, errors_of(field)
     if depth < lattice.cell_depth:
-        return errors[lattice.index(depth, *middle.T.astype(int))]
+        return errors[error_index(lattice, depth, *middle.T.astype(int))]
     found = np.zeros(len(middle))
     base = 0 if depth == lattice.cell_depth else lattice.node_count - lattice.cell_base
     for shift in ((0, 0), (1e-9, 0), (0, 1e-9)):  # a middle on a side belongs to both cells
         cell = np.clip(np.floor(middle - shift).astype(int), 0, [lattice.width - 2, lattice.height - 2])
-        found = np.maximum(found, errors[lattice.index(lattice.cell_depth, *cell.T) + base])
+        found = np.maximum(found, errors[error_index(lattice, lattice.cell_depth, *cell.T) + base])
     return found / 2.0 ** (depth - lattice.cell_depth)
 
 
@@ -69,7 +70,7 @@ def test_no_triangle_of_any_depth_leaves_its_diamonds_error_and_range(kind, shap
     lattice = field.lattice
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
     ranges = field.range_base + np.stack(ranges_of(field), axis=-1) * field.range_step
-    cells_at = lattice.range_index(lattice.cell_depth, *np.indices(cells))
+    cells_at = range_index(lattice, lattice.cell_depth, *np.indices(cells))
     patches = field.range_base + field.ranges[cells_at] * field.range_step
     a, b = (w.reshape(-1) for w in np.meshgrid(np.arange(13), np.arange(13)))
     weights = np.stack([a, b, 12 - a - b], axis=1)[a + b <= 12] / 12
@@ -125,7 +126,7 @@ def test_below_the_cells_errors_are_nested(kind, meshlet):
     field = field_of(kind, (9, 17))
     lattice, errors = field.lattice, errors_of(field, meshlet)
     j, i = np.indices((lattice.height - 1, lattice.width - 1))
-    own = lattice.index(lattice.cell_depth, i, j)
+    own = error_index(lattice, lattice.cell_depth, i, j)
     error, bend = errors[own], errors[own + lattice.node_count - lattice.cell_base]
     assert (error >= bend / 2).all()
     for a, b in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
@@ -221,7 +222,7 @@ def test_what_lies_between_both_surfaces_is_bounded_and_exact_where_they_bend_on
     apart = np.abs(bezier(bilinear, points)[0] - reference_heights(bilinear, points))
     apart = apart.reshape((lattice.height - 1) * 8 + 1, -1)
     j, i = np.indices((lattice.height - 1, lattice.width - 1))
-    found = off[lattice.index(lattice.cell_depth, i, j)]
+    found = off[error_index(lattice, lattice.cell_depth, i, j)]
     largest = np.max(
         [apart[a : -8 + a or None : 8, b : -8 + b or None : 8] for a in range(9) for b in range(9)], axis=0
     )

@@ -16,6 +16,7 @@ from adaptive_terrain.cbt_terrain.refine.domain import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.kernels.field.domain import Domain
 from adaptive_terrain.kernels.refine.diamond import range_at
+from diamond_entries import error_index
 from fields import errors_of, extent, random_view, ranges_of, split_points
 from invariants import assert_invariants
 from rasters import imported, write_raster
@@ -45,7 +46,7 @@ def assert_nested(field, meshlet: int) -> None:
     dense = np.zeros((up + 1, across + 1))
     for depth in range(1, lattice.cell_depth):
         i, j = split_points(lattice, depth)
-        dense[j, i] = errors[lattice.index(depth, i, j)]
+        dense[j, i] = errors[error_index(lattice, depth, i, j)]
     for depth in range(1, lattice.cell_depth - 1):
         i, j = split_points(lattice, depth)
         half = 1 << (lattice.levels - 1 - (depth - 1) // 2)
@@ -58,7 +59,7 @@ def assert_nested(field, meshlet: int) -> None:
             assert (dense[y[inside], x[inside]] <= dense[j[inside], i[inside]]).all(), depth
     wide, high = lattice.extent(lattice.cell_depth)
     rows, columns = np.indices((high, wide))
-    cell = errors[lattice.index(lattice.cell_depth, columns, rows)]
+    cell = errors[error_index(lattice, lattice.cell_depth, columns, rows)]
     i, j = split_points(lattice, lattice.cell_depth - 1) if lattice.levels else (np.zeros(0, int),) * 2
     for dx, dy in ((0, 0), (-1, 0), (0, -1), (-1, -1)):
         x, y = i + dx, j + dy
@@ -68,7 +69,7 @@ def assert_nested(field, meshlet: int) -> None:
     below, part = cell, 4
     if field.interpolation == "bicubic":
         below, part = (
-            errors[lattice.index(lattice.cell_depth, columns, rows) + lattice.node_count - lattice.cell_base],
+            errors[error_index(lattice, lattice.cell_depth, columns, rows) + lattice.node_count - lattice.cell_base],
             2,
         )
         assert (below <= part * cell).all()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import hierarchy
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
+from diamond_entries import error_index, range_index
 from fields import ranges_of, split_points
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
@@ -120,7 +121,7 @@ def is_beyond(lattice, vertex, depth):
 
 def index_of(lattice, vertex, depth):
     """Entry of the diamond of a split vertex in half samples."""
-    return int(lattice.index(depth, vertex[0] // 2, vertex[1] // 2))
+    return int(error_index(lattice, depth, vertex[0] // 2, vertex[1] // 2))
 
 
 def compute(samples, lattice, threads=1):
@@ -247,7 +248,7 @@ def test_a_hierarchy_of_real_size_is_nested():
         values = np.zeros(lattice.node_count, int)
         for depth in range(1, lattice.cell_depth):
             i, j = split_points(lattice, depth)
-            values[lattice.index(depth, i, j)] = codes[j, i]
+            values[error_index(lattice, depth, i, j)] = codes[j, i]
         for depth in range(1, lattice.cell_depth - 1):
             check_nested(values, lattice, depth)
 
@@ -257,11 +258,11 @@ def level(values, lattice, depth):
     side = 1 << (lattice.levels - (depth - 1) // 2)
     if depth % 2:
         j, i = np.mgrid[side // 2 : lattice.height - 1 : side, side // 2 : lattice.width - 1 : side]
-        return values[lattice.index(depth, i, j)]
+        return values[error_index(lattice, depth, i, j)]
     j, i = np.mgrid[0 : lattice.height : side // 2, 0 : lattice.width : side // 2]
     middle = (i // (side // 2) + j // (side // 2)) % 2 == 1
     found = np.full(i.shape, np.nan)
-    found[middle] = values[lattice.index(depth, i[middle], j[middle])]
+    found[middle] = values[error_index(lattice, depth, i[middle], j[middle])]
     return found
 
 
@@ -286,7 +287,7 @@ def test_entries_of_no_diamond_are_zero():
     assert (errors[used] > 0.0).all() and not errors[~used].any()
     held = np.zeros(lattice.range_count, bool)
     for depth in range(1, lattice.range_depth + 1):
-        held[lattice.range_index(depth, *split_points(lattice, depth))] = True
+        held[range_index(lattice, depth, *split_points(lattice, depth))] = True
     assert quantised[held, 1].all() and not quantised[~held].any()
     hierarchy.expand_errors(lattice, errors, 1, 1)
     assert (errors[used] > 0.0).all() and not errors[~used].any()

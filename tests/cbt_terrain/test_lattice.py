@@ -6,6 +6,7 @@ import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.kernels.field.layout import tile_index
+from diamond_entries import error_index, root_entries
 
 LATTICES = [Lattice(1, 1, k) for k in range(8)]
 LATTICES += [
@@ -47,12 +48,12 @@ def test_every_diamond_has_an_entry_of_its_own(lattice):
     assert lattice.node_count == base[-1] and lattice.cell_base == base[-2]
     taken = np.zeros(lattice.node_count, int)
     for depth, i, j in diamonds(lattice):
-        at = lattice.index(depth, i, j)
+        at = error_index(lattice, depth, i, j)
         group = lattice.group(depth)
         assert at.min() >= base[group] and at.max() < base[group + 1]
         np.add.at(taken, at, 1)
     assert taken.max() == 1
-    for entries in (taken[lattice.root_entries], lattice.root_entries < lattice.node_count):
+    for entries in (taken[root_entries(lattice)], root_entries(lattice) < lattice.node_count):
         assert entries.shape == (lattice.rows, lattice.columns) and entries.all()
     if lattice.is_padded:
         return
@@ -77,7 +78,7 @@ def test_kernels_find_the_same_entries(lattice):
         points = wp.array(np.stack([i >> shift, j >> shift], 1).astype(np.int32), dtype=wp.vec2i, device="cpu")
         out = wp.zeros(len(i), dtype=wp.int64, device="cpu")
         wp.launch(tile_indices, len(i), inputs=[int(pages[group]), points, out], device="cpu")
-        assert np.array_equal(base[group] + out.numpy(), lattice.index(depth, i, j))
+        assert np.array_equal(base[group] + out.numpy(), error_index(lattice, depth, i, j))
 
 
 def test_four_bisections_share_a_cache_line_and_neighbours_a_page():
@@ -86,16 +87,18 @@ def test_four_bisections_share_a_cache_line_and_neighbours_a_page():
         q = lattice.levels - 1 - 2 * g
         unit = 1 << 2 * g
         x, y = 4 * unit, 8 * unit  # a tile's corner: a vertex of a coarser group
-        tile = [lattice.index(2 * q - 1, x + 2 * unit, y + 2 * unit), lattice.index(2 * q, x + 2 * unit, y)]
-        tile += [lattice.index(2 * q + 1, x + unit, y + 3 * unit), lattice.index(2 * q + 2, x + unit, y + 2 * unit)]
+        vertices = (-1, x + 2 * unit, y + 2 * unit), (0, x + 2 * unit, y)
+        vertices += (1, x + unit, y + 3 * unit), (2, x + unit, y + 2 * unit)
+        tile = [error_index(lattice, 2 * q + finer, i, j) for finer, i, j in vertices]
         assert len({int(at) // 16 for at in tile}) == 1
-        assert all(at // 1024 == tile[0] // 1024 for at in (lattice.index(2 * q + 2, unit * a, 0) for a in (1, 15, 31)))
+        page = [error_index(lattice, 2 * q + 2, unit * a, 0) for a in (1, 15, 31)]
+        assert all(at // 1024 == tile[0] // 1024 for at in page)
 
 
 def test_indices_beyond_31_bits():
     lattice = Lattice(1, 1, 16)
-    at = lattice.index(lattice.cell_depth, lattice.width - 2, lattice.height - 2)
-    assert at == lattice.node_count - 1 > 2**32 and lattice.index(1, 1 << 15, 1 << 15) < lattice.cell_base
+    at = error_index(lattice, lattice.cell_depth, lattice.width - 2, lattice.height - 2)
+    assert at == lattice.node_count - 1 > 2**32 and error_index(lattice, 1, 1 << 15, 1 << 15) < lattice.cell_base
 
 
 @pytest.mark.parametrize("size", [4097, 4098, 6000])

@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import from_tree_id
+from diamond_entries import error_index
 from edited_tree import EditedTree
 from fields import errors_of, extent, random_view, ranges_of, rough
 from reference_bisection import forced_split_leaves
@@ -29,7 +30,7 @@ def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
 def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
     """Error and heights of the diamond split at sample coordinates (x, y)."""
     low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in ranges_of(field))
-    return float(errors_of(field)[field.lattice.index(depth, int(x), int(y))]), low, high
+    return float(errors_of(field)[error_index(field.lattice, depth, int(x), int(y))]), low, high
 
 
 def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:

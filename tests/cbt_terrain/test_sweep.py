@@ -35,8 +35,7 @@ def make_row(setting: Setting, error: float, triangles: int, ms: float, limited:
     pixels = errors(error) if setting.unit == "px" else None
     measured = Measured(errors(error), error, 1e-6, errors(9.0), errors(2.0), pixels, pixels, pixels)
     times = {"total": ms, "refine": 0.5 * ms} | ({"ingest": ingest} if ingest else {})
-    bound_px = setting.error if setting.unit == "px" else None
-    return Row(setting, bound_px, setting.error, limited, triangles, triangles // 2, 1.0, 2.0, measured, ms=times)
+    return Row(setting, setting.error, limited, triangles, triangles // 2, 1.0, 2.0, measured, ms=times)
 
 
 def test_no_other_point_is_as_good_in_both_and_better_in_one():
@@ -100,7 +99,7 @@ def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
         assert row.buffers_mb > row.surface_mb
     assert rows[0].triangles < rows[1].triangles < rows[2].triangles
     assert "meshlets" in rows[2].ms and rows[2].triangles % 16 == 0
-    assert rows[3].measured.screen_px is None and rows[3].bound_px is None
+    assert rows[3].measured.screen_px is None
     assert rows[4].triangles > rows[1].triangles, "a smooth surface has more to follow"
     names = [list(row.figures()) for row in rows]
     assert all(other == names[0] for other in names)

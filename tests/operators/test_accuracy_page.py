@@ -70,7 +70,7 @@ def test_the_table_says_which_rows_are_on_the_pareto_fronts():
 def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the_plot():
     known = [row for row in known_rows() if row.setting.unit == "px"]
     terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0)
-    rows = [dataclasses.replace(known[0], bound_px=LARGEST, terms=terms), *known[1:]]
+    rows = [dataclasses.replace(known[0], bound=LARGEST, terms=terms), *known[1:]]
     assert accuracy_page.overview(rows, None).rows[0][1] == NO_BOUND
     assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", ""]
     assert f"bound {NO_BOUND}, measured 3 px" in accuracy_page.row_line(rows[0])

@@ -301,7 +301,7 @@ def test_a_bound_that_does_not_hold_is_an_error_and_is_in_the_report(terrain, mo
 
     def too_proud(*arguments, **options):
         first, *rest = sweep(*arguments, **options)
-        return [dataclasses.replace(first, bound_px=first.error / 2), *rest]
+        return [dataclasses.replace(first, bound=first.error / 2), *rest]
 
     monkeypatch.setattr(sweep_accuracy, "sweep", too_proud)
     with pytest.raises(RuntimeError, match="The bound does not hold in 1 row, first of Terrain at 8 px"):

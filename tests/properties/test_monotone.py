@@ -5,6 +5,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import diamond, from_tree_id, parent, to_tree_id
+from diamond_entries import error_index
 from edited_tree import EditedTree
 from fields import errors_of, least_triangles
 from hypothesis import given
@@ -124,11 +125,11 @@ def test_stored_errors_are_nested(asked, meshlet):
         if half < 2 and depth % 2 == 0:
             continue  # the children are the centres of the raster's cells
         i, j = i[here], j[here]
-        own = errors[lattice.index(depth, i, j)]
+        own = errors[error_index(lattice, depth, i, j)]
         for dx, dy in offsets:
             x, y = i + dx, j + dy
             inside = (x >= 0) & (x < lattice.width) & (y >= 0) & (y < lattice.height)
-            below = errors[lattice.index(depth + 1, x[inside], y[inside])]
+            below = errors[error_index(lattice, depth + 1, x[inside], y[inside])]
             assert (below <= own[inside]).all()
 
 

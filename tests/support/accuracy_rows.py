@@ -26,7 +26,6 @@ def known_rows() -> list[Row]:
         rows.append(
             Row(
                 setting,
-                bound if on_screen else None,
                 bound,
                 "",
                 triangles,

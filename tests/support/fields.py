@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from diamond_entries import range_index
 from matplotlib.tri import Triangulation
 
 
@@ -54,7 +55,7 @@ def ranges_of(field: HeightField) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.zeros((up + 1, across + 1), int), np.full((up + 1, across + 1), 65535)
     for depth in range(1, lattice.range_depth + 1):
         i, j = split_points(lattice, depth)
-        low[j, i], high[j, i] = field.ranges[lattice.range_index(depth, i, j)].T
+        low[j, i], high[j, i] = field.ranges[range_index(lattice, depth, i, j)].T
     for depth in range(max(lattice.range_depth, 1), 2 * levels):
         i, j = split_points(lattice, depth)
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)) if depth % 2 else ((1, 1), (1, -1), (-1, 1), (-1, -1)):

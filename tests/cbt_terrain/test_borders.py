@@ -108,10 +108,3 @@ def test_what_is_measured_of_a_mesh_with_holes_is_within_its_bound():
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
     measured = measure(field, update.surface, view)
     assert 1.0 < measured.vertical_max_m <= update.bound_m
-
-
-def test_nothing_is_left_of_a_raster_whose_every_cell_is_a_hole():
-    heights = raster(33, 20)
-    heights[1::2, 1::2] = np.nan
-    update = Terrain(from_array(heights, 10.0, holes=True), 1).update(Criterion(error_px=0.0, error_m=1.0))
-    assert update.triangles == 0 and not len(update.surface.positions)

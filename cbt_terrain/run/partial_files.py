@@ -153,8 +153,8 @@ def remove_if_abandoned(folder: Path, token: str, is_needed: Callable[[], bool] 
         lock = _open_lock(folder)
         try:
             free = lock is None or _take(lock)
-            if free is False:
-                return
+            if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
+                return  # what was taken may be the lock of what another has removed, and its maker made again
             if is_needed():
                 (folder / LOCK).unlink(missing_ok=True)  # its process had no time to
             elif (free and token.startswith(_machine())) or _age(folder) > STALE_SECONDS:

@@ -187,14 +187,17 @@ def _take(lock: int) -> bool | None:
 
 def _open_lock(folder: Path) -> int | None:
     """The file that is a folder's lock; None where its work has ended. Raises OSError where it is gone."""
-    for _ in range(2):
+    for _ in range(ATTEMPTS):
         try:
             return os.open(folder / LOCK, os.O_RDWR | NO_LINK)
         except FileNotFoundError:
-            if not any(folder.iterdir()):
+            found = os.listdir(folder)
+            if not found:
                 folder.rmdir()  # it has just been made, which is then done again, or its maker was killed
                 raise
-    return None
+            if LOCK not in found:  # whoever writes into it has one
+                return None
+    raise FileNotFoundError(folder / LOCK)
 
 
 def _is_there(path: Path, file: int) -> bool:

@@ -20,13 +20,13 @@ MAY_IMPORT = {
 }
 # The rooms of each house, and modules that stand beside them: each may import from those before it.
 ROOMS = {
-    "kernels": ["unchecked", "field", "refine", "budget", "bicubic", "mesh", "fitting", "accuracy"],
+    "kernels": ["unchecked", "field", "refine", "budget", "bicubic", "mesh", "effects", "fitting", "accuracy"],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects"),
         *("importing", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "scene", "output", "report", "ui", "handlers", "registration"),
+        *("text", "mesh", "demand", "scene", "effects", "output", "report", "ui", "handlers", "registration"),
         *("blender", "demo", "cli"),
     ],
 }

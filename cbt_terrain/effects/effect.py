@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an effect is: a declaration, and a function over the places that it is asked for."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+
+# What an effect is a function of: a place and a scale, at which vertices or texels it is evaluated; the whole raster.
+POINT, MAP = "POINT", "MAP"
+# Who reads it, which decides the scale: what pixels show is prefiltered to a pixel's footprint, what geometry is made
+# from has one scale in metres, so that nothing moves with the camera.
+PICTURE, GEOMETRY = "PICTURE", "GEOMETRY"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that an effect takes. `unit`: of the number, "" where it has none. `least`, `most`: its range."""
+
+    name: str
+    default: float
+    least: float
+    most: float
+    unit: str
+    about: str
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where effects are evaluated: vertices of a mesh, or texels of a map.
+
+    `positions`: float32 [n, 3], metres in the terrain's own space, heights as displaced. `level`: float32 [n], the
+    scale as a level of the pyramid: 0 is the raster's own spacing, 1 twice that. Heights of the field become
+    `height * vertical_scale + vertical_offset`.
+    """
+
+    field: HeightField
+    positions: np.ndarray
+    level: np.ndarray
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+    threads: int = 1
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def only(self, which: np.ndarray) -> "Places":
+        """Those of the numbers `which`."""
+        scale = self.vertical_scale, self.vertical_offset
+        return Places(self.field, self.positions[which], self.level[which], *scale, self.threads)
+
+
+# What is asked of effects that are made together: the parameters of each, by the effects' names.
+Wanted = Mapping[str, Mapping[str, object]]
+# Places, what is wanted, and the values of what those effects read (of point effects for these places, of maps as a
+# whole) -> the values of each wanted effect, float32 [n] or [n, width].
+Make = Callable[[Places, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
+
+# Evaluates an effect, by its name, on a raster: see evaluate_on in examples.py.
+Evaluate = Callable[..., np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One effect: what it is, and how it is made.
+
+    `name`: of the attribute or map. `about`: one line of meaning. `unit`: of its numbers, of which each element has
+    `width`. `make`: see Make; effects with the same `make` are made together, in one call. A function of the place, the
+    level, the parameters and what is read alone: which other places are asked for changes nothing. `reads`: names of
+    other effects. `halo`: how far around a place it looks. `bound`: what it adds to the error of the mesh, "" for
+    nothing. `cost_ns`: nanoseconds an element on one thread, measured. `source`: paper and section. `version`: raised
+    whenever its values change. `example`: evaluates it where the answer is known, and
+    asserts that.
+    """
+
+    name: str
+    about: str
+    unit: str
+    make: Make
+    example: Callable[[Evaluate], None]
+    width: int = 1
+    domain: str = POINT
+    reads: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    halo: str = ""
+    bound: str = ""
+    cost_ns: float = 0.0
+    source: str = ""
+    version: int = 1
+
+    def defaults(self) -> dict[str, float]:
+        return {parameter.name: parameter.default for parameter in self.parameters}
+
+    def check(self, values: Mapping[str, object]) -> None:
+        """Raise TerrainError for a number that is no parameter of this effect, or out of its range."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                expected = ", ".join(known) or "none, it has no parameters"
+                raise TerrainError(f"The effect {self.name!r} has no parameter {name!r}; expected one of: {expected}.")
+            p = known[name]
+            if isinstance(p.default, int | float) and not p.least <= value <= p.most:
+                expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+                raise TerrainError(f"{name} of the effect {self.name!r} is {value}; expected {expected}.")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One effect that is asked for. `readers`: who reads it, in words. `family`: PICTURE or GEOMETRY. `parameters`:
+    those that differ from their defaults, as pairs."""
+
+    name: str
+    readers: tuple[str, ...]
+    family: str = PICTURE
+    parameters: tuple[tuple[str, object], ...] = field(default=())

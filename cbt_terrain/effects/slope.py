@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Slope: how steep the ground is."""
+
+import math
+
+import numpy as np
+
+from .effect import Effect, Evaluate
+from .jet import make
+
+
+def example(evaluate: Evaluate) -> None:
+    """A plane that rises 1 m in the root of 3 m has 30 degrees everywhere."""
+    east = np.arange(17, dtype=np.float32) * 10.0
+    slope = evaluate("slope", np.tile(east * np.float32(1 / math.sqrt(3)), (17, 1)), step=10.0)
+    assert abs(slope - math.radians(30)).max() < 1e-5
+
+
+SLOPE = Effect(
+    name="slope",
+    about="How steep the ground is: 0 is level, pi / 2 upright",
+    unit="rad",
+    make=make,
+    example=example,
+    halo="1.5 samples of the level",
+    cost_ns=60,
+    source="Horn 1981; a B-spline instead of the 3 x 3 differences",
+)

@@ -142,7 +142,9 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
 
-    verb = _verb(subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects)
+    verb = _verb(
+        subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
+    )
     source = verb.add_mutually_exclusive_group()
     source.add_argument("--scene", type=path, metavar="X.blend", help="who reads which, and why the others are skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")

@@ -178,7 +178,9 @@ def _export_source(arguments):
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]
     in_blender = needs_blender(arguments.format)
-    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, arguments.effects or ())
+    return StoreFrames(
+        arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, arguments.effects or ()
+    )
 
 
 def run_effects(arguments) -> None:

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The node group "Terrain Layers": the layers' colours by their weights, varied, darkened where little sky is seen.
+
+It is built from what there is: as many layers as the terrain has, and of each source the baked map where there is one,
+else the attribute. It reads nothing else, so nothing else is computed.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import bpy
+
+from .nodes import Nodes
+
+GROUP = "Terrain Layers"
+A_GROUP = 4  # layers in one attribute or map
+NORMAL, SKY, SUN = "normal", "sky", "sun"
+VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
+COLOUR, ROUGHNESS = "Color", "Roughness"
+# How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
+RAGGED = 0.9
+# The noise in heights is finer, so that cliffs are banded and level ground is not.
+BANDED = 6.0
+# What the noise does to a colour.
+LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
+# Octaves of the variation, by its size, and how far each is seen, in its own size.
+BROAD, FINE, SEEN = 3.0, 0.12, 500.0
+
+
+@dataclass(frozen=True)
+class Image:
+    """A baked map: a Blender image, tiled or not, and how often the terrain's UV map is repeated to reach its last
+    tile."""
+
+    image: bpy.types.Image
+    tiles: tuple[float, float] = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What the group reads. `layers`: name and colour (linear RGB) of each. `maps`: by effect; what has none is read
+    as an attribute. `light`: which of SKY and SUN darken the colours."""
+
+    layers: Sequence[tuple[str, tuple[float, float, float]]]
+    maps: Mapping[str, Image] = field(default_factory=dict)
+    light: Sequence[str] = ()
+
+
+def build_group(tree, sources: Sources, size: float) -> None:
+    """Fill the node group `tree`; its inputs keep their links where it is built again.
+
+    `size`: metres, of the variation at first.
+    """
+    names = [name for name, _ in sources.layers]
+    light = {SKY: OCCLUSION, SUN: SHADOW}
+    inputs = {name: "NodeSocketColor" for name in names}
+    inputs |= {name: "NodeSocketFloat" for name in (VARIATION, SIZE, *(light[name] for name in sources.light))}
+    outputs = {COLOUR: "NodeSocketColor"} | ({"Normal": "NodeSocketVector"} if NORMAL in sources.maps else {})
+    _set_interface(tree, inputs, outputs)
+    n = Nodes(tree)
+    given = n.add("NodeGroupInput").outputs
+    noise = _noise(n, given[SIZE])
+    colour = _mixed(n, sources, [given[name] for name in names], noise) if names else (0.2, 0.19, 0.17, 1.0)
+    colour = _varied(n, colour, noise, given[VARIATION])
+    for name in sources.light:
+        seen = _value(n, sources, name)
+        darker = n.math("SUBTRACT", 1.0, n.math("MULTIPLY", given[light[name]], n.math("SUBTRACT", 1.0, seen)))
+        colour = n.scaled(colour, darker)
+    out = n.add("NodeGroupOutput", {COLOUR: colour})
+    if NORMAL in sources.maps:
+        normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources.maps[NORMAL])}, space="OBJECT")
+        tree.links.new(normal.outputs[0], out.inputs["Normal"])
+    n.arrange()
+    for item in tree.interface.items_tree:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.socket_type == "NodeSocketFloat":
+            item.min_value, item.max_value = 0.0, 1e6 if item.name == SIZE else 1.0
+            item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.7, SHADOW: 0.0}[item.name]
+
+
+def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
+    """The sockets asked for, in that order; those that are there already stay, with what is linked to them."""
+    wanted = [(name, kind, "INPUT") for name, kind in inputs.items()]
+    wanted += [(name, kind, "OUTPUT") for name, kind in outputs.items()]
+    have = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}
+    for key in have.keys() - set(wanted):
+        tree.interface.remove(have[key])
+    for place, (name, kind, way) in enumerate(wanted):
+        item = have.get((name, kind, way)) or tree.interface.new_socket(name, in_out=way, socket_type=kind)
+        tree.interface.move(item, place)
+
+
+def _value(n: Nodes, sources: Sources, name: str):
+    """A number of an effect, from its map or its attribute."""
+    if name in sources.maps:
+        return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources.maps[name])}).outputs[0]
+    return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
+
+
+def _texture(n: Nodes, source: Image):
+    """The image at the terrain's own coordinates."""
+    uv = n.add("ShaderNodeUVMap").outputs[0]
+    if source.tiles != (1.0, 1.0):
+        uv = n.vector("MULTIPLY", uv, (*source.tiles, 1.0))
+    return n.add("ShaderNodeTexImage", {"Vector": uv}, image=source.image, extension="EXTEND").outputs["Color"]
+
+
+def _weights(n: Nodes, sources: Sources, group: int):
+    """Three weights as a vector, and the fourth, of four layers."""
+    name = f"splat_{group + 1}"
+    if name in sources.maps:
+        colour = _texture(n, sources.maps[name])
+        return colour, colour.node.outputs["Alpha"]
+    attribute = n.add("ShaderNodeAttribute", attribute_name=name).outputs
+    return attribute["Vector"], attribute["Alpha"]
+
+
+def _noise(n: Nodes, size):
+    """Three numbers of about -1 .. 1, no two alike, from two noises, of which the fine one is lost in the distance."""
+    place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
+    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    parts = []
+    for share in (BROAD, FINE):
+        length = n.math("MULTIPLY", size, share)
+        inputs = {"Vector": n.vector("DIVIDE", place, length), "Scale": 1.0, "Detail": 4.0, "Roughness": 0.7}
+        noise = n.math("SUBTRACT", n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.5)
+        seen = n.math("POWER", 0.5, n.math("DIVIDE", away, n.math("MULTIPLY", length, SEEN)))
+        parts.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", seen, 4.0)))
+    both = n.math("ADD", *parts)
+    inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *parts)}
+    return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
+
+
+def _mixed(n: Nodes, sources: Sources, colours: Sequence, noise):
+    """The layers' colours by their weights, whose borders the noise makes ragged."""
+    three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
+    three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
+    opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])
+    fourth = n.math("MAXIMUM", opposite, 1.0 - RAGGED)
+    colour = total = None
+    for first in range(0, len(colours), A_GROUP):
+        vector, alpha = _weights(n, sources, first // A_GROUP)
+        shares = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
+        shares.append(n.math("MULTIPLY", alpha, fourth))
+        for share, layer in zip(shares, colours[first : first + A_GROUP], strict=False):
+            part = n.scaled(layer, share)
+            colour = part if colour is None else n.vector("ADD", colour, part)
+            total = share if total is None else n.math("ADD", total, share)
+    return n.scaled(colour, n.math("DIVIDE", 1.0, n.math("MAXIMUM", total, 1e-6)))
+
+
+def _varied(n: Nodes, colour, noise, variation):
+    """Lighter and darker, warmer and colder."""
+    first, _, third = n.add("ShaderNodeSeparateXYZ", {0: noise}).outputs
+    grey, warm = n.scaled(LIGHTER, first), n.scaled(WARMER, third)
+    factor = n.vector("ADD", (1.0, 1.0, 1.0), n.scaled(n.vector("ADD", grey, warm), variation))
+    return n.vector("MULTIPLY", colour, n.vector("MAXIMUM", factor, (0.15, 0.15, 0.15)))

@@ -146,7 +146,7 @@ def build_parser() -> argparse.ArgumentParser:
         subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
     )
     source = verb.add_mutually_exclusive_group()
-    source.add_argument("--scene", type=path, metavar="X.blend", help="who reads which, and why the others are skipped")
+    source.add_argument("--scene", type=path, metavar="X.blend", help="who reads what, and why the rest is skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
     verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
 

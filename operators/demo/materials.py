@@ -52,6 +52,7 @@ def plain_material(name: str, colour: tuple[float, float, float, float]) -> bpy.
 def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
     material = bpy.data.materials.new(name)
     material.use_nodes = True
+    material.node_tree.nodes.clear()
     return material, LandNodes(material.node_tree)
 
 

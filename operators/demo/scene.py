@@ -90,6 +90,7 @@ def add_sky(scene) -> None:
     scene.world = world
     world.use_nodes = True
     world.cycles.sampling_method = "NONE"  # a plain gradient needs no importance map
+    world.node_tree.nodes.clear()
     n = Nodes(world.node_tree)
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
     up = n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"]

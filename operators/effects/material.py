@@ -13,10 +13,13 @@ import bpy
 from .nodes import Nodes
 
 GROUP = "Terrain Layers"
+PLAIN = (0.2, 0.19, 0.17)  # without any layer
+MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
+FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
 A_GROUP = 4  # layers in one attribute or map
 NORMAL, SKY, SUN = "normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
-COLOUR, ROUGHNESS = "Color", "Roughness"
+COLOUR = "Color"
 # How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
 RAGGED = 0.9
 # The noise in heights is finer, so that cliffs are banded and level ground is not.
@@ -46,6 +49,63 @@ class Sources:
     light: Sequence[str] = ()
 
 
+def reads(sources: Sources) -> tuple[str, ...]:
+    """Names of the effects that the group reads as attributes."""
+    groups = range(-(-len(sources.layers) // A_GROUP))
+    names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
+    return tuple(name for name in names if name not in sources.maps)
+
+
+def dress(obj, sources: Sources) -> bpy.types.Material:
+    """Give the object a material with the group, or build the group of the one that it has again."""
+    material, node = _found(obj) or _made(obj)
+    low, high = obj.bound_box[0], obj.bound_box[6]
+    side = max(high[0] - low[0], high[1] - low[1])
+    had = set(node.inputs.keys())
+    build_group(node.node_tree, sources, side / FIELDS if side > 0 else 1.0)
+    for item in _inputs(node.node_tree):
+        if item.name not in had:  # the node's own socket was made before this had its value
+            node.inputs[item.name].default_value = item.default_value
+    for name, colour in sources.layers:
+        node.inputs[name].default_value = (*colour, 1.0)
+    tree, normal = material.node_tree, node.outputs.get("Normal")
+    for shader in {link.to_node for link in node.outputs[COLOUR].links} if normal is not None else ():
+        if "Normal" in shader.inputs and not shader.inputs["Normal"].is_linked:
+            tree.links.new(normal, shader.inputs["Normal"])
+    return material
+
+
+def _found(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
+    """The first material of the object that has the group, and its node."""
+    for material in filter(None, obj.data.materials):
+        for node in material.node_tree.nodes if material.node_tree else ():
+            if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
+                return material, node
+    return None
+
+
+def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
+    """A new material, in the object's first slot."""
+    material = bpy.data.materials.new(f"{obj.name} Material")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    group[MARK] = True
+    group.interface.new_socket(COLOUR, in_out="OUTPUT", socket_type="NodeSocketColor")
+    n = Nodes(tree)
+    node = n.add("ShaderNodeGroup", node_tree=group)
+    inputs = {"Base Color": node.outputs[COLOUR], "Roughness": 0.9, "Specular IOR Level": 0.2}
+    n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
+    n.arrange()
+    node.width = 200.0
+    if obj.data.materials:
+        obj.data.materials[0] = material
+    else:
+        obj.data.materials.append(material)
+    return material, node
+
+
 def build_group(tree, sources: Sources, size: float) -> None:
     """Fill the node group `tree`; its inputs keep their links where it is built again.
 
@@ -57,10 +117,11 @@ def build_group(tree, sources: Sources, size: float) -> None:
     inputs |= {name: "NodeSocketFloat" for name in (VARIATION, SIZE, *(light[name] for name in sources.light))}
     outputs = {COLOUR: "NodeSocketColor"} | ({"Normal": "NodeSocketVector"} if NORMAL in sources.maps else {})
     _set_interface(tree, inputs, outputs)
+    tree.nodes.clear()
     n = Nodes(tree)
     given = n.add("NodeGroupInput").outputs
     noise = _noise(n, given[SIZE])
-    colour = _mixed(n, sources, [given[name] for name in names], noise) if names else (0.2, 0.19, 0.17, 1.0)
+    colour = _mixed(n, sources, [given[name] for name in names], noise) if names else PLAIN
     colour = _varied(n, colour, noise, given[VARIATION])
     for name in sources.light:
         seen = _value(n, sources, name)
@@ -71,22 +132,27 @@ def build_group(tree, sources: Sources, size: float) -> None:
         normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources.maps[NORMAL])}, space="OBJECT")
         tree.links.new(normal.outputs[0], out.inputs["Normal"])
     n.arrange()
-    for item in tree.interface.items_tree:
-        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.socket_type == "NodeSocketFloat":
+    for item in _inputs(tree):
+        if item.socket_type == "NodeSocketFloat":
             item.min_value, item.max_value = 0.0, 1e6 if item.name == SIZE else 1.0
             item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.7, SHADOW: 0.0}[item.name]
 
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
     """The sockets asked for, in that order; those that are there already stay, with what is linked to them."""
-    wanted = [(name, kind, "INPUT") for name, kind in inputs.items()]
-    wanted += [(name, kind, "OUTPUT") for name, kind in outputs.items()]
+    wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
+    wanted += [(name, kind, "INPUT") for name, kind in inputs.items()]
     have = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}
     for key in have.keys() - set(wanted):
         tree.interface.remove(have[key])
     for place, (name, kind, way) in enumerate(wanted):
         item = have.get((name, kind, way)) or tree.interface.new_socket(name, in_out=way, socket_type=kind)
         tree.interface.move(item, place)
+
+
+def _inputs(tree) -> list:
+    items = tree.interface.items_tree
+    return [item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT"]
 
 
 def _value(n: Nodes, sources: Sources, name: str):

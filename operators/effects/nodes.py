@@ -9,7 +9,6 @@ class Nodes:
 
     def __init__(self, tree):
         self.tree = tree
-        tree.nodes.clear()
 
     def add(self, kind: str, inputs: dict | None = None, **settings):
         """A node with settings, its inputs (by name or index) set to values or linked to sockets."""

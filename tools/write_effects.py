@@ -43,28 +43,28 @@ HEAD = """# Effects
 
 Written by `make effects`; do not edit it by hand. Absolute times are of one machine on one day.
 
-An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how much sky it
-sees. **Only what is read is computed.** The extension looks which attributes your node trees read, adds what those effects
-read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says who reads what, and why the rest
-is skipped; so does the panel [Effects](manual.md#effects).
+An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
+much sky it sees. **Only what is read is computed.** The extension looks which attributes your node trees read,
+adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
+who reads what, and why the rest is skipped; so does the panel [Effects](manual.md#effects).
 """
 SCALES = """## Two scales
 
-* **For pictures** (materials, lights) a value is that of the ground at the size of a pixel: smoothed where it is far away,
-  so that it does not flicker. The scale goes in steps of an eighth of an octave, so values stay bit for bit while the camera
-  creeps.
-* **For geometry** (modifiers, geometry nodes, exports) there is one scale in metres, the raster's own at first. So nothing
-  moves with the camera. What both read has that scale.
+* **For pictures** (materials, lights) a value is that of the ground at the size of a pixel: smoothed where it
+  is far away, so that it does not flicker. The scale goes in steps of an eighth of an octave, so values stay
+  bit for bit while the camera creeps.
+* **For geometry** (modifiers, geometry nodes, exports) there is one scale in metres, the raster's own at first.
+  So nothing moves with the camera. What both read has that scale.
 """
 ADD = """## An effect of your own
 
-One file: a function over arrays, a declaration, and an example that proves it. The example below is a whole program,
-`examples/06_an_effect.py`, and is run as a test. To add an effect for good, put the function and the declaration into a file
-of `cbt_terrain/effects/` and its name into the list of `catalogue.py`; the example is a test from then on, and the panel, the
-command line and this page have it.
+One file: a function over arrays, a declaration, and an example that proves it. The example below is a whole
+program, `examples/06_an_effect.py`, and is run as a test. To add an effect for good, put the function and the
+declaration into a file of `cbt_terrain/effects/` and its name into the list of `catalogue.py`; the example is a
+test from then on, and the panel, the command line and this page have it.
 
-* A function of the place, the scale, its parameters and what it reads, and of nothing else. Asked for some places or for
-  all, it gives the same values: only new vertices are asked for.
+* A function of the place, the scale, its parameters and what it reads, and of nothing else. Asked for some
+  places or for all, it gives the same values: only new vertices are asked for.
 * Same bytes on any machine: no BLAS, no random numbers, no clock.
 * Raise `version` whenever its values change.
 
@@ -138,8 +138,8 @@ def saving(field) -> list[str]:
     text = (
         "## What it saves\n\n"
         f"One frame of the island, {SIZE:,} x {SIZE:,} samples, 1 pixel at {RESOLUTION[0]} x {RESOLUTION[1]}: "
-        f"{vertices:,} vertices, none of them known from the frame before. The material of the button *Terrain Material* "
-        f"reads {', '.join(f'`{name}`' for name in demanded)}.\n\n"
+        f"{vertices:,} vertices, none of them known from the frame before. The material of the button "
+        f"*Terrain Material* reads {', '.join(f'`{name}`' for name in demanded)}.\n\n"
         "| | effects | ms, two threads | MB |\n| --- | ---: | ---: | ---: |\n"
         f"| nothing reads any | 0 | 0 | 0 |\n"
         f"| **what is read** | {len(plan([Asked(n, ()) for n in demanded]).steps)} | {plain(read_ms)} | "

@@ -45,7 +45,8 @@ class Row:
     mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
     (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
-    "effects", making attributes, and "ingest", writing a Blender mesh, come on top. `spread_ms`: the fastest and the slowest run, to the finished mesh.
+    "effects", making attributes, and "ingest", writing a Blender mesh, come on top. `spread_ms`: the fastest
+    and the slowest run, to the finished mesh.
     """
 
     setting: Setting
@@ -104,7 +105,8 @@ def sweep(
     """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
 
     `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh, and returns
-    the milliseconds of that step, "ingest". `effects`: whose attributes are made for every mesh. `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
+    the milliseconds of that step, "ingest". `effects`: whose attributes are made for every mesh. `on_progress`
+    gets 0 .. 1. Any of them may raise, which ends the sweep.
     """
     rows, sights = [], {}
 

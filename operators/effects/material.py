@@ -5,7 +5,7 @@ It is built from what there is: as many layers as the terrain has, and of each s
 else the attribute. It reads nothing else, so nothing else is computed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -17,7 +17,7 @@ PLAIN = (0.2, 0.19, 0.17)  # without any layer
 MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
 FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
 A_GROUP = 4  # layers in one attribute or map
-NORMAL, SKY, SUN = "normal", "sky", "sun"
+NORMAL, SKY, SUN = "detail_normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
 COLOUR = "Color"
 # How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
@@ -31,22 +31,15 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 
 @dataclass(frozen=True)
-class Image:
-    """A baked map: a Blender image, tiled or not, and how often the terrain's UV map is repeated to reach its last
-    tile."""
-
-    image: bpy.types.Image
-    tiles: tuple[float, float] = (1.0, 1.0)
-
-
-@dataclass(frozen=True)
 class Sources:
-    """What the group reads. `layers`: name and colour (linear RGB) of each. `maps`: by effect; what has none is read
-    as an attribute. `light`: which of SKY and SUN darken the colours."""
+    """What the group reads. `layers`: name and colour (linear RGB) of each. `light`: which of SKY and SUN darken the
+    colours. `maps`: baked images by effect; what has none is read as an attribute. `place`: adds nodes to a tree that
+    give the place in them; returns their output."""
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
-    maps: Mapping[str, Image] = field(default_factory=dict)
     light: Sequence[str] = ()
+    maps: Mapping[str, bpy.types.Image] = field(default_factory=dict)
+    place: Callable[[bpy.types.NodeTree], bpy.types.NodeSocket] | None = None
 
 
 def reads(sources: Sources) -> tuple[str, ...]:
@@ -129,7 +122,7 @@ def build_group(tree, sources: Sources, size: float) -> None:
         colour = n.scaled(colour, darker)
     out = n.add("NodeGroupOutput", {COLOUR: colour})
     if NORMAL in sources.maps:
-        normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources.maps[NORMAL])}, space="OBJECT")
+        normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources, NORMAL)["Color"]}, space="OBJECT")
         tree.links.new(normal.outputs[0], out.inputs["Normal"])
     n.arrange()
     for item in _inputs(tree):
@@ -158,26 +151,24 @@ def _inputs(tree) -> list:
 def _value(n: Nodes, sources: Sources, name: str):
     """A number of an effect, from its map or its attribute."""
     if name in sources.maps:
-        return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources.maps[name])}).outputs[0]
+        return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources, name)["Color"]}).outputs[0]
     return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
 
 
-def _texture(n: Nodes, source: Image):
-    """The image at the terrain's own coordinates."""
-    uv = n.add("ShaderNodeUVMap").outputs[0]
-    if source.tiles != (1.0, 1.0):
-        uv = n.vector("MULTIPLY", uv, (*source.tiles, 1.0))
-    return n.add("ShaderNodeTexImage", {"Vector": uv}, image=source.image, extension="EXTEND").outputs["Color"]
+def _texture(n: Nodes, sources: Sources, name: str):
+    """The image of a map, at the terrain's own place; the node's outputs."""
+    inputs = {"Vector": sources.place(n.tree)} if sources.place else {}
+    return n.add("ShaderNodeTexImage", inputs, image=sources.maps[name], extension="EXTEND").outputs
 
 
 def _weights(n: Nodes, sources: Sources, group: int):
     """Three weights as a vector, and the fourth, of four layers."""
     name = f"splat_{group + 1}"
     if name in sources.maps:
-        colour = _texture(n, sources.maps[name])
-        return colour, colour.node.outputs["Alpha"]
-    attribute = n.add("ShaderNodeAttribute", attribute_name=name).outputs
-    return attribute["Vector"], attribute["Alpha"]
+        outputs = _texture(n, sources, name)
+    else:
+        outputs = n.add("ShaderNodeAttribute", attribute_name=name).outputs
+    return outputs["Color"], outputs["Alpha"]
 
 
 def _noise(n: Nodes, size):

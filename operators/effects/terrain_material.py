@@ -33,7 +33,7 @@ class TerrainMaterial(bpy.types.Operator):
 
 def sources_of(obj, light) -> Sources:
     """What there is of the terrain: its layers, the maps that are baked."""
-    return Sources([], {}, light)
+    return Sources([], light)
 
 
 register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.effects import material
-from adaptive_terrain.operators.effects.material import Image, Sources, build_group, dress, reads
+from adaptive_terrain.operators.effects.material import Sources, build_group, dress, reads
 
 LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
 
@@ -40,15 +40,15 @@ def test_the_group_reads_what_it_says(ground, count):
 
 
 def test_a_map_takes_the_place_of_the_attribute(ground):
-    baked = Image(bpy.data.images.new("map", 4, 4), (3.0, 2.0))
-    sources = Sources(LAYERS[:5], {"splat_2": baked, "normal": baked}, ("sky",))
+    baked = bpy.data.images.new("map", 4, 4, alpha=True)
+    sources = Sources(LAYERS[:5], ("sky",), {"splat_2": baked, "detail_normal": baked})
     dress(ground, sources)
     group = group_of(ground)
     assert attributes_read(group.node_tree) == {"splat_1", "sky"} == set(reads(sources))
     assert sum(node.type == "TEX_IMAGE" for node in group.node_tree.nodes) == 2
     [link] = group.outputs["Normal"].links
     assert link.to_node.type == "BSDF_PRINCIPLED"
-    dress(ground, Sources(LAYERS[:5], {}, ("sky",)))
+    dress(ground, Sources(LAYERS[:5], ("sky",)))
     assert attributes_read(group_of(ground).node_tree) == {"splat_1", "splat_2", "sky"}
     assert "Normal" not in group_of(ground).outputs
 

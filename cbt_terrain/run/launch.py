@@ -136,8 +136,10 @@ def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cos
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
-    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, equal ones in their order; both
-    have room for twice as many, which is scratch."""
+    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, equal ones in their order.
+
+    Both have room for twice as many, which is scratch.
+    """
     stopping.check()
     with timed(step):
         arrays = [

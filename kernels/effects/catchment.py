@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from .logarithm import natural_log
 from .routing import ROOT, Grid, axis, towards
 
 wp.set_module_options({"enable_backward": False})
@@ -101,4 +102,4 @@ def level_lakes(
 def take_logarithms(offset: int, cell: wp.float64, area: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float32)):
     """Areas in samples of `cell` m^2 -> natural logarithms of m^2."""
     i = offset + wp.tid()
-    out[i] = wp.float32(wp.log(area[i] * cell))
+    out[i] = wp.float32(natural_log(area[i] * cell))

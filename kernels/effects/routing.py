@@ -52,7 +52,7 @@ def straight_first(q: wp.int32) -> wp.int32:
 def find_receivers(
     offset: int, grid: Grid, h: wp.array(dtype=wp.float32), base: wp.array(dtype=wp.uint8), to: wp.array(dtype=wp.uint8)
 ):
-    """Row `offset + tid`: the steepest way down of each sample (O'Callaghan and Mark 1984), ROOT where there is none."""
+    """Row `offset + tid`: each sample's steepest way down (O'Callaghan and Mark 1984), ROOT where there is none."""
     first = (offset + wp.tid()) * grid.width
     for i in range(first, first + grid.width):
         best = wp.int32(4)

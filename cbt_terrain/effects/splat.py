@@ -139,7 +139,7 @@ def _chosen(values: Mapping[str, object]) -> tuple[str, ...]:
 SPLATS = tuple(
     Effect(
         name=name,
-        about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all parts add up to exactly 1",
+        about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all add up to exactly 1",
         unit="",
         make=make,
         example=example,

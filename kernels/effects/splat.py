@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weights of splat layers at places, from the quantities that their rules are about; cbt_terrain/effects/splat_rules.py.
+"""Weights of splat layers at places, from what their rules are about; see cbt_terrain/effects/splat_rules.py.
 
 Weights are multiples of 2^-24 that add up to 1: whatever some of them add up to, in any order, is then exact in
 float32.

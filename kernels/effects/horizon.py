@@ -20,7 +20,7 @@ FINEST = 2
 
 
 @wp.struct
-class Ground:
+class Occluder:
     """The raster, and the highest samples of its blocks. Heights count `scale` times, metres."""
 
     samples: Samples
@@ -40,21 +40,21 @@ class Ground:
 
 
 @wp.kernel
-def finest_tops(offset: int, ground: Ground, sign: wp.float32, tops: wp.array(dtype=wp.float32)):
+def finest_tops(offset: int, occluder: Occluder, sign: wp.float32, tops: wp.array(dtype=wp.float32)):
     """Row `offset + tid` of the smallest blocks: the highest of their samples, or of sign -1 the lowest."""
     y = offset + wp.tid()
-    wide = ((ground.columns - 2) >> FINEST) + 1
+    wide = ((occluder.columns - 2) >> FINEST) + 1
     side = 1 << FINEST
     for x in range(wide):
         top = wp.float32(-wp.inf)
-        for j in range(y * side, wp.min((y + 1) * side, ground.rows - 1) + 1):
-            for i in range(x * side, wp.min((x + 1) * side, ground.columns - 1) + 1):
-                top = wp.max(top, sign * sample_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)))
+        for j in range(y * side, wp.min((y + 1) * side, occluder.rows - 1) + 1):
+            for i in range(x * side, wp.min((x + 1) * side, occluder.columns - 1) + 1):
+                top = wp.max(top, sign * sample_at(occluder.samples, wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i)))
         tops[y * wide + x] = sign * top
 
 
 @wp.func
-def surface(g: Ground, x: wp.float64, y: wp.float64):
+def surface(g: Occluder, x: wp.float64, y: wp.float64):
     """Height, scaled, of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
     i = wp.min(wp.int32(x), g.columns - 2)
     j = wp.min(wp.int32(y), g.rows - 2)
@@ -79,7 +79,7 @@ def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp
 
 
 @wp.func
-def gradient(g: Ground, x: wp.float64, y: wp.float64):
+def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     """Metres of height per metre east and north: central differences of one cell, one-sided at the rim."""
     one = wp.float64(1.0)
     w = wp.max(x - one, wp.float64(0.0))
@@ -95,103 +95,88 @@ def gradient(g: Ground, x: wp.float64, y: wp.float64):
 @wp.func_native("""
 #pragma clang fp contract(off)
     const int FINEST = 2;
-    // The ray against the lines of one direction. Of a cell's two lines the one ahead is cell + ahead.
+    // The ray against the lines of one direction. It runs from line cell + behind of a cell to line cell + ahead.
     struct Axis {
         double from, per_metre, metres;  // cells, cells a metre, metres a cell
-        int ahead, cells;
+        int cells, ahead, behind, on;
         bool goes;
-        // Metres to a line.
-        double at(int line) const { return goes ? (line - from) * metres : 1e300; }
+        double at(int line) const { return goes ? (line - from) * metres : 1e300; }  // metres to a line
         int start() const {
-            int cell = (int)from;
-            cell -= goes && !ahead && cell == from;
+            const int cell = (int)from - (goes && behind && (int)from == from);
             return cell < cells ? cell : cells - 1;
         }
-        // The cell that the ray is in at `way`: lines before it are crossed, and with `too` the one that is just there.
+        // The cell where the ray is at `way`: the line behind it is crossed, also if it is just there and `too`.
         int cell_at(double way, bool too) const {
             if (!goes) return start();
             int cell = (int)(from + way * per_metre);
-            auto crossed = [&](int line) { return too ? at(line) <= way : at(line) < way; };
-            if (ahead) {
-                while (cell > 0 && !crossed(cell)) cell--;
-                while (crossed(cell + 1)) cell++;
-            } else {
-                while (crossed(cell)) cell--;
-                while (cell + 1 < cells && !crossed(cell + 1)) cell++;
-            }
+            auto crossed = [&](int line) { const double e = at(line); return e < way || (too && e == way); };
+            while (crossed(cell + ahead)) cell += on;
+            while (!crossed(cell + behind)) cell -= on;
             return cell;
         }
-        bool holds(int cell) const { return cell >= 0 && cell < cells; }
+        bool holds(int cell) const { return (unsigned)cell < (unsigned)cells; }
     };
-    const Axis ax = {x0, dx, 1.0 / dx, dx > 0.0, g.columns - 1, dx != 0.0};
-    const Axis ay = {y0, dy, 1.0 / dy, dy > 0.0, g.rows - 1, dy != 0.0};
+    const Axis axes[2] = {{x0, dx, 1.0 / dx, g.columns - 1, dx > 0.0, !(dx > 0.0), dx > 0.0 ? 1 : -1, dx != 0.0},
+                          {y0, dy, 1.0 / dy, g.rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
+    const long long strides[2] = {1, g.columns};
+    const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
+    const int *const first = g.first.data, *const wide = g.wide.data, levels = g.levels;
+    const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;
     double best = least;
-    auto height = [&](long long k) -> double {
-        const float h = g.samples.coded
+    auto height = [&](long long k) __attribute__((always_inline)) {
+        return scale * (g.samples.coded
             ? (float)((double)(g.samples.numbers.data[k] + g.samples.first) * g.samples.scale + g.samples.offset)
-            : g.samples.floats.data[k];
-        return g.scale * (double)h;
+            : floats[k]);
     };
-    // A crossing `way` metres off, between the samples k and k + next, `part` of the way from one to the other.
-    auto meet = [&](double way, long long k, long long next, double part) {
-        const double a = height(k), b = height(k + next), slope = (a + (b - a) * part - z0) / way;
+    // The crossing `way` metres off with a line of axis d, inside `cell` of the other.
+    auto meet = [&](int d, int line, int cell, double way) __attribute__((always_inline)) {
+        const Axis &other = axes[!d];
+        const long long k = line * strides[d] + cell * strides[!d];
+        const double a = height(k), b = height(k + strides[!d]);
+        const double slope = (a + (b - a) * (other.from + way * other.per_metre - cell) - z0) / way;
         if (way > near && way <= far && slope > best) best = slope;
     };
-    auto meet_x = [&](int line, int j, double way) {
-        meet(way, (long long)j * g.columns + line, g.columns, y0 + way * dy - j);
-    };
-    auto meet_y = [&](int line, int i, double way) {
-        meet(way, (long long)line * g.columns + i, 1, x0 + way * dx - i);
-    };
-    int i = ax.start(), j = ay.start();
-    if (g.levels) {
-        const bool by_x = (dx < 0 ? -dx : dx) > (dy < 0 ? -dy : dy);
-        const Axis &along = by_x ? ax : ay, &across = by_x ? ay : ax;
+    int cell[2] = {axes[0].start(), axes[1].start()};
+    if (levels) {
+        const int d = (dx < 0 ? -dx : dx) <= (dy < 0 ? -dy : dy);
         for (int k = 0;; k += k / 2 + 1) {
-            const int line = (by_x ? i : j) + (along.ahead ? k + 1 : -k);
-            const double way = along.at(line);
-            if (line < 0 || line > along.cells || way > far) break;
-            const int cell = across.cell_at(way, !by_x);
-            if (!across.holds(cell)) break;
-            if (by_x) meet_x(line, cell, way); else meet_y(line, cell, way);
+            const int line = cell[d] + axes[d].ahead + k * axes[d].on;
+            const double way = axes[d].at(line);
+            if (line < 0 || line > axes[d].cells || way > far) break;
+            const int other = axes[!d].cell_at(way, d);
+            if (!axes[!d].holds(other)) break;
+            meet(d, line, other, way);
         }
     }
     int l = 0;  // 0: a cell; else a block of 2^l cells a side
     double way = 0.0;
-    while (ax.holds(i) && ay.holds(j) && best < enough && way <= far) {
-        const int bi = i >> l, bj = j >> l;
-        const int line_x = (bi + ax.ahead) << l, line_y = (bj + ay.ahead) << l;
-        const double to_x = ax.at(line_x), to_y = ay.at(line_y);
-        const bool by_x = to_x <= to_y;
-        const double out = by_x ? to_x : to_y;
+    while (axes[0].holds(cell[0]) && axes[1].holds(cell[1]) && best < enough && way <= far) {
+        const int block[2] = {cell[0] >> l, cell[1] >> l};
+        const int line[2] = {(block[0] + axes[0].ahead) << l, (block[1] + axes[1].ahead) << l};
+        const double to[2] = {axes[0].at(line[0]), axes[1].at(line[1])};
+        const int d = to[0] > to[1];
+        const double out = to[d];
         if (l) {
-            const double top = g.scale * g.tops.data[g.first.data[l] + bj * g.wide.data[l] + bi] - z0 + g.margin;
+            const double top = scale * tops[first[l] + block[1] * wide[l] + block[0]] - below;
             // Of a horizon that falls the far end of the way through the block counts.
             if (top > best * (best < 0.0 ? out : way)) {
                 l = l > FINEST ? l - 1 : 0;
                 continue;
             }
-            if (best >= 0.0 && g.highest - z0 + g.margin <= best * way) break;
-        } else if (by_x) {
-            meet_x(line_x, j, out);
+            if (best >= 0.0 && highest <= best * way) break;
+            cell[!d] = axes[!d].cell_at(out, d);
         } else {
-            meet_y(line_y, i, out);
+            meet(d, line[d], cell[!d], out);
         }
-        if (by_x) {
-            i = line_x - !ax.ahead;
-            if (l) j = ay.cell_at(out, false);
-        } else {
-            j = line_y - !ay.ahead;
-            if (l) i = ax.cell_at(out, true);
-        }
+        cell[d] = line[d] - axes[d].behind;
         way = out;
         const int up = l ? l + 1 : FINEST;
-        if (up < g.levels && ((i >> up) != (bi << l >> up) || (j >> up) != (bj << l >> up))) l = up;
+        if (up < levels && ((cell[0] >> up) ^ (block[0] << l >> up) | (cell[1] >> up) ^ (block[1] << l >> up))) l = up;
     }
     return best < enough ? best : enough;
 """)
 def walk(
-    g: Ground,
+    g: Occluder,
     x0: wp.float64,
     y0: wp.float64,
     z0: wp.float64,
@@ -213,7 +198,7 @@ def walk(
 
 @wp.func
 def horizon(
-    g: Ground,
+    g: Occluder,
     x: wp.float64,
     y: wp.float64,
     z: wp.float64,

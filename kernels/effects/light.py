@@ -6,7 +6,8 @@ Only + - * / and square roots, so that no machine's library of functions is in t
 
 import warp as wp
 
-from .horizon import Ground, cells_of, gradient, horizon, surface
+from .horizon import Occluder, cells_of, gradient, horizon, surface
+from .jet import arc_tangent
 
 wp.set_module_options({"enable_backward": False})
 
@@ -14,25 +15,9 @@ HALF_PI = wp.constant(wp.float64(1.5707963267948966))
 
 
 @wp.func
-def arctangent(t: wp.float64) -> wp.float64:
-    """To 2e-8: Abramowitz and Stegun, Handbook of Mathematical Functions, 4.4.49; 0 of 0."""
-    size = wp.abs(t)
-    x = size
-    if size > wp.float64(1.0):
-        x = wp.float64(1.0) / size
-    q = x * x
-    p = wp.float64(0.0028662257)
-    p = p * q - wp.float64(0.0161657367)
-    p = p * q + wp.float64(0.0429096138)
-    p = p * q - wp.float64(0.0752896400)
-    p = p * q + wp.float64(0.1065626393)
-    p = p * q - wp.float64(0.1420889944)
-    p = p * q + wp.float64(0.1999355085)
-    p = p * q - wp.float64(0.3333314528)
-    angle = x + x * q * p
-    if size > wp.float64(1.0):
-        angle = HALF_PI - angle
-    return wp.where(t < wp.float64(0.0), -angle, angle)
+def elevation_of(slope: wp.float64) -> wp.float64:
+    """Radians above the horizontal."""
+    return wp.where(slope < wp.float64(0.0), -arc_tangent(-slope), arc_tangent(slope))
 
 
 @wp.func
@@ -47,13 +32,13 @@ def open_part(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
     up = one / wp.sqrt(one + wp.dot(g, g))
     ahead = -wp.dot(g, azimuth) * up
     q = one / (one + slope * slope)
-    return ahead * (HALF_PI - arctangent(slope) - slope * q) + up * q
+    return ahead * (HALF_PI - elevation_of(slope) - slope * q) + up * q
 
 
 @wp.kernel
 def sky_seen(
     offset: int,
-    ground: Ground,
+    occluder: Occluder,
     far: wp.float64,
     lowest: wp.float64,
     azimuths: wp.array(dtype=wp.vec2d),
@@ -67,15 +52,15 @@ def sky_seen(
     plane, nothing is seen."""
     i = offset + wp.tid()
     count = azimuths.shape[0]
-    x = cells_of(wp.float64(places[i][0]), ground.west, ground.step_x, ground.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), ground.south, ground.step_y, ground.rows - 1)
-    z = surface(ground, x, y)
-    g = gradient(ground, x, y)
+    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.rows - 1)
+    z = surface(occluder, x, y)
+    g = gradient(occluder, x, y)
     total = out[i]
     for k in range(first, end):
         azimuth = azimuths[k]
         least = wp.max(wp.dot(g, azimuth), lowest)
-        slope = horizon(ground, x, y, z, azimuth, far, least, wp.float64(1.0e300))
+        slope = horizon(occluder, x, y, z, azimuth, far, least, wp.float64(1.0e300))
         total += wp.float32(open_part(slope, g, azimuth)) / wp.float32(count)
     if end == count:
         total = wp.clamp(total, wp.float32(0.0), wp.float32(1.0))
@@ -93,7 +78,7 @@ class Strip:
 @wp.kernel
 def sun_seen(
     offset: int,
-    ground: Ground,
+    occluder: Occluder,
     elevation: wp.float64,
     radius: wp.float64,
     low: wp.float64,
@@ -104,16 +89,16 @@ def sun_seen(
 ):
     """Part of the sun's disc above the horizon. `elevation`, `radius`: radians; `low`, `high`: slopes to its ends."""
     i = offset + wp.tid()
-    x = cells_of(wp.float64(places[i][0]), ground.west, ground.step_x, ground.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), ground.south, ground.step_y, ground.rows - 1)
-    z = surface(ground, x, y)
+    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.rows - 1)
+    z = surface(occluder, x, y)
     zero = wp.float64(0.0)
     seen = zero
     whole = zero
     for k in range(strips.shape[0]):
         half = strips[k].half
-        slope = horizon(ground, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
-        hidden = (arctangent(slope) - elevation) / radius
+        slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
+        hidden = (elevation_of(slope) - elevation) / radius
         if slope < high:
             seen += wp.clamp(half - hidden, zero, wp.float64(2.0) * half)
         whole += wp.float64(2.0) * half

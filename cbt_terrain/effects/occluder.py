@@ -4,8 +4,6 @@
 Whatever surface lies between the samples, the ground is the raster's profile from line to line; holes are filled.
 """
 
-import threading
-import weakref
 from collections.abc import Iterator
 
 import numpy as np
@@ -23,52 +21,41 @@ AT_ONCE = 1 << 14
 # Of the largest height: more than float64 can lose between a sample and a height of the profile.
 MARGIN = 1e-9
 
-_tops: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
-_making = threading.Lock()
-
-
-def raster_of(field: HeightField) -> HeightField:
-    """The field that stands for the samples alone, whatever surface is between them: what was found for it is kept."""
-    return field if field.interpolation == "bilinear" else field.surfaces.get("bilinear", field)
-
-
-def ground_of(places: Places) -> kernels.Ground:
+def occluder_of(places: Places) -> kernels.Occluder:
     """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
-    ground = raster_as_ground(places.field, places.vertical_scale)
-    sign = -1.0 if ground.scale < 0.0 else 1.0
-    with _making:
-        kept = _tops.setdefault(raster_of(places.field), {})
-        if sign not in kept:
-            kept[sign] = find_tops(ground, sign, places.threads)
-        tops, first, wide = kept[sign]
-    ground.tops, ground.first, ground.wide = (flat(*array) for array in
-                                              ((tops, wp.float32), (first, wp.int32), (wide, wp.int32)))
-    ground.levels = len(wide)
-    return ground
+    occluder = every_crossing(places.field, places.vertical_scale)
+    sign = -1.0 if occluder.scale < 0.0 else 1.0
+    kept = places.field.light
+    if ("tops", sign) not in kept:
+        kept["tops", sign] = find_tops(occluder, sign, places.threads)
+    tops, first, wide = kept["tops", sign]
+    occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    occluder.levels = len(wide)
+    return occluder
 
 
-def raster_as_ground(field: HeightField, scale: float) -> kernels.Ground:
+def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
     """The ground without blocks: kernels visit every crossing."""
-    lattice, ground = field.lattice, kernels.Ground()
-    ground.samples = packed(field.samples, field.steps)
-    ground.columns, ground.rows = lattice.width, lattice.height
-    ground.west, ground.south, _, _ = lattice.rectangle()
-    ground.step_x, ground.step_y = lattice.step_x, lattice.step_y
-    ground.scale = scale
+    lattice, occluder = field.lattice, kernels.Occluder()
+    occluder.samples = packed(field.samples, field.steps)
+    occluder.columns, occluder.rows = lattice.width, lattice.height
+    occluder.west, occluder.south, _, _ = lattice.rectangle()
+    occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
+    occluder.scale = scale
     low, high = field.min_height * scale, field.max_height * scale
-    ground.margin = MARGIN * max(abs(low), abs(high))
-    ground.highest = max(low, high)
-    ground.levels = 0
-    return ground
+    occluder.margin = MARGIN * max(abs(low), abs(high))
+    occluder.highest = max(low, high)
+    occluder.levels = 0
+    return occluder
 
 
-def find_tops(ground: kernels.Ground, sign: float, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_tops(occluder: kernels.Occluder, sign: float, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The highest samples of all blocks (with sign -1 the lowest), float32, level after level from FINEST on; the first
     of each level and how many are in its rows, int32 [levels], with nothing for those below FINEST."""
-    wide, high = (((n - 2) >> kernels.FINEST) + 1 for n in (ground.columns, ground.rows))
+    wide, high = (((n - 2) >> kernels.FINEST) + 1 for n in (occluder.columns, occluder.rows))
     finest = np.empty((high, wide), np.float32)
-    inputs = [ground, wp.float32(sign), flat(finest, wp.float32)]
-    launch.spread(kernels.finest_tops, high, inputs, step="light", threads=threads, cost=4.0 * ground.columns)
+    inputs = [occluder, wp.float32(sign), flat(finest, wp.float32)]
+    launch.spread(kernels.finest_tops, high, inputs, step="light", threads=threads, cost=4.0 * occluder.columns)
     levels, higher = [finest], np.maximum if sign > 0 else np.minimum
     while levels[-1].size > 1:
         rows, columns = (np.arange(0, n, 2) for n in levels[-1].shape)

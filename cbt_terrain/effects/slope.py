@@ -23,6 +23,7 @@ SLOPE = Effect(
     make=make,
     example=example,
     halo="1.5 samples of the level",
+    span=(0.0, math.pi / 2),
     cost_ns=60,
     source="Horn 1981; a B-spline instead of the 3 x 3 differences",
 )

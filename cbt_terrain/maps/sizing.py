@@ -16,8 +16,6 @@ from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from .tiling import LEAST, MOST, Tiling
 
-# Texels of the finest images to a cell of the raster, along each side: the ground between samples is smooth.
-PER_CELL = 2
 # By steps of so much of an octave everything gets coarser until a budget is kept.
 COARSER = 1 / 8
 MEGABYTE = 1_000_000
@@ -115,7 +113,7 @@ def whole(tiling: Tiling, field: HeightField) -> np.ndarray:
 
 def _side(tiling: Tiling, field: HeightField, metres: float) -> int:
     """Texels along a side of a tile whose texels are to be no larger than `metres`."""
-    finest = min(field.lattice.step_x, field.lattice.step_y) / PER_CELL
-    across = max(tiling.width, tiling.height) / tiling.inner
-    wanted = across / max(metres, finest)
-    return min(max(1 << max(math.ceil(math.log2(wanted) - 1e-9), 0), LEAST), MOST)
+    # Between samples the ground is smooth: images that are finer than the raster show no more.
+    finest = min(field.lattice.step_x, field.lattice.step_y)
+    wanted = max(tiling.width, tiling.height) / tiling.inner / max(metres, finest)
+    return min(1 << max(math.ceil(math.log2(max(wanted, LEAST)) - 1e-9), 0), MOST)

@@ -141,6 +141,25 @@ def spline_bend(u: wp.float64) -> wp.vec4d:
 
 
 @wp.func
+def four_heights(ground: Ground, level: wp.int32, row: wp.int32, near: wp.vec4i, base: wp.float64) -> wp.vec4d:
+    """Samples of a row in the columns `near`, metres above `base`."""
+    at = wp.int64(row) * wp.int64(ground.columns[level])
+    a = at + wp.int64(near[0])
+    b = at + wp.int64(near[1])
+    c = at + wp.int64(near[2])
+    d = at + wp.int64(near[3])
+    h = wp.vec4f()
+    if level == 0:
+        s = ground.samples
+        h = wp.vec4f(sample_at(s, a), sample_at(s, b), sample_at(s, c), sample_at(s, d))
+    else:
+        z = ground.first[level]
+        f = ground.coarser
+        h = wp.vec4f(height_at(f, z + a), height_at(f, z + b), height_at(f, z + c), height_at(f, z + d))
+    return wp.vec4d(wp.float64(h[0]) - base, wp.float64(h[1]) - base, wp.float64(h[2]) - base, wp.float64(h[3]) - base)
+
+
+@wp.func
 def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
     """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
     columns = ground.columns[level]
@@ -163,19 +182,12 @@ def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> 
         by = inside(by, j, rows)
         dy = inside(dy, j, rows)
         sy = inside(sy, j, rows)
-    west = wp.int64(wp.max(i - 1, 0))
-    far = wp.int64(wp.min(i + 2, columns - 1))
+    near = wp.vec4i(wp.max(i - 1, 0), i, i + 1, wp.min(i + 2, columns - 1))
     # About a height of the cell: level ground is level to the last bit.
     base = filtered_height(ground, level, wp.int64(j) * wp.int64(columns) + wp.int64(i))
     q = Jet()
     for b in range(4):
-        at = wp.int64(wp.clamp(j + b - 1, 0, rows - 1)) * wp.int64(columns)
-        h = wp.vec4d(
-            filtered_height(ground, level, at + west) - base,
-            filtered_height(ground, level, at + wp.int64(i)) - base,
-            filtered_height(ground, level, at + wp.int64(i + 1)) - base,
-            filtered_height(ground, level, at + far) - base,
-        )
+        h = four_heights(ground, level, wp.clamp(j + b - 1, 0, rows - 1), near, base)
         z = wp.dot(bx, h)
         g = wp.dot(dx, h)
         q += Jet(by[b] * z, by[b] * g, dy[b] * z, by[b] * wp.dot(sx, h), dy[b] * g, sy[b] * z)

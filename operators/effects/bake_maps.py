@@ -38,7 +38,9 @@ class Job:
 
     def start(self, request: MapRequest, store: str) -> None:
         self.fraction, self.message = 0.0, "Baking maps"
-        self.thread = threading.Thread(target=self.run, args=(request, store), name="adaptive_terrain_maps", daemon=True)
+        self.thread = threading.Thread(
+            target=self.run, args=(request, store), name="adaptive_terrain_maps", daemon=True
+        )
         self.thread.start()
 
     def run(self, request: MapRequest, store: str) -> None:

@@ -13,7 +13,8 @@ from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
 from ..scene import live, session
 from . import map_images
-from .map_request import MapRequest, carry_out, gathered
+from .map_baking import MapRequest, carry_out, summary
+from .map_request import gathered
 
 POLL_S = 0.1
 TURN_S = 0.05  # so long frames are looked at before the window has its turn
@@ -68,16 +69,6 @@ def progress() -> tuple[float, str] | None:
     return (_job.fraction, _job.message) if _job is not None else None
 
 
-def summary(baked: Baked, name: str) -> str:
-    """One line about a bake."""
-    tiles = [tile for entry in baked.index["maps"].values() for tile in entry["tiles"]]
-    sides = [tile["resolution"] for tile in tiles]
-    return (
-        f"{name}: {baked.made} images baked, {baked.kept} kept, of {min(sides)} to {max(sides)} texels a side: "
-        f"{', '.join(baked.index['maps'])}"
-    )
-
-
 class BakeMaps(bpy.types.Operator):
     """Bake effects into images, from the height map itself: shading then does not depend on the triangles. Only images
     that are not there yet, or that something has changed for, are made"""
@@ -96,8 +87,7 @@ class BakeMaps(bpy.types.Operator):
     def execute(self, context):
         obj, job = context.object, Job(context.object.session_uid)
         try:
-            for request in gathered(obj, context.scene):
-                pass  # the last thing is what is asked
+            *_, request = gathered(obj, context.scene)
         except TerrainError as error:
             job.error = str(error)
         else:

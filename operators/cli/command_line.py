@@ -20,6 +20,7 @@ from .argument_types import MAX_INT, argument, count, pair, parse_effects, part,
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+MAX_BUDGET_MB = 1e9
 FRAMES = "A,B-C,D-E:STEP"
 AT_MOST = "triangles at most, but not fewer than two for each root square"
 
@@ -61,6 +62,7 @@ def _run(argv: list[str] | None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
     from ..output.exporting import FORMATS, parse_formats, parse_frames
 
     parser = argparse.ArgumentParser(
@@ -131,6 +133,21 @@ def build_parser() -> argparse.ArgumentParser:
         help="attributes to write: what the scene reads (auto; of a store none), none, or these",
     )
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+
+    verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
+    verb.add_argument(
+        "--maps", metavar="NAME,NAME", help=f"which (what the scene's settings say, or {verbs.DEFAULT_MAP})"
+    )
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    verb.add_argument("--budget", type=positive(MAX_BUDGET_MB), metavar="MB", help="of all images together, in Blender")
+    verb.add_argument("--format", choices=MAP_FORMS, help="png (8 and 16 bits) or exr (floats)")
 
     verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
     source = verb.add_mutually_exclusive_group(required=True)

@@ -29,7 +29,7 @@ KEPT_SIGHTS = 16
 DIFFERENT = 0.02
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
-STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
+STEPS = ("refine", "weld", "meshlets", "displace", "ingest", "fit")
 TERMS = tuple(Terms.__dataclass_fields__)
 PARTS = ("count", "max", "p95", "mean", "rms")
 

@@ -110,7 +110,8 @@ def preset_text(layers) -> str:
 def _assignments(path: str, group) -> list[str]:
     """Those of a property group's members that differ from their defaults."""
     lines = []
-    for item in group.bl_rna.properties:
+    names = dict.fromkeys(group.bl_rna.properties.keys())  # one that replaces another is there twice
+    for item in (group.bl_rna.properties[name] for name in names if name != "rna_type"):
         value = getattr(group, item.identifier)
         if item.type == "POINTER":
             if isinstance(value, bpy.types.PropertyGroup):

@@ -18,6 +18,7 @@ from bpy.props import (
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
+from . import effect_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
 
 ISLAND, FILE = "ISLAND", "FILE"
@@ -164,6 +165,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
                (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
         update=changed,
     )  # fmt: skip
+    effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)
     bake_error_m: FloatProperty(
         name="Bake Error",
@@ -193,7 +195,10 @@ class SceneSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings)
+CLASSES = (
+    *effect_properties.CLASSES,
+    *(ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings),
+)
 
 
 def register() -> None:

@@ -73,10 +73,14 @@ def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran]) -> dict[str, 
     for step in plan.steps:
         took = ran.get(step.name, Ran(0.0, 0, 0))
         found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
-    off = {name: f"switched off, read by {', '.join(words)}" if words else "switched off" for name, words in effects.off}
+    off = dict(effects.off)
     for name, why in plan.skipped.items():
-        found[name] = EffectStatus(dict(effects.off).get(name, ()), skipped=off.get(name, why))
+        found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)
     return {name: found[name] for name in EFFECTS}
+
+
+def _switched_off(readers: tuple[str, ...]) -> str:
+    return f"switched off, read by {' and '.join(readers)}" if readers else "switched off"
 
 
 def _read(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:

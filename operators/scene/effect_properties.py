@@ -35,11 +35,10 @@ def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
 def _property(parameter: Parameter):
     about = f"{parameter.about} ({parameter.unit})" if parameter.unit else parameter.about
     label = parameter.name.replace("_", " ").title()
+    said = {"name": label, "description": about, "default": parameter.default, "update": changed}
     if isinstance(parameter.default, int):
-        limits = {"min": int(parameter.least), "max": int(parameter.most)}
-        return IntProperty(name=label, description=about, default=parameter.default, **limits, update=changed)
-    limits = {"min": parameter.least, "max": parameter.most}
-    return FloatProperty(name=label, description=about, default=parameter.default, **limits, precision=3, update=changed)
+        return IntProperty(**said, min=int(parameter.least), max=int(parameter.most))
+    return FloatProperty(**said, min=parameter.least, max=parameter.most, precision=3)
 
 
 def _settings_of(effect: Effect) -> type:

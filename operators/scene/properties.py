@@ -20,6 +20,7 @@ from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from . import effect_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
+from .map_properties import MapSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -167,6 +168,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)
+    maps: PointerProperty(type=MapSettings)
     bake_error_m: FloatProperty(
         name="Bake Error",
         description="Largest vertical error of a baked static mesh, in metres",
@@ -197,7 +199,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 CLASSES = (
     *effect_properties.CLASSES,
-    *(ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 
 

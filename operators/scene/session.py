@@ -72,8 +72,8 @@ FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in 
 class Record:
     """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
     `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
-    `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in arrays
-    of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each."""
+    `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
+    arrays of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each."""
 
     terrain: Terrain | None = None
     field: object = None

@@ -93,7 +93,6 @@ def an_override(_terrain):
     bpy.context.view_layer.material_override = shows(new_material(), lambda tree: colour(tree, "height"))
 
 
-
 CHANGES = {
     unlink: set(),
     mute: set(),

@@ -2,6 +2,8 @@
 """A terrain's updates compute what its scene reads, and nothing else; the panel is told why."""
 
 import math
+import time
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -89,13 +91,13 @@ def test_a_frozen_mesh_follows_what_is_read(worn):
 def test_the_viewport_follows_without_being_asked(worn, monkeypatch):
     def turns():
         live.mark_dirty()
-        for _ in range(2000):
-            if live.tick() == live.IDLE_S:
-                break
+        while live.tick() != live.IDLE_S:
+            time.sleep(0.005)
 
-    monkeypatch.setattr(live, "_windows", lambda: [type("Window", (), {
-        "view_layer": bpy.context.view_layer, "scene": bpy.context.scene, "screen": type("S", (), {"areas": ()})
-    })])  # fmt: skip
+    window = SimpleNamespace(
+        view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
+    )
+    monkeypatch.setattr(live, "_windows", lambda: [window])
     bpy.context.evaluated_depsgraph_get()
     turns()
     assert made(worn) == {"slope", "height"}
@@ -116,7 +118,8 @@ def test_a_pin_computes_and_off_wins_and_says_so(worn):
     assert said["plan_curvature"].skipped == "switched off"
 
 
-def test_geometry_reads_at_one_scale_whatever_the_camera_sees(worn):
+def test_geometry_reads_at_one_scale_whatever_the_camera_sees(worn, scene):
+    scene.render.resolution_percentage, worn.adaptive_terrain.viewport.error_px = 3, 0.02  # pixels of some 40 m
     session.update_object(worn)
     picture = values(worn, "slope")
     Moved(worn).reads("slope")

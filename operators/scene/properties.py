@@ -19,7 +19,7 @@ from bpy.props import (
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
-from . import layer_properties
+from . import effect_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
 from .layer_properties import LayerSettings
 from .map_properties import MapSettings
@@ -168,6 +168,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
                (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
         update=changed,
     )  # fmt: skip
+    effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)
     maps: PointerProperty(type=MapSettings)
     layers: CollectionProperty(type=LayerSettings)
@@ -201,13 +202,8 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (
-    *layer_properties.CLASSES,
-    ViewportDetail,
-    RenderDetail,
-    CleanupSettings,
-    MapSettings,
-    TerrainSettings,
-    SceneSettings,
+    *(*effect_properties.CLASSES, *layer_properties.CLASSES),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 
 

@@ -14,6 +14,8 @@ AZIMUTHS = 16
 STRIPS = 3
 # Radians, of half the sun's disc: what a hard shadow is made with.
 LEAST_RADIUS = 1e-5
+# Radians that are looked for beyond the disc, so that what rounding takes is not of the disc.
+AROUND = 1e-6
 # The part of an upright disc's edge that can be seen: beyond it slopes have no number.
 HIGHEST = math.pi / 2 - 1e-6
 
@@ -74,7 +76,7 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
         strips["azimuth"][k] = _single(math.cos(turned)), _single(math.sin(turned))
         strips["half"][k] = _single(math.sqrt(1.0 - across * across))
     elevation = _single(elevation)
-    low, high = (min(elevation + side * radius, HIGHEST) for side in (-1.0, 1.0))
+    low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))
     return {
         "elevation": elevation,
         "radius": radius,

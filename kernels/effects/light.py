@@ -47,8 +47,8 @@ def sky_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Add to `out` the azimuths' share, `first` .. `end`, of the visible part of the sky above ground up to `far` metres
-    off; the last one puts it into 0 .. 1. What is below the slope `lowest` or the place's own plane counts as hidden."""
+    """Add to `out` what the azimuths `first` .. `end` show of the sky above ground up to `far` metres off; the last one
+    puts it into 0 .. 1. What is below the slope `lowest`, or below the place's own plane, counts as hidden."""
     i = offset + wp.tid()
     count = azimuths.shape[0]
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)

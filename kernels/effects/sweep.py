@@ -209,7 +209,7 @@ def sky_between(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """The sky of each place from the horizons of a coarser raster, one layer an azimuth, and the ground's own normal."""
+    """The sky of each place from the horizons of a coarser raster, a layer each, and the ground's own normal."""
     i = offset + wp.tid()
     east = wp.float64(places[i][0])
     north = wp.float64(places[i][1])

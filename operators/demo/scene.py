@@ -28,11 +28,13 @@ PAPER = (0.93, 0.925, 0.90, 1.0)
 SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 28.0, 285.0
 SEA_SIZE_M = 400_000.0
 SAMPLES = 6
-MAPS, MAPS_MB = ("detail_normal", "sky"), 96.0
+MAPS, MAPS_MB = ("detail_normal", "sky"), 64.0
+BEACH_M = 8.0
 
 
 def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
-    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), saved as `out`/island.blend.
+    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), in its material, saved as
+    `out`/island.blend.
 
     Returns the scene and the terrain's object.
     """
@@ -74,8 +76,11 @@ def bake_island_maps(obj) -> None:
 
 
 def wear_material(obj) -> None:
-    """The layers of the preset *Island* and the material that the button *Terrain Material* makes of them, in haze."""
-    runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "island.py")))
+    """The layers of the preset *Alpine* above a beach, and what the button *Terrain Material* makes of them, in haze."""
+    runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
+    beach = obj.adaptive_terrain.layers.add()
+    beach.name, beach.color, beach.noise_size = "Beach", (0.46, 0.38, 0.25), 120.0
+    beach.height.use, beach.height.high, beach.height.edge = True, BEACH_M, BEACH_M
     put_haze(dress(obj, sources_of(obj, ())))
 
 

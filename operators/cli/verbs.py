@@ -166,6 +166,7 @@ def _export_source(arguments):
             arguments.meshlet,
             arguments.interpolation,
             arguments.shading_floor,
+            arguments.effects,
         )
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
@@ -178,7 +179,24 @@ def _export_source(arguments):
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]
     in_blender = needs_blender(arguments.format)
-    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation)
+    return StoreFrames(
+        arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, arguments.effects or ()
+    )
+
+
+def run_effects(arguments) -> None:
+    from ..blender import need_bpy
+    from . import effects_command
+
+    if arguments.camera and not arguments.scene:
+        raise UsageError("--camera belongs to --scene")
+    if arguments.scene:
+        need_bpy("A .blend file")
+        print("\n".join(effects_command.of_scene(arguments.scene, arguments.camera)))
+        return
+    print_fields(effects_command.catalogue())
+    if arguments.store:
+        print("\n".join(effects_command.of_store(arguments.store)))
 
 
 def run_maps(arguments) -> None:

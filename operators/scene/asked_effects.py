@@ -48,7 +48,6 @@ class EffectStatus:
 Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
 GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
 GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
-GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:

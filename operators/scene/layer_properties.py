@@ -135,12 +135,6 @@ def layers_given(settings) -> dict[str, object]:
     return {"layers": layers} if layers else {}
 
 
-def layers_given(settings) -> dict[str, object]:
-    """The parameters of the splat effects, those that are not their defaults."""
-    layers = layers_of(settings)
-    return {"layers": layers} if layers else {}
-
-
 def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
     """Name and linear RGB of the layers that `layers_of` gives, or of those that stand in for none."""
     if not len(settings.layers):

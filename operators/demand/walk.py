@@ -14,7 +14,7 @@ from .readers import note_reads
 from .trees import Tree, read_tree
 
 DEEPEST = 30  # groups in groups
-MOST_STEPS = 20_000  # groups that are used twice in groups that are used twice ... would never end
+MOST_STEPS = 10_000  # groups that are used twice in groups that are used twice ... would never end
 KNOWN = "ShaderNode", "GeometryNode", "FunctionNode", "Node"
 CONSTANTS = int, float, bool, str
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A demand is kept until something that it depends on changes; in memory alone, never in the file.
 
-Blender says which data-blocks an update has touched. Objects are touched whenever our own mesh is written: whether
-their modifiers, materials or mesh are others is told by a key.
+Blender says which data-blocks an update has touched. Objects are touched whenever our own mesh is written or something
+moves: whether their modifiers, materials, mesh or drivers are others is told by a key.
 """
 
 import bpy
@@ -19,6 +19,7 @@ TYPES = (
 )
 _kept: dict[tuple[int, int], tuple[tuple, Demand]] = {}  # by session_uid of terrain and scene: its key, the demand
 _objects: dict[int, tuple] = {}  # by session_uid: the key it had when it was last touched
+_driven: dict[int, tuple] = {}  # the same of drivers, of whatever has any
 
 
 def demand_of(obj, depsgraph, mode: str) -> Demand:
@@ -37,14 +38,13 @@ def note_update(depsgraph) -> None:
     """Forget what an update of a dependency graph has made stale."""
     stale = False
     for update in depsgraph.updates:
-        block = update.id
+        block = update.id.original
         if isinstance(block, TYPES):
             stale = True
-        elif isinstance(block, bpy.types.Object) and update.is_updated_geometry:
-            original = block.original
-            key = _object_key(original)
-            stale |= _objects.get(original.session_uid) != key
-            _objects[original.session_uid] = key
+            continue
+        if isinstance(block, bpy.types.Object) and update.is_updated_geometry:
+            stale |= _is_other(_objects, block, _object_key(block))
+        stale |= _is_other(_driven, block, _drivers_key(block), unknown=())
     if stale:
         _kept.clear()
 
@@ -53,6 +53,23 @@ def forget() -> None:
     """Another file, or undo: nothing is known."""
     _kept.clear()
     _objects.clear()
+    _driven.clear()
+
+
+def _is_other(keys: dict[int, tuple], block, key: tuple, unknown: tuple | None = None) -> bool:
+    """Whether a data-block has another key than when it was last touched; the key is noted."""
+    before = keys.get(block.session_uid, unknown)
+    if before != key:
+        keys[block.session_uid] = key
+    return before != key
+
+
+def _drivers_key(block) -> tuple:
+    data = getattr(block, "animation_data", None)
+    if not data or not len(data.drivers):
+        return ()
+    variables = [variable for curve in data.drivers for variable in curve.driver.variables]
+    return tuple(target.data_path for variable in variables for target in variable.targets)
 
 
 def _object_key(obj) -> tuple:

@@ -44,7 +44,7 @@ def _alone(name: str, field, surface):
 
 
 def of_scene(blend: Path, camera: str | None = None) -> list[str]:
-    """Lines: of each terrain of a .blend file, at its frame and the detail of the render, what it reads and what not."""
+    """Lines: of each terrain of a .blend file, at its frame and the render's detail, what is read and what not."""
     from ..output.frame_sources import SceneFrames
     from ..scene import session
 

@@ -76,7 +76,7 @@ def bake_island_maps(obj) -> None:
 
 
 def wear_material(obj) -> None:
-    """The layers of the preset *Alpine* above a beach, and what the button *Terrain Material* makes of them, in haze."""
+    """The preset *Alpine* above a beach, and what the button *Terrain Material* makes of these layers, in haze."""
     runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
     beach = obj.adaptive_terrain.layers.add()
     beach.name, beach.color, beach.noise_size = "Beach", (0.46, 0.38, 0.25), 120.0

@@ -10,6 +10,7 @@ import statistics
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -37,12 +38,10 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 SIZE = 2049
 EVERY = 8  # samples a picture's pixel
-RUNS = 5
+RUNS = 3
 RESOLUTION = (1920, 1080)
 EYE, TARGET = (-2500, -3900, 620), (300, 0, 560)  # near the demo's frame
 FRAME = 12
-# What the demo's material reads, as attributes and as maps, and what those are made from.
-WORN = {"height", "slope", "flow", "splat_1", "splat_2", "detail_normal", "sky"}
 LETTERS = 20  # pixels, of a line below a picture
 LAYERS = np.array([(0.76, 0.66, 0.42), (0.45, 0.62, 0.27), (0.55, 0.5, 0.47), (0.93, 0.95, 0.98)])
 HEAD = """# Effects
@@ -85,18 +84,13 @@ def main() -> int:
             import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "island")
             field = open_store(Path(folder) / "island")
             pictures = {f"effect_{name}.jpg": jpg(picture(name, field)) for name in EFFECTS}
-            page = [
-                HEAD,
-                *saving(Path(folder), field),
-                SCALES,
-                "## All effects\n",
-                *map(section, EFFECTS.values()),
-                add_your_own(),
-            ]
+            demo = of_demo(Path(folder))
+            sections = [section(effect) for effect in EFFECTS.values()]
+            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, add_your_own()]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    write_files(DOCS / "images", pictures | {"effects.jpg": at_a_glance(pictures)})
+    write_files(DOCS / "images", pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
     write_files(DOCS, {"effects.md": "\n".join(page)})
     return 0
 
@@ -107,8 +101,8 @@ def jpg(pixels: np.ndarray) -> bytes:
     return file.getvalue()
 
 
-def at_a_glance(pictures: dict[str, bytes]) -> bytes:
-    """The island in its material beside all effects: in colour those that it reads, in grey those that nothing does."""
+def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
+    """The island in its material beside all effects: in colour those of `worn`, in grey those that nothing reads."""
     island = Image.open(DOCS / "images" / "island.jpg").convert("RGB")
     columns, side, gap = 4, 150, 8
     rows = -(-len(EFFECTS) // columns)
@@ -122,10 +116,10 @@ def at_a_glance(pictures: dict[str, bytes]) -> bytes:
         x = island.width + gap + (number % columns) * (side + gap)
         y = number // columns * (side + LETTERS + gap)
         tile = Image.open(io.BytesIO(pictures[f"effect_{name}.jpg"])).resize((side, side))
-        if name not in WORN:
+        if name not in worn:
             tile = Image.blend(tile.convert("L").convert("RGB"), Image.new("RGB", tile.size, (250, 249, 245)), 0.6)
         sheet.paste(tile, (x, y))
-        draw.text((x, y + side + 1), name, fill=(28, 31, 38) if name in WORN else (160, 160, 160), font=font)
+        draw.text((x, y + side + 1), name, fill=(28, 31, 38) if name in worn else (160, 160, 160), font=font)
     return jpg(np.asarray(sheet))
 
 
@@ -151,15 +145,26 @@ def section(effect: Effect) -> str:
     return "\n".join(lines)
 
 
-def saving(folder: Path, field) -> list[str]:
+@dataclass(frozen=True)
+class Demo:
+    """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
+    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from."""
+
+    read: tuple[int, float, int]
+    everything: tuple[int, float, int]
+    vertices: int
+    worn: set[str]
+
+
+def saving(demo: Demo, field) -> list[str]:
     """What a frame of the demo takes: what its material reads, and everything; and each effect alone."""
-    read, everything, vertices = of_demo(folder)
-    rows = [("nothing reads any", 0, 0.0, 0), ("**what the material reads**", *read), ("everything", *everything)]
+    rows = [("nothing reads any", 0, 0.0, 0), ("**what the material reads**", *demo.read)]
+    rows.append(("everything", *demo.everything))
     text = (
         "## What it saves\n\n"
         f"Frame {FRAME} of the demo: the island, {SIZE:,} x {SIZE:,} samples, at 1 pixel of {RESOLUTION[0]} x "
-        f"{RESOLUTION[1]}; {vertices:,} vertices, none of them known from the frame before. Where the next frame of a "
-        "flight keeps a vertex, it keeps its values.\n\n"
+        f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Where the next frame "
+        "of a flight keeps a vertex, it keeps its values.\n\n"
         "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |\n"
         + "\n".join(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows)
         + "\n\nEach alone, with what it reads, on one thread; *declared* is what its declaration says:\n\n"
@@ -176,8 +181,7 @@ def saving(folder: Path, field) -> list[str]:
     return [text, *lines, f"\nMeasured on {where}, {machine()['Threads']} threads.\n"]
 
 
-def of_demo(folder: Path) -> tuple[tuple[int, float, int], tuple[int, float, int], int]:
-    """Number, milliseconds and bytes of the effects that the demo's scene reads, and of all; vertices of its mesh."""
+def of_demo(folder: Path) -> Demo:
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
     from adaptive_terrain.operators.scene import session
@@ -197,9 +201,12 @@ def of_demo(folder: Path) -> tuple[tuple[int, float, int], tuple[int, float, int
         return len(made), statistics.median(times[1:]), sum(status.nbytes for status in made)
 
     read = taken()
+    statuses = session.record_of(obj).status.effects
+    worn = {step.name for step in plan([Asked(name, ()) for name in demo_scene.MAPS]).steps}
+    worn |= {name for name, status in statuses.items() if not status.skipped}
     for name in EFFECTS:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
-    return read, taken(), len(obj.data.vertices)
+    return Demo(read, taken(), len(obj.data.vertices), worn)
 
 
 def alone(name: str, field, surface, view: View) -> float:

@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps
+from .effects import bake_maps, splat_layers
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -15,6 +15,7 @@ from .scene import (
     frame_terrain,
     freeze_detail,
     import_terrain,
+    layer_images,
     live,
     pack_store,
     properties,
@@ -33,6 +34,8 @@ MODULES = (
     freeze_detail,
     bake_terrain,
     bake_maps,
+    splat_layers,
+    layer_images,
     export_terrain,
     measuring,
     measure_accuracy,

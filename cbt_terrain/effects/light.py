@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects.light import Strip
+from ..ask.linear import inverse
 from ..errors import TerrainError
 from ..run import launch
 
@@ -14,6 +15,8 @@ AZIMUTHS = 16
 STRIPS = 3
 # Radians, of half the sun's disc: what a hard shadow is made with.
 LEAST_RADIUS = 1e-5
+# Radians that are looked for beyond the disc, so that what rounding takes is not of the disc.
+AROUND = 1e-6
 # The part of an upright disc's edge that can be seen: beyond it slopes have no number.
 HIGHEST = math.pi / 2 - 1e-6
 
@@ -46,12 +49,28 @@ def strongest(suns) -> tuple[float, float, float, float] | None:
     for row in rows:
         if len(row) not in (4, 5) or not np.isfinite(row).all() or not any(row[:3]) or not 0.0 <= row[3] <= math.pi:
             raise TerrainError(
-                f"A sun of the effect 'sun' is {row}; expected the direction towards it (x, y, z), not all 0, the angle "
-                "of its disc in radians (0 to pi), and its strength."
+                f"A sun of the effect 'sun' is {row}; expected the direction towards it (x, y, z), not all 0, the "
+                "angle of its disc in radians (0 to pi), and its strength."
             )
     lit = [row for row in rows if len(row) == 4 or row[4] > 0.0]
     best = max(lit, key=lambda row: row[4] if len(row) == 5 else 1.0, default=None)
     return None if best is None else best[:4]
+
+
+def in_own_space(suns, placement: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Suns of the world, rows as of `strongest`, as a terrain under `placement` (float64 [4, 4], own space to world,
+    invertible) has them.
+
+    Shadows are affine: a straight way to the sun stays one. The disc's angle is not: it is taken as it is, so under a
+    scale that is not even the rim of a shadow is too soft or too hard.
+    """
+    inward = inverse(placement)[:3, :3]
+    own = []
+    for x, y, z, *rest in suns:
+        towards = [float(a * x + b * y + c * z) for a, b, c in inward]
+        length = math.sqrt(sum(number * number for number in towards)) or 1.0
+        own.append((*(number / length for number in towards), *rest))
+    return tuple(own)
 
 
 def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | None:
@@ -74,7 +93,7 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
         strips["azimuth"][k] = _single(math.cos(turned)), _single(math.sin(turned))
         strips["half"][k] = _single(math.sqrt(1.0 - across * across))
     elevation = _single(elevation)
-    low, high = (min(elevation + side * radius, HIGHEST) for side in (-1.0, 1.0))
+    low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))
     return {
         "elevation": elevation,
         "radius": radius,

@@ -115,7 +115,8 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
             limits = np.log10(np.maximum(limits, 0.0))
     found = kernels.Rule()
     found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
-    found.low, found.high, found.edge = *limits, max(edge, LEAST_EDGE)
+    found.low, found.high, found.edge = *limits, edge
+    found.per_edge = 1.0 / max(edge, LEAST_EDGE)
     found.sine, found.cosine = math.sin(rule.direction), math.cos(rule.direction)
     if rule.image is not None:
         found.rows, found.columns = rule.image.values.shape

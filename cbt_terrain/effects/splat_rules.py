@@ -15,7 +15,8 @@ import numpy as np
 from ..errors import TerrainError
 
 MOST_LAYERS = 12
-MOST = 1e6  # of a layer's own numbers
+# Of a layer's own numbers, and of an edge in any unit.
+MOST, MOST_EDGE = 1e6, 1e30
 # What a rule is about. RELIEF: height, 0 at the lowest and 1 at the highest place of the terrain. ASPECT: the cosine of
 # the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: how much of the ground
 # `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent.
@@ -137,10 +138,10 @@ def check(layers: tuple[Layer, ...]) -> None:
             if rule.of not in KINDS:
                 raise TerrainError(f"{where} has a rule about {rule.of!r}; expected one of: {', '.join(KINDS)}.")
             band = rule.low, rule.high, rule.edge, rule.direction
-            if any(map(math.isnan, band)) or not (0.0 <= rule.edge < math.inf) or math.isinf(rule.direction):
+            if any(map(math.isnan, band)) or not 0.0 <= rule.edge <= MOST_EDGE or math.isinf(rule.direction):
                 raise TerrainError(
                     f"{where} has a rule about {rule.of} from {rule.low} to {rule.high} with an edge of {rule.edge}; "
-                    "expected numbers, and an edge of 0 or more."
+                    f"expected numbers, and an edge of 0 to {MOST_EDGE:g}."
                 )
             if rule.of == LAYER and not 0 <= rule.other < number:
                 raise TerrainError(

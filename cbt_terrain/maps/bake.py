@@ -34,6 +34,9 @@ from .coding import PNG, Coding, coding_of
 from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
 from .tiling import Tiling, tiling_of
 
+# Levels. What looks an image up interpolates, which smooths as well: with linear and cubic interpolation the shading of
+# the island is off by 5.43 and 5.67 of 255 without it, by 5.05 and 5.27 with it.
+SHARPER = 0.5
 BAND_TEXELS = 1 << 19  # what is made at a time: some megabytes, and a thirtieth of a second
 
 
@@ -115,10 +118,10 @@ class _Place:
     threads: int
 
     def level(self, side: int) -> float:
-        """Of the pyramid, for an image of so many texels a side: samples are as far apart as texels."""
+        """Of the pyramid, for an image of so many texels a side: samples as far apart as texels, but for SHARPER."""
         lattice = self.field.lattice
         finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
-        return round(max(math.log2(finer), 0.0) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
+        return round(max(math.log2(finer) - SHARPER, 0.0) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
 def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Image:

@@ -25,6 +25,7 @@ LAYER = wp.constant(4)
 IMAGE = wp.constant(5)
 
 OCTAVES = wp.constant(4)
+GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 UNITS = wp.constant(wp.float32(16777216.0))  # 2^24
 UNIT = wp.constant(wp.float32(5.9604644775390625e-08))
 # A sum of weights below this is nothing: what would be shared has no digits left.
@@ -41,6 +42,7 @@ class Rule:
     low: wp.float32
     high: wp.float32
     edge: wp.float32
+    per_edge: wp.float32
     sine: wp.float32
     cosine: wp.float32
     rows: wp.int32
@@ -98,7 +100,7 @@ def waves(x: wp.float64, y: wp.float64, size: wp.float64, footprint: wp.float64,
         seen = wp.clamp(wp.float64(1.0) / (per * footprint) - wp.float64(1.0), wp.float64(0.0), wp.float64(1.0))
         total += amount
         if seen > wp.float64(0.0):
-            octave = value_noise(x * per, y * per, seed + wp.uint32(k) * wp.uint32(0x9E3779B9))
+            octave = value_noise(x * per, y * per, seed + wp.uint32(k) * GOLDEN)
             sum += amount * seen * octave[2]
         amount *= wp.float64(0.5)
         per *= wp.float64(2.0)
@@ -123,10 +125,10 @@ def image_at(images: wp.array(dtype=wp.float32), r: Rule, u: wp.float64, v: wp.f
 
 
 @wp.func
-def covered(q: wp.float32, low: wp.float32, high: wp.float32, edge: wp.float32, kind: wp.int32) -> wp.float32:
+def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
     """The band of a rule; straight edges where a quantity is a share itself."""
-    a = (q - low) / edge + 0.5
-    b = (high - q) / edge + 0.5
+    a = (q - low) * per_edge + 0.5
+    b = (high - q) * per_edge + 0.5
     part = wp.float32(0.0)
     if kind >= LAYER:
         part = wp.clamp(a, 0.0, 1.0) * wp.clamp(b, 0.0, 1.0)
@@ -136,21 +138,29 @@ def covered(q: wp.float32, low: wp.float32, high: wp.float32, edge: wp.float32, 
 
 
 @wp.func
+def noise_of(layer: Layer, step: wp.float64, x: wp.float64, y: wp.float64, level: wp.float32) -> wp.float32:
+    noise = wp.float32(0.0)
+    if layer.noise_size > wp.float64(0.0):
+        whole = wp.int32(level)
+        # Between two levels the footprint is taken linear: a power of two by the C library is not the same everywhere.
+        footprint = step * wp.float64(wp.int32(1) << whole) * (wp.float64(1.0) + wp.float64(level - float(whole)))
+        noise = waves(x, y, layer.noise_size, footprint, layer.seed)
+    return noise
+
+
+@wp.func
 def cover_of(
     s: Splat, layer: Layer, v: wp.int32, x: wp.float64, y: wp.float64, level: wp.float32, covers: Weights
 ) -> wp.float32:
     """How much of a place a layer covers by its own rules; `covers` has that of those before it."""
     noise = wp.float32(0.0)
-    if layer.noise_size > wp.float64(0.0):
-        whole = wp.int32(level)
-        # Between two levels the footprint is taken linear: a power of two by the C library is not the same everywhere.
-        footprint = s.step * wp.float64(wp.int32(1) << whole) * (wp.float64(1.0) + wp.float64(level - float(whole)))
-        noise = waves(x, y, layer.noise_size, footprint, layer.seed)
+    known = wp.int32(0)
     cover = layer.strength
     for k in range(layer.first, layer.end):
         if cover > 0.0:
             r = s.rules[k]
-            q = noise
+            q = wp.float32(0.0)
+            needed = wp.int32(0)
             if r.kind <= DIRECTION:
                 at = wp.int64(r.at) * s.count + wp.int64(v)
                 q = s.values[at]
@@ -158,12 +168,22 @@ def cover_of(
                     q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
                 elif r.kind == DIRECTION:
                     q = r.sine * q + r.cosine * s.values[at + s.count]
-                q += layer.ragged * r.edge * noise
+                # Noise is dear, and far from its limits it changes nothing of a rule.
+                reach = (0.5 + layer.ragged) * r.edge
+                near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
+                needed = wp.where(layer.ragged > 0.0 and near < reach, 1, 0)
+            elif r.kind == NOISE:
+                needed = 1
             elif r.kind == LAYER:
                 q = covers[r.at]
-            elif r.kind == IMAGE:
+            else:
                 q = image_at(s.images, r, x / s.across, y / s.up)
-            cover *= covered(q, r.low, r.high, r.edge, r.kind)
+            if needed == 1:
+                if known == 0:
+                    known = 1
+                    noise = noise_of(layer, s.step, x, y, level)
+                q = wp.where(r.kind == NOISE, noise, q + layer.ragged * r.edge * noise)
+            cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
     return cover
 
 
@@ -179,9 +199,10 @@ def shares_of(w: Weights, count: wp.int32) -> Weights:
     rest = wp.int32(16777216)
     out = Weights()
     if total > LEAST:
+        scale = UNITS / total
         for k in range(count):
             if k != largest:
-                units = wp.min(wp.int32(w[k] / total * UNITS), rest)
+                units = wp.min(wp.int32(w[k] * scale), rest)
                 rest -= units
                 out[k] = wp.float32(units) * UNIT
     out[largest] = wp.float32(rest) * UNIT

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked maps as Blender's images, and how a material finds its place in them.
 
-    image = map_image(obj, "detail_normal")        # None where there is no such map
-    texture = tree.nodes.new("ShaderNodeTexImage")
-    texture.image, texture.extension = image, "EXTEND"
-    tree.links.new(map_vector(tree, obj), texture.inputs["Vector"])
+    if map_image(obj, "detail_normal") is not None:
+        color = map_texture(tree, obj, "detail_normal", map_vector(tree, obj)).outputs["Color"]
 
 The values are 0 .. 1; `coding_of_map` says what they stand for. A normal map goes through a Normal Map node whose space
 is Object.
@@ -77,6 +75,19 @@ def reload(folder: Path, files: set[str]) -> None:
         path = Path(bpy.path.abspath(image.filepath)) if image.filepath else None
         if path is not None and path.parent == folder and path.name in files:
             image.reload()
+
+
+def map_texture(tree, obj, name: str, vector: bpy.types.NodeSocket) -> bpy.types.Node:
+    """An image texture node of a map that is there; `vector`: of `map_vector`.
+
+    Tiles are interpolated cubically: where one ends and the next begins EEVEE would take the place's jump for its
+    derivative, and linear interpolation would show a line of the coarsest mip.
+    """
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image, node.extension = map_image(obj, name), "EXTEND"
+    node.interpolation = "Cubic" if node.image.source == "TILED" else "Linear"
+    tree.links.new(vector, node.inputs["Vector"])
+    return node
 
 
 def map_vector(tree, obj) -> bpy.types.NodeSocket:

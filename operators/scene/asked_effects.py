@@ -10,9 +10,11 @@ from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked
 from ...cbt_terrain.effects.evaluate import Ran
 from ...cbt_terrain.effects.plan import Plan
+from ...cbt_terrain.effects.splat import NAMES
 from ..demand import kept
 from ..demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from .effect_properties import OFF, PINNED, numbers_of
+from .layer_properties import layers_given
 from .sun_lamps import suns_over
 
 PIN = Reader("a pin", PICTURE)
@@ -45,6 +47,7 @@ class EffectStatus:
 # graph) where the effect is asked for.
 Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
 GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
+GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:

@@ -6,6 +6,7 @@ import math
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     FloatVectorProperty,
@@ -18,8 +19,9 @@ from bpy.props import (
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
-from . import effect_properties
+from . import effect_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
+from .layer_properties import LayerSettings
 from .map_properties import MapSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
@@ -169,6 +171,8 @@ class TerrainSettings(bpy.types.PropertyGroup):
     effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)
     maps: PointerProperty(type=MapSettings)
+    layers: CollectionProperty(type=LayerSettings)
+    active_layer: IntProperty(name="Active Layer", options=set())
     bake_error_m: FloatProperty(
         name="Bake Error",
         description="Largest vertical error of a baked static mesh, in metres",
@@ -198,7 +202,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (
-    *effect_properties.CLASSES,
+    *(*effect_properties.CLASSES, *layer_properties.CLASSES),
     *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 

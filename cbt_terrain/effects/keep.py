@@ -81,7 +81,12 @@ def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     """int32 [n, 3]: first place, first place of the last surface, how many."""
     if not len(places) or not len(last):
         return np.empty((0, 3), np.int32)
-    runs, found = np.empty((len(places), 3), np.int32), np.zeros(1, np.int32)
+    runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
     arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
-    launch.once(kernels.match, [*arrays, shared(runs, wp.vec3i), flat(found, wp.int32)], step="kept")
+    ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
+    launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
+    if found[1] < len(places):
+        bits = len(last).bit_length() + 2  # so that few places share a hash
+        table = np.full(1 << bits, -1, np.int32)
+        launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
     return runs[: found[0]].copy()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stays of the values of the last surface: places that are in both are found, and their values copied.
 
-Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run is
-(first place, first place of the last surface, how many). What is equal is so bit by bit.
+Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run
+is (first place, first place of the last surface, how many). What is equal is so bit by bit.
 """
 
 import warp as wp

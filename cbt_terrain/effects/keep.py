@@ -9,6 +9,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 
 PLACES = "places"
+MOST_FRESH = 0.5
 
 
 class Kept:
@@ -56,7 +57,8 @@ class Kept:
         return values
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """int32 [n]: the places that the last surface does not have, or not at their level; None if that is all."""
+        """int32 [n]: the places that the last surface does not have, or not at their level; None if most are so: then all are
+        made anew, which costs less than putting them among others."""
         if last is None or not len(self._runs):
             return None
         fresh, found = np.empty(self._count, np.int32), np.zeros(1, np.int32)
@@ -64,7 +66,7 @@ class Kept:
         arrays = [flat(array, wp.float32) for array in (levels, last)]
         inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
         launch.once(kernels.list_fresh, inputs, step="kept")
-        return fresh[: found[0]]
+        return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
 
     def forget_others(self, names: set[str]) -> None:
         """Drop every array but the places and these."""
@@ -86,7 +88,7 @@ def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
     launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
     if found[1] < len(places):
-        bits = len(last).bit_length() + 2  # so that few places share a hash
+        bits = len(last).bit_length() + 1  # so that few places share a hash
         table = np.full(1 << bits, -1, np.int32)
         launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
     return runs[: found[0]].copy()

@@ -25,7 +25,7 @@ def next_common(
 ):
     """The fewest places to skip of both until they agree again; (-1, -1) where that is too many."""
     skip = wp.vec2i(-1, -1)
-    total = 1
+    total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
         for a in range(total + 1):
             if skip[0] < 0 and v + a < count and at + total - a < last_count:
@@ -45,10 +45,10 @@ def match_in_order(
     found: wp.array(dtype=wp.int32),
 ):
     """Runs as far as they follow each other in both; `found` [2]: how many, and the first place that is not decided."""
-    v = 0
-    at = 0
-    k = 0
-    lost = 0
+    v = wp.int32(0)
+    at = wp.int32(0)
+    k = wp.int32(0)
+    lost = wp.int32(0)
     while v < count and lost == 0:
         same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
         if same > 0:
@@ -93,7 +93,7 @@ def match_anywhere(
     v = found[1]
     while v < count:
         at = number_at(table, slot_of(places[v], bits))
-        same = 0
+        same = wp.int32(0)
         if at >= 0:
             same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
             if same > 0:
@@ -114,8 +114,8 @@ def list_fresh(
     found: wp.array(dtype=wp.int32),
 ):
     """Places that are in no run, or have another level than before; `found` [1]: how many."""
-    n = 0
-    v = 0
+    n = wp.int32(0)
+    v = wp.int32(0)
     for k in range(run_count + 1):
         run = wp.vec3i(count, 0, 0)
         if k < run_count:

@@ -57,8 +57,10 @@ class Kept:
         return values
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """int32 [n]: the places that the last surface does not have, or not at their level; None if most are so: then all are
-        made anew, which costs less than putting them among others."""
+        """int32 [n]: the places that the last surface does not have, or not at their level.
+
+        None if most are so: to make all anew costs less than to put them among others.
+        """
         if last is None or not len(self._runs):
             return None
         fresh, found = np.empty(self._count, np.int32), np.zeros(1, np.int32)

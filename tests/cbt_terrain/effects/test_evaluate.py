@@ -24,7 +24,7 @@ def field():
 def view(rng) -> View:
     eye = rng.uniform(-900, 900, 3) + [0, 0, 1000]
     kind = ("PERSPECTIVE", "PERSPECTIVE", PANORAMIC, ORTHOGRAPHIC)[rng.integers(4)]
-    return View.look(eye, (0, 0, 0), kind=kind, resolution=(300, 200), ortho_width=3000.0)
+    return View.look(eye, (0, 0, 0), kind=kind, resolution=(60, 40), ortho_width=3000.0)
 
 
 def bytes_of(found) -> dict[str, bytes]:
@@ -50,7 +50,7 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
         wanted = plan([Asked(name, ("x",), family) for name, family in zip(names, families, strict=True)])
         placement = np.diag([1.0, 2.0, 0.5, 1.0]) if rng.random() < 0.2 else None
         scale = {"vertical_scale": 2.0, "vertical_offset": 3.0} if rng.random() < 0.1 else {}
-        surface = terrain.update(Criterion(error_px=1.0), views, placement, **scale).surface
+        surface = terrain.update(Criterion(error_px=0.1), views, placement, **scale).surface
         asked = (wanted, heights, surface, views, placement)
         metres = 40.0 if rng.random() < 0.2 else 0.0
         found = kept.attributes(*asked, **scale, geometry_metres=metres)
@@ -61,8 +61,8 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
 
 
 def flown(evaluator: Evaluator, heights, terrain: Terrain, x: float, wanted: Plan = EVERY):
-    views = [View.look((x, -900.0, 500.0), (0, 0, 0))]
-    surface = terrain.update(Criterion(error_px=1.0), views).surface
+    views = [View.look((x, -900.0, 500.0), (0, 0, 0), resolution=(60, 40))]
+    surface = terrain.update(Criterion(error_px=0.05), views).surface
     return evaluator.attributes(wanted, heights, surface, views), surface, views
 
 

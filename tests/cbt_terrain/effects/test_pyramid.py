@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pyramid of prefiltered heights, against sums in numpy."""
 
+import itertools
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.pyramid import ground, level_of, shapes
@@ -29,12 +31,10 @@ def halved(heights: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_levels_are_means_of_the_level_below(shape):
     field = from_array(raster(*shape[::-1]), 10.0)
-    for level, (rows, columns) in enumerate(shapes(field.lattice)):
-        found = level_of(field, level)
-        assert found.shape == (rows, columns)
-        if level:
-            np.testing.assert_allclose(found, halved(below), atol=1e-4)  # noqa: F821
-        below = found.astype(np.float64)
+    levels = [level_of(field, level) for level in range(len(shapes(field.lattice)))]
+    assert [level.shape for level in levels] == shapes(field.lattice)
+    for below, level in itertools.pairwise(levels):
+        np.testing.assert_allclose(level, halved(below.astype(np.float64)), atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -66,15 +66,14 @@ def test_of_an_orthographic_view_it_is_one_and_the_same():
     agree(footprint_levels(FIELD, POSITIONS, [view]), np.full(5000, 3.0))
 
 
-def test_turning_the_camera_changes_no_bit():
-    around = View.look((150.0, -300.0, 90.0), (150.0, -300.0, 0.0), roll_deg=33)
-    assert (
-        footprint_levels(FIELD, POSITIONS, [LOOK]).tobytes() == footprint_levels(FIELD, POSITIONS, [around]).tobytes()
-    )
+def test_turning_the_camera_changes_nothing():
+    around = View.look((150.0, -300.0, 90.0), (150.0, -300.0, 0.0), roll_deg=33, resolution=(96, 54))
+    found = footprint_levels(FIELD, POSITIONS, [LOOK])
+    assert found.min() > 0 and (found == footprint_levels(FIELD, POSITIONS, [around])).all()
 
 
 def test_of_several_views_the_finest_counts_in_any_order():
-    views = [LOOK, View.look((-300.0, 40.0, 100.0), (0, 0, 0), fov_deg=20)]
+    views = [LOOK, View.look((-300.0, 40.0, 100.0), (0, 0, 0), resolution=(100, 60))]
     alone = [footprint_levels(FIELD, POSITIONS, [view]) for view in views]
     both = footprint_levels(FIELD, POSITIONS, views, threads=3)
     assert (both == np.minimum(*alone)).all() and (alone[0] != alone[1]).any()

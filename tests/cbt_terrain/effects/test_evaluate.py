@@ -7,7 +7,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.effects import jet
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, Asked, Effect
+from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked, Effect
 from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.plan import Plan, plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -38,26 +38,27 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
     rng, heights = np.random.default_rng(seed), field()
     terrain, kept = Terrain(heights, 2), Evaluator(threads=2)
     now, known = view(rng), 0
-    for _ in range(25):
-        if rng.random() < 0.3:
+    for frame in range(30):
+        if rng.random() < 0.15:
             now = view(rng)
         matrix = now.world_to_camera.copy()
         matrix[:3, 3] += rng.normal(0, 2, 3)
         now = View(matrix, now.projection, now.resolution, now.kind, now.clip, now.radians_per_pixel)
-        views = [now] if rng.random() < 0.8 else [now, view(rng)]
-        names = rng.permutation(list(jet.MADE))[: rng.integers(1, 8)]
-        families = ["PICTURE" if rng.random() < 0.7 else GEOMETRY for _ in names]
-        wanted = plan([Asked(name, ("x",), family) for name, family in zip(names, families, strict=True)])
-        placement = np.diag([1.0, 2.0, 0.5, 1.0]) if rng.random() < 0.2 else None
+        views = [now] if rng.random() < 0.9 else [now, view(rng)]
+        if frame == 0 or rng.random() < 0.4:
+            names = rng.permutation(list(jet.MADE))[: rng.integers(1, 8)]
+            families = [PICTURE if rng.random() < 0.7 else GEOMETRY for _ in names]
+            wanted = plan([Asked(name, ("x",), family) for name, family in zip(names, families, strict=True)])
+        placement = np.diag([1.0, 2.0, 0.5, 1.0]) if rng.random() < 0.1 else None
         scale = {"vertical_scale": 2.0, "vertical_offset": 3.0} if rng.random() < 0.1 else {}
         surface = terrain.update(Criterion(error_px=0.1), views, placement, **scale).surface
         asked = (wanted, heights, surface, views, placement)
-        metres = 40.0 if rng.random() < 0.2 else 0.0
+        metres = 40.0 if rng.random() < 0.1 else 0.0
         found = kept.attributes(*asked, **scale, geometry_metres=metres)
         assert bytes_of(found) == bytes_of(Evaluator().attributes(*asked, **scale, geometry_metres=metres))
         assert found.keys() == set(names) and all(len(found[name].array) == len(surface.positions) for name in names)
         known += sum(ran.computed < len(surface.positions) for ran in kept.ran.values())
-    assert known > 10, "nothing was ever kept, so nothing was tested"
+    assert known > 10, "next to nothing was kept, so next to nothing was tested"
 
 
 def flown(evaluator: Evaluator, heights, terrain: Terrain, x: float, wanted: Plan = EVERY):

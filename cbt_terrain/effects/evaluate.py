@@ -126,7 +126,7 @@ def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
         effect = EFFECTS[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
         scale = level if step.family == GEOMETRY and effect.domain != MAP else None
-        read = tuple(keys[name] for name in effect.reads)
+        read = tuple(keys[name] for name in effect.reads_with(step.parameters))
         keys[step.name] = (step.name, effect.version, numbers, step.family, scale, heights, read)
     return keys
 
@@ -137,7 +137,7 @@ def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
     order: list[tuple[tuple, Group]] = []
     for step in plan.steps:
         kind = (EFFECTS[step.name].make, step.family, step.name in stay)
-        after = max((group_of[name] for name in EFFECTS[step.name].reads), default=-1)
+        after = max((group_of[name] for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
         number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
             order.append((kind, []))
@@ -157,7 +157,7 @@ def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[s
         made = effects[0].make(places.only(none), missing, values) if missing else {}
         values.update(made)
         return sum(len(array) for array in made.values())
-    read = {name: values[name] for effect in effects for name in effect.reads}
+    read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
         made = effects[0].make(places, wanted, read)
         for name, array in made.items():

@@ -45,6 +45,7 @@ SKY = Effect(
     name="sky",
     about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
     unit="1",
+    span=(0.0, 1.0),
     make=make,
     example=example,
     halo="the whole raster",

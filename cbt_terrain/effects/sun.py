@@ -41,6 +41,7 @@ SUN = Effect(
     name="sun",
     about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
     unit="1",
+    span=(0.0, 1.0),
     make=make,
     example=example,
     parameters=(

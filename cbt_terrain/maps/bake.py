@@ -184,10 +184,14 @@ def _values(place: _Place, images: list[_Image], tile: int, side: int, first: in
     values: dict[str, np.ndarray] = {}
     while steps:
         make = EFFECTS[steps[0].name].make
-        now = [step for step in steps if EFFECTS[step.name].make is make and set(EFFECTS[step.name].reads) <= {*values}]
+        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
         values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
         steps = [step for step in steps if step not in now]
     return values
+
+
+def _reads(step: Asked) -> set[str]:
+    return set(EFFECTS[step.name].reads_with(step.parameters))
 
 
 def texel_places(

@@ -94,7 +94,8 @@ def sweep(
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     reach = s.slope * (s.major - 1)
     s.first = int(np.floor(min(-reach, 0.0)))
-    s.lines = int(np.ceil(s.minor - 1 + max(-reach, 0.0))) - s.first + 1
+    # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
+    s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)
     memory = [np.empty(count * items * s.major, kind) for count, kind in ((1, float), (1, np.int32), (2, np.float32))]
     inputs = [s, *(flat(a, kind) for a, kind in zip(memory, (wp.float64, wp.int32, wp.float32), strict=True))]

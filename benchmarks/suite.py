@@ -14,6 +14,7 @@ from ..operators.text.machine import machine
 from . import (
     cycles,
     cycles_likeness,
+    demand_rows,
     engine,
     files,
     fit_row,
@@ -134,6 +135,7 @@ def everything(
             yield partial(in_blender.frame_row, rough, store, size)
         yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
         yield partial(in_blender.still_frame_row, rough, store)
+        yield partial(demand_rows.demand_rows, rough)
     if program:
         yield partial(in_program.program_rows, program, store)
     else:

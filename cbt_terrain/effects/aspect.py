@@ -22,6 +22,7 @@ ASPECT = Effect(
     example=example,
     width=2,
     halo=HALO,
+    span=(-1.0, 1.0),
     cost_ns=90,
     source='Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE,
 )

@@ -25,5 +25,5 @@ def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0,
 def _value(name: str, places: Places, parameters: dict) -> np.ndarray:
     """With what it reads, at its defaults."""
     effect = EFFECTS[name]
-    read = {other: _value(other, places, {}) for other in effect.reads}
+    read = {other: _value(other, places, {}) for other in effect.reads_with(parameters.items())}
     return effect.make(places, {name: effect.defaults() | parameters}, read)[name]

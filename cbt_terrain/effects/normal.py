@@ -22,6 +22,7 @@ DETAIL_NORMAL = Effect(
     example=example,
     width=3,
     halo=HALO,
+    span=(-1.0, 1.0),
     cost_ns=90,
     source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,
 )

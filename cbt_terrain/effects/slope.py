@@ -23,6 +23,7 @@ SLOPE = Effect(
     make=make,
     example=example,
     halo=HALO,
+    span=(0.0, math.pi / 2),
     cost_ns=90,
     source='Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE,
 )

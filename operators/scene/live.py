@@ -15,6 +15,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
+from ..demand.screens import screens_key
 from . import session
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
@@ -37,6 +38,7 @@ _job: Job | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
 _follows_viewport = False
+_screens: tuple = ()  # what open windows read of meshes, when it was last looked at
 _started = 0.0  # when the job under way was handed over
 _stage = ""  # what the worker does
 
@@ -67,7 +69,7 @@ def _turn() -> float:
             return BUSY_S
         job, _job = _job, None
         _finish(job)
-    if not _dirty:
+    if not _dirty and not _windows_changed():
         return IDLE_S
     _dirty = False  # before the properties are read, so that no change after that is missed
     _job = _next_job()
@@ -75,6 +77,13 @@ def _turn() -> float:
         return IDLE_S
     _dirty = True  # another terrain may wait
     return BUSY_S
+
+
+def _windows_changed() -> bool:
+    """Opening a spreadsheet tells no handler."""
+    global _screens
+    before, _screens = _screens, screens_key()
+    return before != _screens
 
 
 def seconds_under_way() -> float:

@@ -7,10 +7,13 @@ from . import (
     height,
     mean_curvature,
     normal,
+    occlusion,
     plan_curvature,
     profile_curvature,
+    sky,
     slope,
     splat,
+    sun,
     wetness,
 )
 from .effect import Effect
@@ -28,5 +31,8 @@ EFFECTS: dict[str, Effect] = {
         flow.FLOW,
         wetness.WETNESS,
         *splat.SPLATS,
+        sky.SKY,
+        occlusion.OCCLUSION,
+        sun.SUN,
     )
 }

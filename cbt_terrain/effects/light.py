@@ -14,6 +14,8 @@ AZIMUTHS = 16
 STRIPS = 3
 # Radians, of half the sun's disc: what a hard shadow is made with.
 LEAST_RADIUS = 1e-5
+# Radians that are looked for beyond the disc, so that what rounding takes is not of the disc.
+AROUND = 1e-6
 # The part of an upright disc's edge that can be seen: beyond it slopes have no number.
 HIGHEST = math.pi / 2 - 1e-6
 
@@ -46,8 +48,8 @@ def strongest(suns) -> tuple[float, float, float, float] | None:
     for row in rows:
         if len(row) not in (4, 5) or not np.isfinite(row).all() or not any(row[:3]) or not 0.0 <= row[3] <= math.pi:
             raise TerrainError(
-                f"A sun of the effect 'sun' is {row}; expected the direction towards it (x, y, z), not all 0, the angle "
-                "of its disc in radians (0 to pi), and its strength."
+                f"A sun of the effect 'sun' is {row}; expected the direction towards it (x, y, z), not all 0, the "
+                "angle of its disc in radians (0 to pi), and its strength."
             )
     lit = [row for row in rows if len(row) == 4 or row[4] > 0.0]
     best = max(lit, key=lambda row: row[4] if len(row) == 5 else 1.0, default=None)
@@ -74,7 +76,7 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
         strips["azimuth"][k] = _single(math.cos(turned)), _single(math.sin(turned))
         strips["half"][k] = _single(math.sqrt(1.0 - across * across))
     elevation = _single(elevation)
-    low, high = (min(elevation + side * radius, HIGHEST) for side in (-1.0, 1.0))
+    low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))
     return {
         "elevation": elevation,
         "radius": radius,

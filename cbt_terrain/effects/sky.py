@@ -8,14 +8,19 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects.light import sky_seen
+from ...kernels.effects.sweep import sky_between, take
+from ..field.heightfield import HeightField
 from ..run import launch
-from .effect import Effect, Evaluate, Places, Wanted
+from .effect import Effect, Evaluate, Parameter, Places, Wanted
 from .light import AZIMUTHS, azimuths
-from .occluder import for_places, occluder_of
+from .occluder import every_crossing, for_places, occluder_of
+from .sky_layer import PREVIEW_AZIMUTHS, advance, has_layer, is_known, preview_horizons, sky_layer
 
 # Beyond the raster there is ground: the sky begins at the horizontal.
 HORIZONTAL = 0.0
 WITHOUT_END = 1e300
+
+FULL, PREVIEW = "FULL", "PREVIEW"
 
 
 def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
@@ -31,7 +36,29 @@ def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONT
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """See Make in effect.py."""
-    return {"sky": seen_from(places)}
+    field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
+    if wanted["sky"]["quality"] == PREVIEW:
+        directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
+        inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
+        jobs = for_places(sky_between, places, inputs, out, cost=25.0)
+    elif has_layer(field):
+        jobs = for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+    else:
+        return {"sky": seen_from(places)}
+    for _done in jobs:
+        pass
+    return {"sky": out}
+
+
+def is_quick(field: HeightField, scale: float) -> bool:
+    """Whether a view need not begin with a preview: the sky over the raster is known already."""
+    return has_layer(field) and is_known(field, scale)
+
+
+def refine(field: HeightField, scale: float, threads: int) -> bool:
+    """One step towards the sky in full quality, a sixteenth of its layer; returns whether none is left, so that who
+    asks for it now gets it. Of a raster that has no layer nothing can be made ahead."""
+    return not has_layer(field) or advance(field, scale, threads)
 
 
 def example(evaluate: Evaluate) -> None:
@@ -48,6 +75,9 @@ SKY = Effect(
     span=(0.0, 1.0),
     make=make,
     example=example,
+    parameters=(
+        Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),
+    ),
     halo="the whole raster",
     cost_ns=35000,
     source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",

@@ -34,7 +34,8 @@ class HeightField:
     have such a corner are holes (see holes.py).
     key: identifies the content: equal keys, equal terrains.
     prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
-    light: what was found once about the light on the heights, whatever lies between them (effects/occluder.py, sky.py).
+    light: what was found once about the light on the heights, whatever lies between them (effects/occluder.py,
+    sky_layer.py).
     """
 
     samples: np.ndarray
@@ -61,7 +62,7 @@ class HeightField:
     expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
-    light: dict[tuple, tuple] = field(default_factory=dict, repr=False)
+    light: dict[tuple, object] = field(default_factory=dict, repr=False)
 
     @property
     def raster_key(self) -> str:

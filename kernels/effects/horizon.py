@@ -49,9 +49,8 @@ def finest_tops(offset: int, occluder: Occluder, sign: wp.float32, tops: wp.arra
         top = wp.float32(-wp.inf)
         for j in range(y * side, wp.min((y + 1) * side, occluder.rows - 1) + 1):
             for i in range(x * side, wp.min((x + 1) * side, occluder.columns - 1) + 1):
-                top = wp.max(
-                    top, sign * sample_at(occluder.samples, wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i))
-                )
+                at = wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i)
+                top = wp.max(top, sign * sample_at(occluder.samples, at))
         tops[y * wide + x] = sign * top
 
 

@@ -47,9 +47,8 @@ def sky_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Add to `out` what the azimuths `first` .. `end` contribute to the visible part of the sky, with ground up to `far`
-    metres off; the last one puts it into 0 .. 1. Of all ground below the slope `lowest`, or below the place's own
-    plane, nothing is seen."""
+    """Add to `out` what the azimuths `first` .. `end` show of the sky above ground up to `far` metres off; the last one
+    puts it into 0 .. 1. What is below the slope `lowest`, or below the place's own plane, counts as hidden."""
     i = offset + wp.tid()
     count = azimuths.shape[0]
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
@@ -87,7 +86,8 @@ def sun_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Part of the sun's disc above the horizon. `elevation`, `radius`: radians; `low`, `high`: slopes to its ends."""
+    """Part of the sun's disc above the horizon. `elevation`, `radius`: radians; `low`, `high`: slopes to just below and
+    just above the disc, between which a horizon hides a part of it."""
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
     y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.rows - 1)
@@ -99,7 +99,6 @@ def sun_seen(
         half = strips[k].half
         slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
         hidden = (elevation_of(slope) - elevation) / radius
-        if slope < high:
-            seen += wp.clamp(half - hidden, zero, wp.float64(2.0) * half)
+        seen += wp.clamp(half - hidden, zero, wp.float64(2.0) * half)
         whole += wp.float64(2.0) * half
     out[i] = wp.float32(seen / whole)

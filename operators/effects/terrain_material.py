@@ -3,7 +3,10 @@
 
 import bpy
 
+from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.effects.splat_rules import DEFAULT
 from ..scene import session
+from .map_images import map_image, map_vector
 from .material import SKY, SUN, Sources, dress
 
 
@@ -32,8 +35,11 @@ class TerrainMaterial(bpy.types.Operator):
 
 
 def sources_of(obj, light) -> Sources:
-    """What there is of the terrain: its layers, the maps that are baked."""
-    return Sources([], light)
+    """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
+    layers = [(layer.name, (0.3, 0.3, 0.3)) for layer in DEFAULT]
+    names = ("detail_normal", SKY, SUN, *NAMES[: -(-len(layers) // 4)])
+    maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
+    return Sources(layers, light, maps, lambda tree: map_vector(tree, obj))
 
 
 register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

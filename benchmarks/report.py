@@ -40,6 +40,9 @@ MEANING = {
     "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
     "from the last frame.",
     "budget_level": "As budget_first, of edges 30 times too short, all round over a flat 4097² field.",
+    "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, one "
+    "thread: the same bits as with every crossing.",
+    "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -4,9 +4,8 @@
 import bpy
 
 from ...cbt_terrain.effects.splat import NAMES
-from ...cbt_terrain.effects.splat_rules import DEFAULT
 from ..scene import session
-from ..scene.layer_properties import DEFAULT_COLORS
+from ..scene.layer_properties import colors_of
 from .map_images import map_image, map_vector
 from .material import A_GROUP, NORMAL, SKY, SUN, Sources, dress
 
@@ -41,8 +40,7 @@ class TerrainMaterial(bpy.types.Operator):
 
 def sources_of(obj, light) -> Sources:
     """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
-    layers = [(layer.name, tuple(layer.color)) for layer in obj.adaptive_terrain.layers]
-    layers = layers or [(layer.name, colour) for layer, colour in zip(DEFAULT, DEFAULT_COLORS, strict=True)]
+    layers = colors_of(obj.adaptive_terrain)
     names = (NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     light = [name for name in (SKY, SUN) if name in light or name in maps]

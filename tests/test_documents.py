@@ -52,6 +52,6 @@ def test_the_page_of_effects_has_each_of_them_and_the_example_that_runs():
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == list(EFFECTS), "run `make effects`"
     for name, effect in EFFECTS.items():
-        assert f"{effect.about}." in page and (ROOT / "docs" / "images" / f"effect_{name}.jpg").exists(), name
+        assert f"{effect.about}." in page, name
     example = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     assert example.split("\n", 1)[1] in page

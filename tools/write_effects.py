@@ -83,9 +83,10 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-effects-") as folder:
             import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "island")
             field = open_store(Path(folder) / "island")
-            pictures = {f"effect_{name}.jpg": jpg(picture(name, field)) for name in EFFECTS}
             demo = of_demo(Path(folder))
-            sections = [section(effect) for effect in EFFECTS.values()]
+            drawn = {name: picture(name, field, demo.layers) for name in EFFECTS}
+            pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
+            sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in EFFECTS.values()]
             page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, add_your_own()]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -115,6 +116,8 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     for number, name in enumerate(EFFECTS):
         x = island.width + gap + (number % columns) * (side + gap)
         y = number // columns * (side + LETTERS + gap)
+        if f"effect_{name}.jpg" not in pictures:
+            continue
         tile = Image.open(io.BytesIO(pictures[f"effect_{name}.jpg"])).resize((side, side))
         if name not in worn:
             tile = Image.blend(tile.convert("L").convert("RGB"), Image.new("RGB", tile.size, (250, 249, 245)), 0.6)
@@ -128,14 +131,15 @@ def add_your_own() -> str:
     return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
 
 
-def section(effect: Effect) -> str:
-    """An effect as its declaration has it, beside its picture."""
+def section(effect: Effect, drawn: bool) -> str:
+    """An effect as its declaration has it, below its picture, if there is one: the demo has not so many layers."""
     facts = [f"**Unit** {effect.unit or 'none'}"]
     if reads := effect.reads_with(()):
         facts.append(f"**Reads** {', '.join(f'[{name}](#{name})' for name in reads)}")
     facts += [f"**Looks** {effect.halo}"] if effect.halo else []
     facts += [f"**Adds to the bound** {effect.bound or 'nothing'}", f"**Source** {effect.source}"]
-    lines = [f"### {effect.name}\n", f"![{effect.about}](images/effect_{effect.name}.jpg)\n", f"{effect.about}.\n"]
+    shown = [f"![{effect.about}](images/effect_{effect.name}.jpg)\n"] if drawn else []
+    lines = [f"### {effect.name}\n", *shown, f"{effect.about}.\n"]
     lines.append(" · ".join(facts) + "\n")
     numbers = [p for p in effect.parameters if isinstance(p.default, int | float)]
     if numbers:
@@ -148,12 +152,13 @@ def section(effect: Effect) -> str:
 @dataclass(frozen=True)
 class Demo:
     """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
-    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from."""
+    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `layers`: its layers."""
 
     read: tuple[int, float, int]
     everything: tuple[int, float, int]
     vertices: int
     worn: set[str]
+    layers: tuple
 
 
 def saving(demo: Demo, field) -> list[str]:
@@ -185,6 +190,7 @@ def of_demo(folder: Path) -> Demo:
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
     from adaptive_terrain.operators.scene import session
+    from adaptive_terrain.operators.scene.layer_properties import layers_of
 
     (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
     flight = read_camera_path(folder / "flight.json")
@@ -206,7 +212,7 @@ def of_demo(folder: Path) -> Demo:
     worn |= {name for name, status in statuses.items() if not status.skipped}
     for name in EFFECTS:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
-    return Demo(read, taken(), len(obj.data.vertices), worn)
+    return Demo(read, taken(), len(obj.data.vertices), worn, layers_of(obj.adaptive_terrain))
 
 
 def alone(name: str, field, surface, view: View) -> float:
@@ -220,12 +226,15 @@ def alone(name: str, field, surface, view: View) -> float:
     return statistics.median(times[1:])
 
 
-def picture(name: str, field) -> np.ndarray:
+def picture(name: str, field, layers: tuple) -> np.ndarray:
     """The effect over the whole island as colours in a low sun: uint8 [rows, columns, 3], north on top."""
     places, rows = _grid(field)
     read: dict = {}
-    for step in plan([Asked(name, ("this page",))]).steps:
-        read |= EFFECTS[step.name].make(places, {step.name: EFFECTS[step.name].defaults()}, read)
+    given = (("layers", layers),) if "layers" in EFFECTS[name].defaults() else ()
+    for step in plan([Asked(name, ("this page",), parameters=given)]).steps:
+        values = EFFECTS[step.name].defaults()
+        values |= {"layers": layers} if "layers" in values else {}
+        read |= EFFECTS[step.name].make(places, {step.name: values}, read)
     colour = colours(read[name].reshape(rows, rows, -1).astype(np.float64))
     heights = places.positions[:, 2].reshape(rows, rows).astype(np.float64)
     north, east = np.gradient(heights, field.lattice.step_x * EVERY)

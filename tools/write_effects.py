@@ -152,7 +152,8 @@ def section(effect: Effect, drawn: bool) -> str:
 @dataclass(frozen=True)
 class Demo:
     """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
-    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `layers`: its layers."""
+    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `layers`: of
+    the ground."""
 
     read: tuple[int, float, int]
     everything: tuple[int, float, int]

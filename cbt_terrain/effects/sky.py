@@ -69,6 +69,7 @@ SKY = Effect(
     parameters=(
         Parameter("preview", 0, 0, 1, "", "1: at once, from coarse heights: what a view shows until it rests"),
     ),
+    scaled=False,
     halo="the whole raster",
     cost_ns=35000,
     source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",

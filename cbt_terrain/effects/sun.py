@@ -53,6 +53,7 @@ SUN = Effect(
             "Rows of x, y, z towards a sun in the terrain's own space, the angle of its disc in radians, its strength",
         ),
     ),
+    scaled=False,
     halo="the whole raster",
     cost_ns=4000,
     source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",

@@ -58,6 +58,16 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "errors. The other half is welding and displacement, with normals and uv, most of that the latency of reading "
         "samples.",
     ),
+    ("effects_cut", 1_000_000): (
+        2.0,
+        "half of it are the twelve splat layers; what a jet gives takes as long as the update: 16 samples of one or "
+        "two levels, most of them not in the cache.",
+    ),
+    ("effects_flight", 1_000_000): (
+        0.38,
+        "nothing of it is large: the level of each vertex anew (a third), the copies of what stays (a third), to find "
+        "it, and the half percent that is computed.",
+    ),
     ("cycles_error", ANY_SIZE): (
         0.1,
         "the mesh has 6,000 triangles; three quarters of the time a picture of two triangles takes as well, by the "

@@ -83,7 +83,7 @@ def export_selected(name: str, form: str) -> None:
 
 @contextmanager
 def _gltf_names(meshes):
-    """A glTF file may carry attributes of vertices whose names begin with an underscore; while it is written ours do."""
+    """glTF takes attributes of vertices whose names begin with an underscore: while it is written ours do."""
     renamed = []
     try:
         for mesh in meshes:

@@ -146,9 +146,7 @@ def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
-def _make(
-    group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept
-) -> int:
+def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept) -> int:
     """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
     not known, None for all of them."""
     effects = [EFFECTS[step.name] for step in group]

@@ -40,6 +40,10 @@ MEANING = {
     "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
     "from the last frame.",
     "budget_level": "As budget_first, of edges 30 times too short, all round over a flat 4097² field.",
+    "splats": "Weights of twelve layers at the vertices of a million triangles, half of them with noise, beside the "
+    "jets that their rules read; one thread.",
+    "flow": "Catchment areas of 1025² samples, depressions cut through, several directions; beside the errors and "
+    "ranges that an import makes of them, all threads; flow runs on one.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -32,6 +32,7 @@ OCCLUSION = Effect(
     name="ambient_occlusion",
     about="Open part of what surrounds a place within a radius: 1 is open, 0 closed",
     unit="1",
+    span=(0.0, 1.0),
     make=make,
     example=example,
     parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a place ground counts"),),

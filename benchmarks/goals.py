@@ -34,6 +34,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("demand", ANY_SIZE): 0.02,
     ("demand_large", ANY_SIZE): 0.1,
     ("demand_kept", ANY_SIZE): 0.005,
+    ("splats", ANY_SIZE): 3.5,
+    ("flow", ANY_SIZE): 1.0,
     ("depth", 500_000): 1.15,
     ("budget_first", ANY_SIZE): 3.0,
     ("budget_flight", ANY_SIZE): 3.0,

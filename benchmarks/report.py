@@ -45,6 +45,10 @@ MEANING = {
     "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
     "from the last frame.",
     "budget_level": "As budget_first, of edges 30 times too short, all round over a flat 4097² field.",
+    "splats": "Weights of twelve layers at the vertices of a million triangles, half of them with noise, beside the "
+    "jets that their rules read; one thread.",
+    "flow": "Catchment areas of 1025² samples, depressions cut through, several directions; beside the errors and "
+    "ranges that an import makes of them, all threads; flow runs on one.",
     "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, one "
     "thread: the same bits as with every crossing.",
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",

@@ -22,6 +22,7 @@ from . import (
     goals,
     in_blender,
     in_program,
+    layer_rows,
     light_rows,
     performance_page,
     report,
@@ -124,6 +125,7 @@ def everything(
     yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
+    yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)

@@ -7,7 +7,6 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects.light import Strip
-from ..ask.linear import inverse
 from ..errors import TerrainError
 from ..run import launch
 
@@ -55,22 +54,6 @@ def strongest(suns) -> tuple[float, float, float, float] | None:
     lit = [row for row in rows if len(row) == 4 or row[4] > 0.0]
     best = max(lit, key=lambda row: row[4] if len(row) == 5 else 1.0, default=None)
     return None if best is None else best[:4]
-
-
-def in_own_space(suns, placement: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """Suns of the world, rows as of `strongest`, as a terrain under `placement` (float64 [4, 4], own space to world,
-    invertible) has them.
-
-    Shadows are affine: a straight way to the sun stays one. The disc's angle is not: it is taken as it is, so under a
-    scale that is not even the rim of a shadow is too soft or too hard.
-    """
-    inward = inverse(placement)[:3, :3]
-    own = []
-    for x, y, z, *rest in suns:
-        towards = [float(a * x + b * y + c * z) for a, b, c in inward]
-        length = math.sqrt(sum(number * number for number in towards)) or 1.0
-        own.append((*(number / length for number in towards), *rest))
-    return tuple(own)
 
 
 def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | None:

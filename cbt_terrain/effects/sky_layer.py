@@ -36,22 +36,28 @@ def is_known(field: HeightField, scale: float) -> bool:
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The sky over every sample under a vertical scale; made first, if it is not known."""
+    while not advance(field, scale, threads):
+        pass
+    return _layer(field, _state(field, scale)["sky"], 0)
+
+
+def advance(field: HeightField, scale: float, threads: int) -> bool:
+    """One azimuth more of the layer, if one is missing; returns whether it is complete."""
     with _making:
         state = _state(field, scale)
         if state["azimuths"] < AZIMUTHS:
-            heights = np.ascontiguousarray(field.heights())
-            shape, lattice = heights.shape, field.lattice
-            state.setdefault("sky", np.zeros(shape, np.float32))
-            found = np.empty(shape, np.float32)
+            heights, lattice = np.ascontiguousarray(field.heights()), field.lattice
+            rows, columns = heights.shape
+            sums = state.setdefault("sky", np.zeros(heights.shape, np.float32))
+            azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
+            sweep(heights, (lattice.step_x, lattice.step_y), azimuth, scale, threads, found)
             per_cell = wp.vec2f(scale / lattice.step_x, scale / lattice.step_y)
-            rest = [flat(found, wp.float32), flat(state["sky"], wp.float32)]
-            for azimuth in azimuths()[state["azimuths"] :]:
-                sweep(heights, (lattice.step_x, lattice.step_y), azimuth, scale, threads, found)
-                numbers = [shape[1], shape[0], per_cell, wp.vec2f(*azimuth), wp.float32(1.0 / AZIMUTHS)]
-                inputs = [flat(heights, wp.float32), *numbers, *rest]
-                launch.spread(kernels.add_sky, shape[0], inputs, step="light", threads=threads, cost=shape[1])
-                state["azimuths"] += 1
-    return _layer(field, state["sky"], 0)
+            numbers = [columns, rows, per_cell, wp.vec2f(*azimuth), wp.float32(1.0 / AZIMUTHS)]
+            arrays = [flat(found, wp.float32), flat(sums, wp.float32)]
+            inputs = [flat(heights, wp.float32), *numbers, *arrays]
+            launch.spread(kernels.add_sky, rows, inputs, step="light", threads=threads, cost=columns)
+            state["azimuths"] += 1
+        return state["azimuths"] == AZIMUTHS
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
@@ -94,7 +100,8 @@ def sweep(
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     reach = s.slope * (s.major - 1)
     s.first = int(np.floor(min(-reach, 0.0)))
-    s.lines = int(np.ceil(s.minor - 1 + max(-reach, 0.0))) - s.first + 1
+    # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
+    s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)
     memory = [np.empty(count * items * s.major, kind) for count, kind in ((1, float), (1, np.int32), (2, np.float32))]
     inputs = [s, *(flat(a, kind) for a, kind in zip(memory, (wp.float64, wp.int32, wp.float32), strict=True))]

@@ -41,6 +41,7 @@ SUN = Effect(
     name="sun",
     about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
     unit="1",
+    span=(0.0, 1.0),
     make=make,
     example=example,
     parameters=(
@@ -50,9 +51,11 @@ SUN = Effect(
             -math.inf,
             math.inf,
             "",
-            "Rows of x, y, z towards a sun in the terrain's own space, the angle of its disc in radians, its strength",
+            "Rows of x, y, z towards a sun in the terrain's own space, the angle of its disc in radians, its strength; "
+            "only the strongest counts",
         ),
     ),
+    scaled=False,
     halo="the whole raster",
     cost_ns=4000,
     source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",

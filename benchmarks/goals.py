@@ -57,8 +57,8 @@ GOALS: dict[tuple[str, int], float] = {
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ("demand_large", ANY_SIZE): (
         0.18,
-        "on a machine busy with other work; of processor time alone 0.12. Some 20 microseconds a node, all of it Python "
-        "that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
+        "on a machine busy with other work; of processor time alone 0.12. Some 20 microseconds a node, all of it "
+        "Python that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
     ),
     ("surface", 1_000_000): (
         0.55,

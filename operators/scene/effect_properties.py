@@ -11,9 +11,9 @@ from .detail_properties import changed
 
 ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"
 WHEN = [
-    (ON_DEMAND, "On Demand", "Computed where a material, a modifier, a driver or an export reads it"),
-    (PINNED, "Pinned", "Computed always: for scripts, whose reading nobody sees"),
-    (OFF, "Off", "Never computed, whatever reads it"),
+    (ON_DEMAND, "On Demand", "Computed where a material, a modifier, a driver or an export reads it", "AUTO", 0),
+    (PINNED, "Pinned", "Computed always: for scripts, whose reading nobody sees", "PINNED", 1),
+    (OFF, "Off", "Never computed, whatever reads it", "CANCEL", 2),
 ]
 
 

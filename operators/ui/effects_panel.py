@@ -14,7 +14,7 @@ from ..scene.map_properties import label
 from ..text.effect_lines import cost_text, readers_text
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
-NAME_WIDTH, COST_WIDTH = 0.46, 0.5  # parts of a row, and of what is left of it
+NAME_WIDTH, COST_WIDTH = 0.58, 0.55  # parts of a row, and of what is left of it
 ABOUT_LINES, READER_LINES = 3, 3
 _shown = next(iter(EFFECTS))
 
@@ -51,7 +51,7 @@ def _draw_row(rows, settings, name: str, status) -> None:
     cost = right.row()
     cost.active = computed
     cost.label(text=f"{status.ms:.1f} ms" if computed else "-")
-    right.prop(getattr(settings, name), "when", text="")
+    right.prop(getattr(settings, name), "when", text="", icon_only=True)
 
 
 def _draw_details(box, name: str, status) -> None:

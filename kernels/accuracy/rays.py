@@ -6,8 +6,8 @@ to larger blocks while it clears them and descends where it does not (Tevs, Ihrk
 here with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and
 what is found is exact. Of a bicubic surface, and of one with detail, it is looked at in PLACES + 1 places of the ray in
 the cell, and a change of sides between two of them is halved down: a ray that dips into the surface and out again
-between two places is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
-is a crossing, so that no ray slips through. All arithmetic is float64.
+between two places is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change
+of sides between two cells is a crossing, so that no ray slips through. All arithmetic is float64.
 """
 
 import warp as wp

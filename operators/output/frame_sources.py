@@ -14,7 +14,8 @@ from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.field.detail import Detail
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.terrain import Terrain, Update
@@ -56,10 +57,11 @@ class StoreFrames:
         resolution: tuple[int, int],
         in_blender: bool,
         interpolation: str = INTERPOLATIONS[0],
+        detail: Detail | None = None,
     ):
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
-        self.field = interpolated(open_store(store), interpolation)
+        self.field = with_detail(interpolated(open_store(store), interpolation), detail)
         self.terrain = Terrain(self.field)
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
@@ -85,8 +87,8 @@ class StoreFrames:
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation` and
-    `shading_floor` replace what the objects say; None keeps it.
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
+    `shading_floor` and `detail` replace what the objects say; None keeps it.
     """
 
     def __init__(
@@ -99,6 +101,7 @@ class SceneFrames:
         meshlet: int | None = None,
         interpolation: str | None = None,
         shading_floor: float | None = None,
+        detail: Detail | None = None,
     ):
         bpy = import_bpy("A .blend file")
         from ..scene import session
@@ -113,7 +116,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, detail, shading_floor)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(
@@ -168,6 +171,7 @@ def baked_piece(
     budget: int | None,
     in_blender: bool,
     interpolation: str,
+    detail: Detail | None,
     fitted: bool,
     on_progress: Callable[[float], None],
 ) -> Piece:
@@ -181,7 +185,7 @@ def baked_piece(
 
     if fitted:
         check_interpolation(interpolation)
-    field = interpolated(open_store(store), interpolation)
+    field = with_detail(interpolated(open_store(store), interpolation), detail)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
     more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
@@ -208,6 +212,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "crs": field.crs,
         "height_field": field.key,
         "interpolation": field.interpolation,
+        "detail": asdict(field.detail) if field.detail else None,
     }
 
 

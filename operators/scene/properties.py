@@ -19,6 +19,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from .detail_properties import RenderDetail, ViewportDetail, changed
+from .ground_properties import GroundDetail
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -140,6 +141,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Added to every imported height, in metres; acts at once",
         unit="LENGTH", update=changed,
     )  # fmt: skip
+    ground: PointerProperty(type=GroundDetail)
     viewport: PointerProperty(type=ViewportDetail)
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
@@ -193,7 +195,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings)
+CLASSES = (ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, TerrainSettings, SceneSettings)
 
 
 def register() -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A height below the raster's cells, and how far a triangle can be from it.
 
-Octave k (0 ..) is quintic value noise n of the amplitude a = a_0 gain^k and the wavelength l = l_0 2^-k, so metres of
-height a n(x / l). Against a plane through a triangle's corners it is
+Octave k (0 ..) is quintic value noise n of the amplitude a = a_0 roughness^k and the wavelength l = l_0 2^-k, so metres
+of height a n(x / l); amplitudes add up to that of the detail. Against a plane through a triangle's corners it is
 
 * at most 2 a away: both lie between -a and a;
 * at most N r^2 / 2 away, N = a c / l^2 its largest second derivative in any direction and r the radius of a circle that
@@ -39,8 +39,9 @@ LARGEST = 1e6
 
 @dataclass(frozen=True)
 class Detail:
-    """Octaves of noise: `amplitude` metres at `wavelength` metres; each octave half as long has `roughness` (0 .. 1)
-    of the amplitude of the one before. `seed` gives another pattern."""
+    """Octaves of noise, together at most `amplitude` metres above or below the surface. The longest waves have
+    `wavelength` metres; each octave half as long has `roughness` (0 .. 1) of the amplitude of the one before. `seed`
+    gives another pattern."""
 
     amplitude: float
     wavelength: float = 4.0
@@ -62,18 +63,19 @@ class Detail:
 
     def waves(self, finest: float) -> list[tuple[float, float]]:
         """Amplitude and wavelength, metres, of the octaves that leaves with edges of `finest` metres can show."""
-        octaves = [
-            (self.amplitude * self.roughness**k, self.wavelength * 0.5**k)
-            for k in range(MOST_OCTAVES)
-            if k == 0 or self.wavelength * 0.5**k >= EDGES_A_WAVE * finest
-        ]
-        return [wave for wave in octaves if wave[0] > 0.0]
+        lengths = [self.wavelength * 0.5**k for k in range(MOST_OCTAVES)]
+        shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]
+        parts = [self.roughness**k for k in range(len(shown))]
+        share = self.amplitude / sum(parts)
+        return [(share * part, length) for part, length in zip(parts, shown, strict=True) if share * part > 0.0]
 
     def packed(self, finest: float) -> kernels.Detail:
         """As the kernels read it."""
         d = kernels.Detail()
-        d.octaves, d.seed = len(self.waves(finest)), self.seed
-        d.amplitude, d.gain, d.frequency = self.amplitude, self.roughness, 1.0 / self.wavelength
+        waves = self.waves(finest)
+        d.octaves, d.seed = len(waves), self.seed
+        d.amplitude = waves[0][0] if waves else 0.0
+        d.gain, d.frequency = self.roughness, 1.0 / self.wavelength
         return d
 
 

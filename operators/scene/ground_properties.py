@@ -14,8 +14,8 @@ class GroundDetail(bpy.types.PropertyGroup):
 
     amplitude: FloatProperty(
         name="Amplitude",
-        description="Height of the longest wave of detail added to the height map near the camera, in metres above "
-        "and below it; 0 adds none. Terrain needs more triangles where it shows",
+        description="Detail that is added to the height map, at most so many metres above and below it; 0 adds none. "
+        "It takes triangles only where the camera can see it",
         default=0.0, min=0.0, soft_max=2.0, precision=3, step=1, unit="LENGTH", update=changed,
     )  # fmt: skip
     wavelength: FloatProperty(

@@ -52,7 +52,7 @@ def ground_view(field, kind=PERSPECTIVE, above=2.0, at=(0.1, -0.2)):
 
 
 # Weights of places in a triangle: corners, edges and inside.
-WEIGHTS = np.array([(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]) / 12
+WEIGHTS = np.array([(a, b, 6 - a - b) for a in range(7) for b in range(7 - a)]) / 6
 
 
 def places_in(surface):
@@ -185,10 +185,10 @@ def test_no_error_is_above_its_bound(kind, interpolation):
             views.append(view)
         meshlet = int(rng.integers(3))
         for asked in (
-            {"error_px": 1.0, "max_triangles": 20_000, "meshlet": meshlet},
-            {"error_px": 0.0, "error_m": 0.3 * details.highest(field.waves) * abs(scale), "max_triangles": 30_000},
-            {"error_px": 2.0, "max_depth": 14},
-            {"error_px": 0.0, "error_m": 0.01, "max_depth": 15},
+            {"error_px": 1.0, "max_triangles": 3000, "meshlet": meshlet},
+            {"error_px": 0.0, "error_m": 0.3 * details.highest(field.waves) * abs(scale), "max_triangles": 3000},
+            {"error_px": 2.0, "max_depth": 14, "max_triangles": 3000},
+            {"error_px": 0.0, "error_m": 0.01, "max_depth": 13},
         ):
             found = Terrain(field, 1).update(Criterion(**asked), views, placement, scale, offset)
             assert_invariants(found.surface, field.lattice, asked.get("meshlet", 0))
@@ -202,7 +202,7 @@ def test_numbers_of_a_source_and_holes(tmp_path):
     valid[8:12, 20:30] = 0
     holed = with_detail(replace(field, valid=valid), DETAILS["rough"])
     view = ground_view(holed)
-    found = Terrain(holed, 1).update(Criterion(error_px=1.0, max_triangles=30_000), [view])
+    found = Terrain(holed, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view])
     check(found, holed, [view])
     assert found.bound_px is not None and found.triangles > 1000
 
@@ -210,7 +210,7 @@ def test_numbers_of_a_source_and_holes(tmp_path):
 def test_the_edges_that_are_asked_for_hold_on_a_detail():
     field = field_of("flat", DETAILS["short"])
     view = ground_view(field)
-    found = Terrain(field, 1).update(Criterion(error_px=0.0, edge_px=30.0, max_triangles=200_000), [view])
+    found = Terrain(field, 1).update(Criterion(error_px=0.0, edge_px=30.0, max_triangles=50_000), [view])
     assert found.bound_edge_px == 30.0
     a, seen = project(view, found.surface.positions.astype(np.float64))
     edges = found.surface.edges[seen[found.surface.edges].all(1)]
@@ -267,7 +267,7 @@ def test_the_same_bytes_after_any_history_and_from_any_number_of_threads(monkeyp
     monkeypatch.setattr(launch, "SLICE_ITEMS", 500)
     field = field_of("padded", DETAILS["rough"])
     a, b = ground_view(field), ground_view(field, above=2.1, at=(0.11, -0.19))
-    criterion = Criterion(error_px=1.0, max_triangles=40_000)
+    criterion = Criterion(error_px=1.0, max_triangles=6000)
     wanted = arrays(Terrain(field, 1).update(criterion, [a]).surface)
     for threads in (1, 2, 16):
         terrain = Terrain(field, threads)
@@ -312,7 +312,7 @@ def test_a_vast_field_is_as_exact_far_from_its_middle():
     field = with_detail(from_array(np.zeros((1025, 1025), np.float32), 80.0, 80.0), Detail(0.2, 2.0))
     eye = np.array([40_000.0, 40_000.0, 1.7])
     view = View.look(eye, eye + [6, 9, -1.0], fov_deg=50.0, resolution=(480, 270), clip=(0.1, 1e6))
-    found = Terrain(field, 1).update(Criterion(error_px=1.0, max_triangles=60_000), [view])
+    found = Terrain(field, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view])
     near = places_in(found.surface)
     near = near[np.linalg.norm(near[:, :2] - eye[:2], axis=1) < 50.0]
     off = np.abs(near[:, 2] - reference_heights(field, near[:, :2]))

@@ -32,8 +32,9 @@ def value_noise(x, y, seed):
 def detail_heights(detail, count, plane):
     """Metres at points [n, 2] of `count` octaves."""
     z, p = np.zeros(len(plane)), np.array(plane, np.float64) / detail.wavelength
+    longest = detail.amplitude / sum(detail.roughness**k for k in range(count))
     for k in range(count):
         x, y = (p + (k + 1) * np.array([0.37109375, 0.71484375])).T
-        z += detail.amplitude * detail.roughness**k * value_noise(x, y, detail.seed + k * 0x9E3779B9)
+        z += longest * detail.roughness**k * value_noise(x, y, detail.seed + k * 0x9E3779B9)
         p = 2 * np.stack([0.8 * p[:, 0] - 0.6 * p[:, 1], 0.6 * p[:, 0] + 0.8 * p[:, 1]], 1)
     return z

@@ -210,12 +210,12 @@ def test_numbers_of_a_source_and_holes(tmp_path):
 def test_the_edges_that_are_asked_for_hold_on_a_detail():
     field = field_of("flat", DETAILS["short"])
     view = ground_view(field)
-    found = Terrain(field, 1).update(Criterion(error_px=0.0, edge_px=30.0, max_triangles=50_000), [view])
-    assert found.bound_edge_px == 30.0
+    found = Terrain(field, 1).update(Criterion(error_px=0.0, edge_px=60.0), [view])
+    assert found.bound_edge_px == 60.0
     a, seen = project(view, found.surface.positions.astype(np.float64))
     edges = found.surface.edges[seen[found.surface.edges].all(1)]
     longest = np.linalg.norm(a[edges[:, 0]] - a[edges[:, 1]], axis=1).max()
-    assert 10.0 < longest <= 30.0
+    assert 20.0 < longest <= 60.0
 
 
 def test_vertices_are_on_the_surface_and_normals_are_its_own():

@@ -14,12 +14,14 @@ from ..operators.text.machine import machine
 from . import (
     cycles,
     cycles_likeness,
+    demand_rows,
     engine,
     files,
     fit_row,
     goals,
     in_blender,
     in_program,
+    light_rows,
     performance_page,
     report,
     scale,
@@ -119,6 +121,7 @@ def everything(
     yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
+    yield partial(light_rows.light_rows)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:
@@ -134,6 +137,7 @@ def everything(
             yield partial(in_blender.frame_row, rough, store, size)
         yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
         yield partial(in_blender.still_frame_row, rough, store)
+        yield partial(demand_rows.demand_rows, rough)
     if program:
         yield partial(in_program.program_rows, program, store)
     else:

@@ -195,22 +195,6 @@ def copy_cells(
 ): ...
 
 
-# Two streams of cells (kernels/refine/sum_reduction.py), eight at a time: milliseconds for 500,000 0.37, one by one in
-# Warp 0.98.
-
-
-@wp.func_native(
-    "const wp::int64 *a = cells.data + i, *b = old_cells.data + j; const wp::int64 most = stop - i; wp::int64 k = 0; "
-    "for (; most < 0 || k + 8 <= most; k += 8) { wp::int64 differ = 0, links = 0; "
-    "for (int n = 0; n < 8; ++n) { differ |= a[k + n] ^ b[k + n]; links |= a[k + n]; } "
-    "if (differ != 0 || links < 0) break; } "
-    "while (k != most && a[k] == b[k] && a[k] >= 0) ++k; return k;"
-)
-def count_same(
-    cells: wp.array(dtype=wp.int64), i: wp.int64, stop: wp.int64, old_cells: wp.array(dtype=wp.int64), j: wp.int64
-) -> wp.int64: ...
-
-
 @wp.func_native(
     "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
     "for (int k = 0; k < 3 * count; ++k) to[k] = from[k];"
@@ -236,3 +220,37 @@ def copy_vec2s(
     "const int* v = corner_verts.data + 3 * t; return (near.data[v[0]] | near.data[v[1]] | near.data[v[2]]) != 0;"
 )
 def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype=wp.int32), t: wp.int32) -> wp.bool: ...
+
+
+# Places of the last surface and what was known of them (kernels/effects/keep.py).
+
+
+@wp.func_native(
+    "const int *p = (const int*)(a.data + i), *q = (const int*)(b.data + j); int k = 0; "
+    "while (k < most && p[3 * k] == q[3 * k] && p[3 * k + 1] == q[3 * k + 1] && p[3 * k + 2] == q[3 * k + 2]) ++k; "
+    "return k;"
+)
+def count_same_vec3s(
+    a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, most: wp.int32
+) -> wp.int32: ...
+
+
+@wp.func_native(
+    "const float *p = a.data + i, *q = b.data + j; int k = 0; while (k < most && p[k] == q[k]) ++k; return k;"
+)
+def count_same_floats(
+    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
+) -> wp.int32: ...
+
+
+@wp.func_native(
+    "const float* from = values.data + first; float* __restrict to = out.data + at; "
+    "for (int k = 0; k < count; ++k) to[k] = from[k];"
+)
+def copy_floats(
+    values: wp.array(dtype=wp.float32),
+    first: wp.int64,
+    count: wp.int32,
+    out: wp.array(dtype=wp.float32),
+    at: wp.int64,
+): ...

@@ -14,12 +14,14 @@ from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
+from .demand import kept
 from .mesh import freed_memory
 from .report import accuracy_report, measuring
 from .scene import live, pauses, session, stale_renders
 from .scene.request import RENDER, VIEWPORT
 
-SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene  # a terrain's mesh depends on no other
+# A terrain's mesh depends on no other, nor does what is read of it.
+SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *kept.TYPES
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
 _joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes that its compositor takes in
@@ -29,6 +31,8 @@ def _unless_paused(handler):
     @persistent
     @wraps(handler)
     def unless_paused(scene, depsgraph=None):
+        if depsgraph is not None and depsgraph.mode == VIEWPORT:
+            kept.note_update(depsgraph)  # also in a pause: nobody says it again
         if not pauses.paused_now():
             with stopping.held():
                 handler(scene, depsgraph)

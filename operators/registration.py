@@ -6,6 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
+from .effects import bake_maps, splat_layers
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -14,6 +15,7 @@ from .scene import (
     frame_terrain,
     freeze_detail,
     import_terrain,
+    layer_images,
     live,
     pack_store,
     properties,
@@ -31,6 +33,9 @@ MODULES = (
     update_terrain,
     freeze_detail,
     bake_terrain,
+    bake_maps,
+    splat_layers,
+    layer_images,
     export_terrain,
     measuring,
     measure_accuracy,

@@ -33,7 +33,7 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
         *("importing", "fit", "accuracy"),
     ],
     "operators": [

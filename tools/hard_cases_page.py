@@ -75,6 +75,7 @@ CASES = {
     47: "Undo, redo, save, reload, duplicate, delete, link",
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
+    59: "Light: rays along axes, through corners, grazing, from outside, upright; the sun below the horizon",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",
     62: "A raster that does not fit the lattice",
     63: "Height maps that are attacks",
@@ -83,6 +84,7 @@ CASES = {
     67: "A terrain 32 km wide in a fresh scene",
     68: "A background render whose mesh is stale",
     69: "A source 7 samples wide and 1,024 long",
+    72: "What a scene reads: mutes, groups used twice, constant factors, drivers, computed names",
 }
 
 HEAD = """\

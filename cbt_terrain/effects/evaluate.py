@@ -15,8 +15,11 @@ from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from .catalogue import EFFECTS
 from .effect import GEOMETRY, MAP, Asked, Places
+from .keep import Kept
 from .plan import Plan
 from .scale import fixed_level, footprint_levels
+
+Group = list[Asked]  # what is made in one call
 
 
 @dataclass(frozen=True)
@@ -29,16 +32,31 @@ class Ran:
     computed: int
 
 
+@dataclass(frozen=True)
+class _State:
+    """What the last call left. `keys`: of the values that are kept, by effect. `maps`: those of maps, by their keys."""
+
+    surface: Surface | None = None
+    asked: tuple = ()
+    keys: dict[str, tuple] = field(default_factory=dict)
+    maps: dict[tuple, np.ndarray] = field(default_factory=dict)
+    found: dict[str, Attribute] = field(default_factory=dict)
+
+
 @dataclass
 class Evaluator:
-    """Evaluates effects for one terrain's surfaces; keeps what the next frame may take over.
+    """Evaluates effects for one terrain's surfaces; keeps what the next surface may take over.
 
-    `runs`: how often each effect was computed, ever: what is not asked for is not in it.
+    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call
+    took. Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what
+    would be computed, whatever surfaces came before.
     """
 
     threads: int = 1
     runs: Counter = field(default_factory=Counter)
     ran: dict[str, Ran] = field(default_factory=dict)
+    _state: _State = field(default_factory=_State, init=False, repr=False)
+    _kept: Kept | None = field(default=None, init=False, repr=False)
 
     def attributes(
         self,
@@ -49,52 +67,107 @@ class Evaluator:
         placement: np.ndarray | None = None,
         vertical_scale: float = 1.0,
         vertical_offset: float = 0.0,
+        geometry_metres: float = 0.0,
     ) -> dict[str, Attribute]:
-        """The attributes of the plan for this surface, by name; in arrays of their own.
+        """The attributes of the plan for this surface, by name; in arrays that stay as they are until the next call.
 
-        Arguments as of `Terrain.update`. With no views what pictures show is at the raster's own scale.
+        Arguments as of `Terrain.update`. With no views what pictures show is at the raster's own scale, and so is what
+        geometry is made from, unless `geometry_metres` says another.
         """
-        self.ran = {}
+        scale = float(vertical_scale), float(vertical_offset)
+        where = b"" if placement is None else np.asarray(placement, np.float64).tobytes()
+        asked = (plan, heights.key, scale, where, tuple(view.key() for view in views), geometry_metres)
+        last, self._state, self.ran = self._state, _State(), {}
+        if surface is last.surface and asked == last.asked:
+            self._state, self.ran = last, {step.name: Ran(0.0, 0, 0) for step in plan.steps}
+            return last.found
+        kept, self._kept = self._kept, None  # what is half done when this is stopped is not known
         if not plan.steps:
             return {}
-        scale = vertical_scale, vertical_offset
-        levels = {
-            family: fixed_level(surface) if family == GEOMETRY else footprint_levels(heights, surface, views, placement)
-            for family in {step.family for step in plan.steps}
-        }
-        places = {
-            family: Places(heights, surface.positions, level, *scale, self.threads) for family, level in levels.items()
-        }
-        values: dict[str, np.ndarray] = {}
-        for together in _made_together(plan):
-            first = together[0]
+        kept = Kept(self.threads) if kept is None else kept
+        level = fixed_level(heights, geometry_metres)
+        keys = _keys(plan, (heights.key, *scale), level)
+        values = {name: last.maps[key] for name, key in keys.items() if key in last.maps}
+        positions = kept.move_to(surface.positions)
+        places, fresh = {}, {}
+        for family in sorted({step.family for step in plan.steps}):
+            levels, before = kept.turn(family)
+            if family == GEOMETRY:
+                levels[:] = level
+            else:
+                footprint_levels(heights, positions, views, placement, self.threads, levels)
+            places[family] = Places(heights, positions, levels, *scale, self.threads)
+            fresh[family] = kept.fresh(levels, before)
+        stay = {name for name, key in keys.items() if last.keys.get(name) == key}
+        for group in _made_together(plan, stay):
             start = time.perf_counter()
-            wanted = {step.name: EFFECTS[step.name].defaults() | dict(step.parameters) for step in together}
-            made = EFFECTS[first.name].make(places[first.family], wanted, values)
-            ms = (time.perf_counter() - start) * 1e3 / len(together)
-            for step in together:
-                values[step.name] = made[step.name]
-                self.runs[step.name] += 1
-                self.ran[step.name] = Ran(ms, made[step.name].nbytes, len(made[step.name]))
-        return {
+            family = group[0].family
+            which = fresh[family] if group[0].name in stay else None
+            computed = _make(group, places[family], which, values, kept)
+            ms = (time.perf_counter() - start) * 1e3 / len(group)
+            for step in group:
+                self.runs[step.name] += computed > 0
+                self.ran[step.name] = Ran(ms, values[step.name].nbytes, computed)
+        kept.forget_others({*keys, *places})
+        maps = {keys[step.name]: values[step.name] for step in plan.steps if EFFECTS[step.name].domain == MAP}
+        found = {
             name: Attribute(values[name], POINTS, EFFECTS[name].unit)
             for name in plan.attributes
             if EFFECTS[name].domain != MAP
         }
+        self._kept, self._state = kept, _State(surface, asked, keys, maps, found)
+        return found
 
 
-def _made_together(plan: Plan) -> list[list[Asked]]:
-    """Steps with the same function and family in one call, where nothing between them is read."""
-    groups: list[list[Asked]] = []
+def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
+    """What the values of each step are a function of, beside places and the levels of pictures."""
+    keys: dict[str, tuple] = {}
     for step in plan.steps:
         effect = EFFECTS[step.name]
-        for group in reversed(groups):
-            if EFFECTS[group[0].name].make is effect.make and group[0].family == step.family:
-                group.append(step)
-                break
-            if any(other.name in effect.reads for other in group):
-                groups.append([step])
-                break
-        else:
-            groups.append([step])
-    return groups
+        numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
+        scale = level if step.family == GEOMETRY and effect.domain != MAP else None
+        read = tuple(keys[name] for name in effect.reads_with(step.parameters))
+        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, heights, read)
+    return keys
+
+
+def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
+    """Steps in groups that one call makes: of one function and family, of which all are known of the same places."""
+    group_of: dict[str, int] = {}
+    order: list[tuple[tuple, Group]] = []
+    for step in plan.steps:
+        kind = (EFFECTS[step.name].make, step.family, step.name in stay)
+        after = max((group_of[name] for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
+        number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
+        if number == len(order):
+            order.append((kind, []))
+        order[number][1].append(step)
+        group_of[step.name] = number
+    return [group for _, group in order]
+
+
+def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept) -> int:
+    """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
+    not known, None for all of them."""
+    effects = [EFFECTS[step.name] for step in group]
+    wanted = {step.name: effect.defaults() | dict(step.parameters) for step, effect in zip(group, effects, strict=True)}
+    if effects[0].domain == MAP:
+        missing = {name: numbers for name, numbers in wanted.items() if name not in values}
+        none = np.empty(0, np.int32)
+        made = effects[0].make(places.only(none), missing, values) if missing else {}
+        values.update(made)
+        return sum(len(array) for array in made.values())
+    read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
+    if which is None:
+        made = effects[0].make(places, wanted, read)
+        for name, array in made.items():
+            kept.put(name, array)
+            values[name] = array
+        return len(places)
+    for effect in effects:
+        values[effect.name] = kept.take(effect.name, effect.width)
+    if len(which):
+        some = {name: array if EFFECTS[name].domain == MAP else array[which] for name, array in read.items()}
+        for name, array in effects[0].make(places.only(which), wanted, some).items():
+            values[name][which] = array
+    return len(which)

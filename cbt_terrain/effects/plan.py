@@ -26,20 +26,33 @@ class Plan:
 
 
 def plan(asked: Iterable[Asked]) -> Plan:
-    """What `asked` calls for. Names that are no effects are left out: they are attributes of others."""
-    found = {item.name: item for item in asked if item.name in EFFECTS}
+    """What `asked` calls for. Names that are no effects are left out: they are attributes of others.
+
+    Raises TerrainError for a parameter that an effect does not have, or not so.
+    """
+    found: dict[str, Asked] = {}
+    for item in asked:
+        if item.name in EFFECTS:
+            EFFECTS[item.name].check(dict(item.parameters))
+            found[item.name] = _both(found[item.name], item) if item.name in found else item
     attributes = tuple(sorted(found))
     waiting = list(found.values())
     while waiting:
         item = waiting.pop()
-        for name in EFFECTS[item.name].reads:
+        for name in EFFECTS[item.name].reads_with(item.parameters):
             reader = f"effect {item.name}"
             known = found.get(name) or Asked(name, (), item.family)
-            # What geometry is made from has one scale, and so has what that reads.
-            family = GEOMETRY if GEOMETRY in (known.family, item.family) else known.family
-            if reader not in known.readers or family != known.family:
-                readers = known.readers if reader in known.readers else (*known.readers, reader)
-                found[name] = replace(known, readers=readers, family=family)
+            found[name] = _both(known, Asked(name, (reader,), item.family))
+            if found[name] != known:
                 waiting.append(found[name])
-    order = TopologicalSorter({name: EFFECTS[name].reads for name in sorted(found)}).static_order()
+    reads = {name: EFFECTS[name].reads_with(found[name].parameters) for name in sorted(found)}
+    order = TopologicalSorter(reads).static_order()
     return Plan(tuple(found[name] for name in order), attributes)
+
+
+def _both(one: Asked, other: Asked) -> Asked:
+    """The same effect, asked for twice. What geometry is made from has one scale, and so has what that reads."""
+    readers = tuple(dict.fromkeys((*one.readers, *other.readers)))
+    family = GEOMETRY if GEOMETRY in (one.family, other.family) else one.family
+    parameters = tuple(sorted((dict(one.parameters) | dict(other.parameters)).items()))
+    return replace(one, readers=readers, family=family, parameters=parameters)

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The viewport's mesh follows its camera, and the viewport never waits.
 
+Effects that take long begin with a preview. While nothing changes they are refined, one short step after another, to
+what a render computes.
+
 Handlers only set a flag. A timer on the main thread reads the properties, hands plain numbers to a worker thread, and
 writes the mesh when the worker is done. A result is stale, and is dropped, when its terrain was updated by other means,
 undone, deleted or replaced in the meantime; a camera that moved on in the meantime gets the next turn.
@@ -15,7 +18,8 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
-from . import session
+from ..demand.screens import screens_key
+from . import previews, session
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
 
@@ -33,10 +37,12 @@ class Job:
 
 
 _dirty = False
+_unrefined: dict[int, Job] = {}  # the last updates whose meshes show a preview, by their terrains
 _job: Job | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
 _follows_viewport = False
+_screens: tuple = ()  # what open windows read of meshes, when it was last looked at
 _started = 0.0  # when the job under way was handed over
 _stage = ""  # what the worker does
 
@@ -67,14 +73,22 @@ def _turn() -> float:
             return BUSY_S
         job, _job = _job, None
         _finish(job)
-    if not _dirty:
-        return IDLE_S
+    if not _dirty and not _windows_changed():
+        _job = _refinement()
+        return IDLE_S if _job is None else BUSY_S
     _dirty = False  # before the properties are read, so that no change after that is missed
     _job = _next_job()
     if _job is None:
         return IDLE_S
     _dirty = True  # another terrain may wait
     return BUSY_S
+
+
+def _windows_changed() -> bool:
+    """Opening a spreadsheet tells no handler."""
+    global _screens
+    before, _screens = _screens, screens_key()
+    return before != _screens
 
 
 def seconds_under_way() -> float:
@@ -110,6 +124,19 @@ def _next_job() -> Job | None:
     return None
 
 
+def _refinement() -> Job | None:
+    """Start on a step of what the first mesh that shows a preview is to become; None if there is none."""
+    global _started
+    while _unrefined:
+        uid, job = next(iter(_unrefined.items()))
+        record = next((session.record_of(obj) for obj in session.all_terrains() if obj.session_uid == uid), None)
+        if record is not None and record.generation == job.generation:
+            _started = time.monotonic()
+            return Job(uid, job.generation, job.request, _worker.submit(_refine, record, job.request))
+        del _unrefined[uid]
+    return None
+
+
 def _windows():
     return bpy.context.window_manager.windows
 
@@ -118,10 +145,26 @@ def _solve(record: session.Record, request: Request):
     global _stage
     _stage = "Refining"
     with session.engine_lock:
-        update = session.solve(record, request)
-        _stage = "Making the overlay"
-        session.paint(record, request, update)
-        return update, record.serial
+        first = previews.begun(request, session.field_of(request))
+        return _carry_out(record, first), record.serial, first is request
+
+
+def _refine(record: session.Record, request: Request):
+    """None where more is to be done before the mesh changes."""
+    global _stage
+    _stage = "Refining effects"
+    if not previews.refine(request, session.field_of(request)):
+        return None
+    with session.engine_lock:
+        return _carry_out(record, request), record.serial, True
+
+
+def _carry_out(record: session.Record, request: Request):
+    global _stage
+    update = session.solve(record, request)
+    _stage = "Making the overlay"
+    session.paint(record, request, update)
+    return update
 
 
 def _finish(job: Job) -> None:
@@ -130,12 +173,19 @@ def _finish(job: Job) -> None:
         return
     record = session.record_of(obj)
     try:
-        update, serial = job.future.result()
+        done = job.future.result()
+        if done is None:
+            return
+        update, serial, whole = done
         with session.engine_lock:
             # The surface's arrays are the engine's own: another update since then has overwritten them.
             if record.generation == job.generation and record.serial == serial:
                 session.show(obj, record, job.request, update, VIEWPORT)
+        _unrefined.pop(job.uid, None)
+        if not whole:
+            _unrefined[job.uid] = job
     except Exception as error:
+        _unrefined.pop(job.uid, None)
         _report(record, error)
         if not isinstance(error, TerrainError):
             raise
@@ -183,3 +233,4 @@ def unregister() -> None:
         _draw_handle = None
     _worker.shutdown(wait=True)
     _worker, _job, _dirty = None, None, False
+    _unrefined.clear()

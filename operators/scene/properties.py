@@ -6,6 +6,7 @@ import math
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     FloatVectorProperty,
@@ -18,8 +19,11 @@ from bpy.props import (
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
+from . import effect_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
 from .ground_properties import GroundDetail
+from .layer_properties import LayerSettings
+from .map_properties import MapSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -166,7 +170,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
                (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
         update=changed,
     )  # fmt: skip
+    effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)
+    maps: PointerProperty(type=MapSettings)
+    layers: CollectionProperty(type=LayerSettings)
+    active_layer: IntProperty(name="Active Layer", options=set())
     bake_error_m: FloatProperty(
         name="Bake Error",
         description="Largest vertical error of a baked static mesh, in metres",
@@ -195,7 +203,10 @@ class SceneSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, TerrainSettings, SceneSettings)
+CLASSES = (
+    *(*effect_properties.CLASSES, *layer_properties.CLASSES),
+    *(ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
+)
 
 
 def register() -> None:

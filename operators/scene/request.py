@@ -19,6 +19,7 @@ from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
+from .asked_effects import Effects, gather_effects
 from .ground_properties import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
@@ -29,15 +30,17 @@ VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 class Overrides:
     """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
 
-    `error_px`: pixels; it replaces a time budget too. Others: as in the settings.
+    `error_px`: pixels; it replaces a time budget too. `effects`: names, in place of what the scene reads. Others: as in
+    the settings.
     """
 
     error_px: float | None = None
     max_triangles: int | None = None
     meshlet: int | None = None
     interpolation: str | None = None
-    ground: Detail | None = None
     shading_floor: float | None = None
+    effects: tuple[str, ...] | None = None
+    ground: Detail | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class Request:
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
+    `effects`: those whose attributes the mesh gets.
     """
 
     store: str
@@ -64,11 +68,12 @@ class Request:
     max_ms: float | None
     note: str
     frozen: str
+    effects: Effects
 
     def key(self) -> tuple:
         """Equal for equal requests."""
-        surface = self.store, self.interpolation, self.ground
-        return *surface, *self._shape(), self.smooth, self.cleanup.key(), self.overlay, self.note
+        shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects
+        return self.store, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -112,7 +117,7 @@ def gather(
         raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
     max_ms, note, frozen = None, "", ""
     if criterion is None:
-        frozen = settings.frozen if overrides == Overrides() else ""
+        frozen = settings.frozen if replace(overrides, effects=None) == Overrides() else ""
         detail = settings.render if mode == RENDER else settings.viewport
         with _named(obj):
             criterion = criterion_from(detail, overrides)
@@ -138,6 +143,7 @@ def gather(
         max_ms=max_ms,
         note=note,
         frozen=frozen,
+        effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
     )
 
 

@@ -12,18 +12,23 @@ from pathlib import Path
 
 import bpy
 
+from ...cbt_terrain.effects.evaluate import Evaluator
+from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import with_detail
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
+from ..demand import kept
 from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
 from . import frozen
+from .asked_effects import EffectStatus, statuses
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
@@ -33,7 +38,7 @@ from .request import VIEWPORT, Request, gather
 class Status:
     """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
     `left`: triangles that the clean-up has left. `request`: what was asked, of the height field with the key
-    `field_key`; None before the first update."""
+    `field_key`; None before the first update. `effects`: by name, what was made of each and why."""
 
     mode: str = ""
     request: Request | None = None
@@ -51,6 +56,7 @@ class Status:
     relaxed: float = 1.0
     left: int = 0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
+    effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     error: str = ""
 
     @property
@@ -59,7 +65,7 @@ class Status:
         return self.request.digest(self.field_key) if self.request else ""
 
 
-_OWN = ("mode", "request", "field_key", "left", "ms", "error")
+_OWN = ("mode", "request", "field_key", "left", "ms", "effects", "error")
 FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
 
 
@@ -67,7 +73,8 @@ FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in 
 class Record:
     """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
     `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
-    `overlay_key` names what it was made of, in `overlay_ms`."""
+    `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
+    arrays of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each."""
 
     terrain: Terrain | None = None
     field: object = None
@@ -76,6 +83,10 @@ class Record:
     overlay: Overlay | None = None
     overlay_key: tuple | None = None
     overlay_ms: float = 0.0
+    evaluator: Evaluator | None = None
+    effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
+    effects_serial: int = 0
+    effects_made: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     live_key: tuple | None = None
     generation: int = 0
     status: Status = dataclasses.field(default_factory=Status)
@@ -147,6 +158,7 @@ def solve(record: Record, request: Request):
     heights = field_of(request)
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
+        record.evaluator = Evaluator(record.terrain.threads)
     placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     if request.frozen:
         tree, meshlet = frozen.from_text(request.frozen)
@@ -154,7 +166,25 @@ def solve(record: Record, request: Request):
     else:
         update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
     record.serial += bool(update.changed)
+    _make_effects(record, request, update, placed)
     return update
+
+
+def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
+    """The attributes that the request asks for, on the surface of an update."""
+    names, asked = set(record.effects), plan(request.effects.asked)
+    record.effects = record.evaluator.attributes(
+        asked,
+        record.field,
+        update.surface,
+        request.views,
+        request.placement,
+        **placed,
+        geometry_metres=request.effects.geometry_metres,
+    )
+    ran = record.evaluator.ran
+    record.effects_serial += names != set(record.effects) or any(step.computed for step in ran.values())
+    record.effects_made = statuses(request.effects, asked, ran)
 
 
 def frozen_now(obj) -> str:
@@ -213,25 +243,29 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms
+    if record.effects:
+        ms["effects"] = sum(made.ms for made in record.effects_made.values())
     record.status = Status(
         mode=mode,
         request=request,
         field_key=record.field.key,
         left=len(obj.data.polygons),
         ms=ms,
+        effects=record.effects_made,
         **{name: getattr(update, name) for name in FIGURES},
     )
     return written
 
 
 def shown_surface(record: Record, update) -> Surface:
-    """What an update has made, with the overlay's attributes if there are any."""
-    return update.surface.with_attributes(record.overlay.attributes) if record.overlay else update.surface
+    """What an update has made, with the attributes of effects and of the overlay."""
+    return update.surface.with_attributes(record.effects | (record.overlay.attributes if record.overlay else {}))
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
-    return mesh.session_uid, counts, record.serial, request.smooth, request.cleanup.key(), record.overlay_key
+    made = record.serial, record.overlay_key, record.effects_serial
+    return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *made
 
 
 def _own_mesh(obj) -> None:
@@ -242,7 +276,8 @@ def _own_mesh(obj) -> None:
 
 
 def forget_shown() -> None:
-    """Undo may have put back any mesh: write each again at its next update, and drop what is under way."""
+    """Undo may have put back anything: write each mesh again at its next update, and drop what is under way."""
+    kept.forget()
     for record in _records.values():
         record.shown = record.live_key = None
         record.generation += 1
@@ -250,6 +285,7 @@ def forget_shown() -> None:
 
 def clear() -> None:
     """Forget every terrain and height field (another file is opened, or the extension goes)."""
+    kept.forget()
     with engine_lock:
         for record in _records.values():
             record.generation += 1

@@ -3,12 +3,8 @@
 
 import json
 import os
-import struct
-import subprocess
 import sys
-import time
 import zipfile
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +12,9 @@ import pytest
 from adaptive_terrain.benchmarks import in_program
 from hostile_files import source, vrt
 from PIL import Image
+from program_window import SCREEN, read_screen, wait_for, window
 
 SCRIPTS = Path(__file__).parent / "scripts"
-SCREEN = 1600, 1000
 
 
 def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
@@ -123,46 +119,6 @@ def test_motion_blur_keeps_one_topology_over_the_shutter(program, scene, tmp_pat
             shutter_times.add((number - frame, subframe))
     assert len(shutter_times) > 1, "motion blur looked at other times than the frame's own"
     assert said["after"] == said["viewport_triangles"] < shown[1], "the viewport gets its own detail back"
-
-
-@contextmanager
-def window(program, arguments: list[str], framebuffer: Path):
-    """The program with a window on a screen that is a file; ends both."""
-    display = f":{os.getpid() % 40000 + 200}"
-    # A cache of its own: every kernel must be compiled, as in a fresh install.
-    environment = {**program.environment(), "DISPLAY": display, "WARP_CACHE_PATH": str(framebuffer / "kernels")}
-    screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
-    xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
-    blender = None
-    try:
-        socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
-        wait_for(socket, xvfb, 20)
-        log = open(framebuffer / "blender.log", "w")
-        blender = subprocess.Popen(program.command(*arguments), env=environment, stdout=log, stderr=subprocess.STDOUT)
-        yield blender
-    finally:
-        for process in (blender, xvfb):
-            if process is not None:
-                process.terminate()
-                process.wait(20)
-
-
-def wait_for(path: Path, process, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while not path.exists():
-        assert process.poll() is None, f"the program ended with {process.returncode} before {path.name} was there"
-        assert time.monotonic() < end, f"{path.name} was not there after {seconds} s"
-        time.sleep(0.1)
-
-
-def read_screen(framebuffer: Path) -> Image.Image:
-    """Xvfb's frame buffer: an X window dump, whose header is big-endian and names its own size."""
-    data = (framebuffer / "Xvfb_screen0").read_bytes()
-    header = struct.unpack(">25I", data[:100])
-    header_size, width, height, bytes_per_line, colours = header[0], header[4], header[5], header[12], header[19]
-    start = header_size + 12 * colours
-    pixels = np.frombuffer(data, np.uint8, bytes_per_line * height, start).reshape(height, bytes_per_line)
-    return Image.fromarray(pixels[:, : 4 * width].reshape(height, width, 4)[:, :, 2::-1].copy())
 
 
 def test_clicks_on_the_panel(program, tmp_path):

@@ -212,3 +212,44 @@ def count_same(
     while i + k != stop and cells[i + k] == old_cells[j + k] and cells[i + k] >= wp.int64(0):
         k += wp.int64(1)
     return k
+
+
+@wp.func
+def count_same_vec3s(
+    a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, most: wp.int32
+) -> wp.int32:
+    k = wp.int32(0)
+    same = wp.bool(True)
+    while k < most and same:
+        p = a[i + k]
+        q = b[j + k]
+        for c in range(3):
+            same = same and wp.cast(p[c], wp.int32) == wp.cast(q[c], wp.int32)
+        if same:
+            k += 1
+    return k
+
+
+@wp.func
+def count_same_floats(
+    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
+) -> wp.int32:
+    k = wp.int32(0)
+    same = wp.bool(True)
+    while k < most and same:
+        same = a[i + k] == b[j + k]
+        if same:
+            k += 1
+    return k
+
+
+@wp.func
+def copy_floats(
+    values: wp.array(dtype=wp.float32),
+    first: wp.int64,
+    count: wp.int32,
+    out: wp.array(dtype=wp.float32),
+    at: wp.int64,
+):
+    for k in range(count):
+        out[at + wp.int64(k)] = values[first + wp.int64(k)]

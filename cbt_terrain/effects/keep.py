@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values that stay: of every named array two, that of this surface and that of the last one, which take turns."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import keep as kernels
+from ..run import launch
+from ..run.buffers import flat, shared
+
+PLACES = "places"
+MOST_FRESH = 0.5
+
+
+class Kept:
+    """Places of this surface and of the last one, which of them are the same, and what is known of them."""
+
+    def __init__(self, threads: int):
+        self._threads = threads
+        self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # room for this surface, for the last one
+        self._count = self._last_count = 0
+        self._runs = np.empty((0, 3), np.int32)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays, touched or not."""
+        return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
+
+    def move_to(self, positions: np.ndarray) -> np.ndarray:
+        """Another surface, float32 [V, 3]: what was this one's becomes the last one's. Returns a copy of its places."""
+        self._last_count, self._count = self._count, len(positions)
+        places, last = self.turn(PLACES, 3)
+        launch.together([lambda a=a, b=b: np.copyto(places[a:b], positions[a:b]) for a, b in self._pieces()])
+        self._runs = np.empty((0, 3), np.int32) if last is None else _runs(places, last)
+        return places
+
+    def turn(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
+        """Room for an array, float32 [V] or [V, width], and what the last surface had of it, or None."""
+        now, before = self._arrays.get(name, (None, None))
+        if before is None or len(before) < self._count:
+            more = int(1.25 * self._count)
+            before = np.empty((more, width) if width > 1 else more, np.float32)
+        self._arrays[name] = before, now
+        return before[: self._count], None if now is None else now[: self._last_count]
+
+    def put(self, name: str, values: np.ndarray) -> None:
+        """An array of this surface that was made as a whole."""
+        self._arrays[name] = values, self._arrays.get(name, (None, None))[0]
+
+    def take(self, name: str, width: int) -> np.ndarray:
+        """As `turn`, with the values of those places that the last surface has, too."""
+        values, last = self.turn(name, width)
+        if len(self._runs) and last is not None:
+            runs = shared(self._runs, wp.vec3i), len(self._runs)
+            arrays = [*runs, width, flat(last, wp.float32), flat(values, wp.float32)]
+            launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._pieces()], step="kept")
+        return values
+
+    def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
+        """int32 [n]: the places that the last surface does not have, or not at their level.
+
+        None if most are so: to make all anew costs less than to put them among others.
+        """
+        if last is None or not len(self._runs):
+            return None
+        fresh, found = np.empty(self._count, np.int32), np.zeros(1, np.int32)
+        runs = shared(self._runs, wp.vec3i), len(self._runs)
+        arrays = [flat(array, wp.float32) for array in (levels, last)]
+        inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
+        launch.once(kernels.list_fresh, inputs, step="kept")
+        return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
+
+    def forget_others(self, names: set[str]) -> None:
+        """Drop every array but the places and these."""
+        self._arrays = {name: pair for name, pair in self._arrays.items() if name in names or name == PLACES}
+
+    def _pieces(self) -> list[tuple[int, int]]:
+        """Ranges of places, for as many threads as pay."""
+        pieces = max(1, min(self._threads, self._count // launch.SLICE_ITEMS))
+        cuts = [self._count * k // pieces for k in range(pieces + 1)]
+        return list(zip(cuts, cuts[1:], strict=False))
+
+
+def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """int32 [n, 3]: first place, first place of the last surface, how many."""
+    if not len(places) or not len(last):
+        return np.empty((0, 3), np.int32)
+    runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
+    arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
+    ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
+    launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
+    if found[1] < len(places):
+        bits = len(last).bit_length() + 1  # so that few places share a hash
+        table = np.full(1 << bits, -1, np.int32)
+        launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
+    return runs[: found[0]].copy()

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sky: how much of the sky a place sees."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects.light import sky_seen
+from ...kernels.effects.sweep import sky_between, take
+from ..field.heightfield import HeightField
+from ..run import launch
+from .effect import Effect, Evaluate, Parameter, Places, Wanted
+from .light import AZIMUTHS, azimuths
+from .occluder import every_crossing, for_places, occluder_of
+from .sky_layer import PREVIEW_AZIMUTHS, advance, has_layer, is_known, preview_horizons, sky_layer
+
+# Beyond the raster there is ground: the sky begins at the horizontal.
+HORIZONTAL = 0.0
+WITHOUT_END = 1e300
+
+FULL, PREVIEW = "FULL", "PREVIEW"
+
+
+def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
+    """float32 [n]: the cosine-weighted part of the half space over each place that is above the horizons of ground up
+    to `far` metres off, and above the slope `lowest`."""
+    out = np.zeros(len(places), np.float32)
+    directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
+    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
+    for _done in for_places(sky_seen, places, inputs, out, cost=2000.0):
+        pass
+    return out
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """See Make in effect.py."""
+    field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
+    if wanted["sky"]["quality"] == PREVIEW:
+        directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
+        inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
+        jobs = for_places(sky_between, places, inputs, out, cost=25.0)
+    elif has_layer(field):
+        jobs = for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+    else:
+        return {"sky": seen_from(places)}
+    for _done in jobs:
+        pass
+    return {"sky": out}
+
+
+def is_quick(field: HeightField, scale: float) -> bool:
+    """Whether a view need not begin with a preview: the sky over the raster is known already."""
+    return has_layer(field) and is_known(field, scale)
+
+
+def refine(field: HeightField, scale: float, threads: int) -> bool:
+    """One step towards the sky in full quality, a sixteenth of its layer; returns whether none is left, so that who
+    asks for it now gets it. Of a raster that has no layer nothing can be made ahead."""
+    return not has_layer(field) or advance(field, scale, threads)
+
+
+def example(evaluate: Evaluate) -> None:
+    """A level plane sees all of it; one of 60 degrees three quarters, (1 + cos 60) / 2."""
+    assert (evaluate("sky", np.zeros((9, 9)), step=5.0) == 1.0).all()
+    steep = np.tile(np.arange(9) * 5.0 * math.sqrt(3.0), (9, 1))
+    assert abs(evaluate("sky", steep, step=5.0) - 0.75).max() < 0.003
+
+
+SKY = Effect(
+    name="sky",
+    about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
+    unit="1",
+    span=(0.0, 1.0),
+    make=make,
+    example=example,
+    parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
+    halo="the whole raster",
+    cost_ns=35000,
+    source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",
+)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sky over a raster by sweeps: of every sample, where the raster is small; of a coarser one, as a preview.
+
+Kept with the field when it is made. Who is stopped in between goes on from the last whole azimuth.
+"""
+
+import threading
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import sweep as kernels
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat
+from .light import AZIMUTHS, azimuths
+from .pyramid import level_of, shapes
+
+# Of a larger raster rays from the places that are asked for take less time and memory.
+MOST_SAMPLES = 1 << 25
+# A preview: from samples at multiples of 2^3 or more, this many at most, and half of the azimuths.
+PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
+
+_making = threading.Lock()
+
+
+def has_layer(field: HeightField) -> bool:
+    """Whether the sky of this raster is a layer of its samples: it depends on their number alone."""
+    return field.lattice.width * field.lattice.height <= MOST_SAMPLES
+
+
+def is_known(field: HeightField, scale: float) -> bool:
+    """Whether the layer is complete, so that values from it take no time."""
+    return _state(field, scale)["azimuths"] == AZIMUTHS
+
+
+def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
+    """The sky over every sample under a vertical scale; made first, if it is not known."""
+    while not advance(field, scale, threads):
+        pass
+    return _layer(field, _state(field, scale)["sky"], 0)
+
+
+def advance(field: HeightField, scale: float, threads: int) -> bool:
+    """One azimuth more of the layer, if one is missing; returns whether it is complete."""
+    with _making:
+        state = _state(field, scale)
+        if state["azimuths"] < AZIMUTHS:
+            heights, lattice = np.ascontiguousarray(field.heights()), field.lattice
+            rows, columns = heights.shape
+            sums = state.setdefault("sky", np.zeros(heights.shape, np.float32))
+            azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
+            sweep(heights, (lattice.step_x, lattice.step_y), azimuth, scale, threads, found)
+            per_cell = wp.vec2f(scale / lattice.step_x, scale / lattice.step_y)
+            numbers = [columns, rows, per_cell, wp.vec2f(*azimuth), wp.float32(1.0 / AZIMUTHS)]
+            arrays = [flat(found, wp.float32), flat(sums, wp.float32)]
+            inputs = [flat(heights, wp.float32), *numbers, *arrays]
+            launch.spread(kernels.add_sky, rows, inputs, step="light", threads=threads, cost=columns)
+            state["azimuths"] += 1
+        return state["azimuths"] == AZIMUTHS
+
+
+def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
+    """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
+    level = preview_level(field)
+    key = "coarse horizons", scale
+    with _making:
+        if key not in field.light:
+            heights = np.ascontiguousarray(level_of(field, level, threads))
+            steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
+            found = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
+            for azimuth, out in zip(azimuths(), found, strict=False):
+                sweep(heights, steps, azimuth, scale, threads, out)
+            field.light[key] = found
+    return _layer(field, field.light[key], level)
+
+
+def preview_level(field: HeightField) -> int:
+    """The level of the pyramid that a preview is made from."""
+    sizes = [rows * columns for rows, columns in shapes(field.lattice)]
+    fits = [level for level, size in enumerate(sizes) if level >= PREVIEW_LEVEL and size <= PREVIEW_SAMPLES]
+    return fits[0] if fits else len(sizes) - 1
+
+
+def sweep(
+    heights: np.ndarray, steps: tuple[float, float], azimuth: np.ndarray, scale: float, threads: int, out: np.ndarray
+) -> None:
+    """Fill `out` (float32 [rows, columns]) with the slope of each sample's horizon, at least 0.
+
+    heights: float32 [rows, columns], at least 2 each, metres, which count `scale` times; steps: metres of a cell.
+    azimuth: float64 [2], unit length.
+    """
+    rows, columns = heights.shape
+    east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
+    s, upright = kernels.Sweep(), abs(north) > abs(east)
+    s.heights, s.scale = flat(heights, wp.float32), scale
+    s.major, s.minor = (rows, columns) if upright else (columns, rows)
+    s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
+    along, across = (north, east) if upright else (east, north)
+    s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
+    reach = s.slope * (s.major - 1)
+    s.first = int(np.floor(min(-reach, 0.0)))
+    # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
+    s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
+    items = -(-s.lines // kernels.LINES)
+    memory = [np.empty(count * items * s.major, kind) for count, kind in ((1, float), (1, np.int32), (2, np.float32))]
+    inputs = [s, *(flat(a, kind) for a, kind in zip(memory, (wp.float64, wp.int32, wp.float32), strict=True))]
+    cost = 2.0 * kernels.LINES * s.major
+    launch.spread(kernels.sweep, items, [*inputs, flat(out, wp.float32)], step="light", threads=threads, cost=cost)
+
+
+def _state(field: HeightField, scale: float) -> dict:
+    """What is there of the layer: `sky`, float32 [rows, columns], of so many `azimuths`."""
+    return field.light.setdefault(("sky", scale), {"azimuths": 0})
+
+
+def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.Layer:
+    made, lattice = kernels.Layer(), field.lattice
+    made.values = flat(values, wp.float32)
+    made.rows, made.columns = values.shape[-2:]
+    made.west, made.south, _, _ = lattice.rectangle()
+    made.step_x, made.step_y = lattice.step_x * 2**level, lattice.step_y * 2**level
+    return made

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What stays of the values of the last surface: places that are in both are found, and their values copied.
+
+Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run
+is (first place, first place of the last surface, how many). What is equal is so bit by bit.
+"""
+
+import warp as wp
+
+from ..unchecked import copy_floats, count_same_floats, count_same_vec3s, number_at, put
+
+wp.set_module_options({"enable_backward": False})
+
+LOOK = wp.constant(32)  # places, of both surfaces together, that are skipped to find the next run
+
+
+@wp.func
+def next_common(
+    places: wp.array(dtype=wp.vec3f),
+    v: wp.int32,
+    count: wp.int32,
+    last: wp.array(dtype=wp.vec3f),
+    at: wp.int32,
+    last_count: wp.int32,
+):
+    """The fewest places to skip of both until they agree again; (-1, -1) where that is too many."""
+    skip = wp.vec2i(-1, -1)
+    total = wp.int32(1)
+    while total <= LOOK and skip[0] < 0:
+        for a in range(total + 1):
+            if skip[0] < 0 and v + a < count and at + total - a < last_count:
+                if count_same_vec3s(places, v + a, last, at + total - a, 1) == 1:
+                    skip = wp.vec2i(a, total - a)
+        total += 1
+    return skip
+
+
+@wp.kernel
+def match_in_order(
+    places: wp.array(dtype=wp.vec3f),
+    count: int,
+    last: wp.array(dtype=wp.vec3f),
+    last_count: int,
+    runs: wp.array(dtype=wp.vec3i),
+    found: wp.array(dtype=wp.int32),
+):
+    """Runs as far as they follow each other in both; `found` [2]: how many, and the first place that is not decided."""
+    v = wp.int32(0)
+    at = wp.int32(0)
+    k = wp.int32(0)
+    lost = wp.int32(0)
+    while v < count and lost == 0:
+        same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
+        if same > 0:
+            runs[k] = wp.vec3i(v, at, same)
+            k += 1
+        v += same
+        at += same
+        skip = next_common(places, v, count, last, at, last_count)
+        if skip[0] < 0:
+            lost = 1
+        else:
+            v += skip[0]
+            at += skip[1]
+    found[0] = k
+    found[1] = v
+
+
+@wp.func
+def slot_of(p: wp.vec3f, bits: wp.int32) -> wp.int32:
+    """Where a place belongs in a table of 2**bits."""
+    h = wp.cast(p[0], wp.uint32) * wp.uint32(0x1E3779B1) ^ wp.cast(p[1], wp.uint32) * wp.uint32(0x35EBCA77)
+    h = (h ^ (h >> wp.uint32(15))) * wp.uint32(0x2C1B3C6D)
+    return wp.int32(h >> wp.uint32(32 - bits))
+
+
+@wp.kernel
+def match_anywhere(
+    places: wp.array(dtype=wp.vec3f),
+    count: int,
+    last: wp.array(dtype=wp.vec3f),
+    last_count: int,
+    bits: int,
+    table: wp.array(dtype=wp.int32),
+    runs: wp.array(dtype=wp.vec3i),
+    found: wp.array(dtype=wp.int32),
+):
+    """The rest, wherever the last surface has it. `table` [2**bits] is -1: it keeps one place for each hash of x and y,
+    so a run may begin late; none is wrong."""
+    for i in range(last_count):
+        put(table, wp.int64(slot_of(last[i], bits)), i)
+    k = found[0]
+    v = found[1]
+    while v < count:
+        at = number_at(table, slot_of(places[v], bits))
+        same = wp.int32(0)
+        if at >= 0:
+            same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
+            if same > 0:
+                runs[k] = wp.vec3i(v, at, same)
+                k += 1
+        v += wp.max(same, 1)
+    found[0] = k
+
+
+@wp.kernel
+def list_fresh(
+    count: int,
+    runs: wp.array(dtype=wp.vec3i),
+    run_count: int,
+    levels: wp.array(dtype=wp.float32),
+    last_levels: wp.array(dtype=wp.float32),
+    fresh: wp.array(dtype=wp.int32),
+    found: wp.array(dtype=wp.int32),
+):
+    """Places that are in no run, or have another level than before; `found` [1]: how many."""
+    n = wp.int32(0)
+    v = wp.int32(0)
+    for k in range(run_count + 1):
+        run = wp.vec3i(count, 0, 0)
+        if k < run_count:
+            run = runs[k]
+        while v < run[0]:
+            fresh[n] = v
+            n += 1
+            v += 1
+        end = v + run[2]
+        while v < end:
+            v += count_same_floats(levels, v, last_levels, run[1] + v - run[0], end - v)
+            if v < end:
+                fresh[n] = v
+                n += 1
+                v += 1
+    found[0] = n
+
+
+@wp.kernel
+def copy_runs(
+    first: int,
+    end: int,
+    runs: wp.array(dtype=wp.vec3i),
+    run_count: int,
+    width: int,
+    last_values: wp.array(dtype=wp.float32),
+    values: wp.array(dtype=wp.float32),
+):
+    """Values of the places first .. end that are in a run, `width` numbers each."""
+    for k in range(run_count):
+        run = runs[k]
+        begin = wp.max(run[0], first)
+        stop = wp.min(run[0] + run[2], end)
+        if begin < stop:
+            at = run[1] + begin - run[0]
+            copy_floats(
+                last_values,
+                wp.int64(at) * wp.int64(width),
+                (stop - begin) * width,
+                values,
+                wp.int64(begin) * wp.int64(width),
+            )

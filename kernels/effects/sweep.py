@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Horizons of every sample of a raster along one azimuth, and the sky that they leave (Timonen and Westerholm 2010,
+"Scalable height field self-shadowing").
+
+Parallel lines run along the azimuth, one sample apart; a line's profile has one point at each sample of the direction
+that it is nearer to, between two samples of the other. From the far end to the near one each point's horizon is the
+last corner of the convex hull of those ahead, from which the points that later ones cannot see any more have been taken
+away: a few operations a point, however far it sees. A sample's horizon is between those of the two lines beside it.
+"""
+
+import warp as wp
+
+from .horizon import Occluder, cells_of, gradient
+from .light import open_part
+
+wp.set_module_options({"enable_backward": False})
+
+LINES = 64  # of one item of work
+
+
+@wp.struct
+class Sweep:
+    """Heights and the lines over them. The *major* direction is the one that lines are nearer to.
+
+    A line has a point at each of `major` samples, and crosses `slope` of the `minor` ones from one to the next."""
+
+    heights: wp.array(dtype=wp.float32)  # metres; they count `scale` times
+    scale: wp.float64
+    major: wp.int32
+    minor: wp.int32
+    major_stride: wp.int32  # of the array of heights
+    minor_stride: wp.int32
+    backwards: wp.int32  # 1: the azimuth goes towards sample 0 of the major direction
+    slope: wp.float64
+    metres: wp.float64  # from a point of a line to the next
+    first: wp.int32  # number of the first line: where it is at the major sample 0
+    lines: wp.int32
+
+
+@wp.func_native(
+    """
+#pragma clang fp contract(off)
+    const int n = s.major, m = s.minor, on = s.backwards ? 1 : -1;
+    const long long across = s.minor_stride, along = s.major_stride;
+    double *z = profiles.data + (long long)item * n;
+    int *hull = hulls.data + (long long)item * n;
+    float *before = slopes.data + (long long)item * 2 * n, *now = before + n;
+    const int end = (item + 1) * LINES < s.lines ? (item + 1) * LINES : s.lines;
+    for (int l = item ? item * LINES - 1 : 0; l < end; l++) {
+        const int line = s.first + l;
+        int corners = 0;
+        for (int k = s.backwards ? 0 : n - 1; k >= 0 && k < n; k += on) {
+            const double at = line + s.slope * k;
+            now[k] = -1.0f;  // outside the raster
+            if (!(at >= 0.0 && at <= m - 1)) continue;
+            const int j = (int)at < m - 2 ? (int)at : m - 2;
+            const float *p = s.heights.data + k * along + j * across;
+            const double own = s.scale * (p[0] + ((double)p[across] - p[0]) * (at - j));
+            auto ahead = [&](int i) { return (double)(i > k ? i - k : k - i); };
+            while (corners > 1) {
+                const int a = hull[corners - 1], b = hull[corners - 2];
+                if ((z[b] - own) * ahead(a) < (z[a] - own) * ahead(b)) break;
+                corners--;
+            }
+            const int top = corners ? hull[corners - 1] : k;
+            const double rise = corners ? (z[top] - own) / (ahead(top) * s.metres) : 0.0;
+            now[k] = rise > 0.0 ? (float)rise : 0.0f;
+            z[k] = own;
+            hull[corners++] = k;
+        }
+        for (int k = 0; k < n && l && l >= item * LINES; k++) {  // samples between the line before and this one
+            const double at = line - 1 + s.slope * k;
+            const int j = (int)at + ((int)at < at);
+            if (at <= -1.0 || j >= m) continue;
+            const float a = before[k], b = now[k];
+            out.data[k * along + j * across] = a < 0.0f ? b : b < 0.0f ? a : (float)(a + ((double)b - a) * (j - at));
+        }
+        float *last = before; before = now; now = last;
+    }
+""".replace("LINES", str(LINES))
+)
+def sweep_lines(
+    s: Sweep,
+    item: int,
+    profiles: wp.array(dtype=wp.float64),
+    hulls: wp.array(dtype=wp.int32),
+    slopes: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def sweep(
+    offset: int,
+    s: Sweep,
+    profiles: wp.array(dtype=wp.float64),
+    hulls: wp.array(dtype=wp.int32),
+    slopes: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """Lines of item `offset + tid`, LINES of them, and the one before, from which the horizons of the samples between
+    lines are: metres a metre, at least 0. The memory of an item: `profiles`, `hulls` [major], `slopes` [2 major]."""
+    sweep_lines(s, offset + wp.tid(), profiles, hulls, slopes, out)
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    const int south = y > 0 ? y - 1 : 0, north = y < rows - 1 ? y + 1 : rows - 1;
+    const float *low = heights.data + (long long)south * columns, *high = heights.data + (long long)north * columns;
+    const float *row = heights.data + (long long)y * columns, *horizon = horizons.data + (long long)y * columns;
+    float *sum = out.data + (long long)y * columns;
+    const float to_north = per_y / (north - south), c = cosine, s = sine;
+    auto add = [&](int x, int w, int e, float to_east) __attribute__((always_inline)) {
+        const float gx = (row[e] - row[w]) * to_east, gy = (high[x] - low[x]) * to_north, plane = gx * c + gy * s;
+        const float slope = horizon[x] > plane ? horizon[x] : plane, size = slope < 0.0f ? -slope : slope;
+        const float up = 1.0f / __builtin_sqrtf(1.0f + gx * gx + gy * gy), q = 1.0f / (1.0f + slope * slope);
+        // Handbook of Mathematical Functions, 4.4.49: the arc tangent to 2e-8.
+        const float t = size > 1.0f ? 1.0f / size : size, u = t * t;
+        const float part = t + t * u * (-0.3333314528f + u * (0.1999355085f + u * (-0.1420889944f + u * (0.1065626393f
+            + u * (-0.0752896400f + u * (0.0429096138f + u * (-0.0161657367f + u * 0.0028662257f)))))));
+        const float steep = size > 1.0f ? 1.5707963268f - part : part;
+        const float over = 1.5707963268f - (slope < 0.0f ? -steep : steep);
+        sum[x] += share * (up * q - plane * up * (over - slope * q));
+    };
+    add(0, 0, 1, per_x);
+    #pragma clang loop vectorize(enable)
+    for (int x = 1; x < columns - 1; x++) add(x, x - 1, x + 1, per_x * 0.5f);
+    add(columns - 1, columns - 2, columns - 1, per_x);
+""")
+def add_row(
+    heights: wp.array(dtype=wp.float32),
+    columns: int,
+    rows: int,
+    y: int,
+    per_x: wp.float32,
+    per_y: wp.float32,
+    cosine: wp.float32,
+    sine: wp.float32,
+    share: wp.float32,
+    horizons: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """`open_part` of light.py for a row of samples, with their central differences, one-sided at the rim: in single
+    precision, and as C with vectors ten times faster than there."""
+    ...
+
+
+@wp.kernel
+def add_sky(
+    offset: int,
+    heights: wp.array(dtype=wp.float32),
+    columns: int,
+    rows: int,
+    per_cell: wp.vec2f,
+    azimuth: wp.vec2f,
+    share: wp.float32,
+    horizons: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid` of the raster: add the `share` of the sky that is over the azimuth. `per_cell`: the vertical
+    scale by metres of a cell."""
+    y = offset + wp.tid()
+    add_row(heights, columns, rows, y, per_cell[0], per_cell[1], azimuth[0], azimuth[1], share, horizons, out)
+
+
+@wp.struct
+class Layer:
+    """Values at the samples of a raster, or of a coarser one."""
+
+    values: wp.array(dtype=wp.float32)
+    columns: wp.int32
+    rows: wp.int32
+    west: wp.float64
+    south: wp.float64
+    step_x: wp.float64
+    step_y: wp.float64
+
+
+@wp.func
+def bilinear(layer: Layer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Of the values from `first` on, `x` and `y` samples from the first."""
+    i = wp.min(wp.int32(x), layer.columns - 2)
+    j = wp.min(wp.int32(y), layer.rows - 2)
+    at = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
+    north = at + wp.int64(layer.columns)
+    u = x - wp.float64(i)
+    a = wp.float64(layer.values[at])
+    b = wp.float64(layer.values[north])
+    a += (wp.float64(layer.values[at + wp.int64(1)]) - a) * u
+    b += (wp.float64(layer.values[north + wp.int64(1)]) - b) * u
+    return a + (b - a) * (y - wp.float64(j))
+
+
+@wp.kernel
+def take(offset: int, layer: Layer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
+    """The value of a layer at each place; beyond the rim that of the rim."""
+    i = offset + wp.tid()
+    x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), layer.south, layer.step_y, layer.rows - 1)
+    out[i] = wp.clamp(wp.float32(bilinear(layer, wp.int64(0), x, y)), wp.float32(0.0), wp.float32(1.0))
+
+
+@wp.kernel
+def sky_between(
+    offset: int,
+    occluder: Occluder,
+    horizons: Layer,
+    azimuths: wp.array(dtype=wp.vec2d),
+    places: wp.array(dtype=wp.vec3f),
+    out: wp.array(dtype=wp.float32),
+):
+    """The sky of each place from the horizons of a coarser raster, a layer each, and the ground's own normal."""
+    i = offset + wp.tid()
+    east = wp.float64(places[i][0])
+    north = wp.float64(places[i][1])
+    fine_x = cells_of(east, occluder.west, occluder.step_x, occluder.columns - 1)
+    fine_y = cells_of(north, occluder.south, occluder.step_y, occluder.rows - 1)
+    x = cells_of(east, horizons.west, horizons.step_x, horizons.columns - 1)
+    y = cells_of(north, horizons.south, horizons.step_y, horizons.rows - 1)
+    g = gradient(occluder, fine_x, fine_y)
+    layer = wp.int64(horizons.columns) * wp.int64(horizons.rows)
+    total = wp.float64(0.0)
+    for k in range(azimuths.shape[0]):
+        slope = wp.max(bilinear(horizons, layer * wp.int64(k), x, y), wp.dot(g, azimuths[k]))
+        total += open_part(slope, g, azimuths[k])
+    out[i] = wp.clamp(wp.float32(total / wp.float64(azimuths.shape[0])), wp.float32(0.0), wp.float32(1.0))

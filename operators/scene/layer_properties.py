@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of the splat layers of a terrain (`object.adaptive_terrain.layers`), and the one place that reads them."""
+
+import math
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ...cbt_terrain.effects import splat_rules as rules
+from ...cbt_terrain.errors import TerrainError
+from .detail_properties import changed
+from .layer_images import painted_of
+
+DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
+
+
+def _band(label: str, about: str, low: float, high: float, edge: float, ends: tuple[float, float], **options) -> type:
+    """A group with a switch and the limits of one quantity; a limit at the end of the range, `ends`, is open."""
+    least, most = ends
+    options = {"update": changed, "precision": 3} | options
+    limits = {
+        "use": BoolProperty(name=label, description=f"The layer depends on this: {about}", update=changed),
+        "low": FloatProperty(name="From", description=about, default=low, min=least, max=most, **options),
+        "high": FloatProperty(name="To", description=about, default=high, min=least, max=most, **options),
+        "edge": FloatProperty(
+            name="Edge",
+            description="How wide each limit is, from nothing to all, about its place",
+            default=edge, min=0.0, max=most - least, **options,
+        ),
+    }  # fmt: skip
+    members = {"__annotations__": limits, "__doc__": about}
+    return type(f"AdaptiveTerrainLayer{label.replace(' ', '')}", (bpy.types.PropertyGroup,), members)
+
+
+_HALF_TURN = math.pi / 2
+# Kind of rule -> its group. The order is that of the panel.
+BANDS = {
+    rules.RELIEF: _band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
+    rules.HEIGHT: _band("Height", "height", -1e5, 1e5, 50.0, (-1e5, 1e5), unit="LENGTH"),
+    rules.SLOPE: _band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
+    rules.CURVATURE: _band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
+                           -10, 10, 0.01, (-10, 10)),
+    rules.FLOW: _band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15)),
+    rules.WETNESS: _band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
+    rules.NOISE: _band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
+}  # fmt: skip
+
+
+class AspectSettings(bpy.types.PropertyGroup):
+    """Which way the ground faces."""
+
+    use: BoolProperty(name="Aspect", description="The layer depends on which way the ground faces", update=changed)
+    direction: FloatProperty(
+        name="Towards",
+        description="Compass direction downhill, clockwise from north",
+        min=0.0, max=math.tau, subtype="ANGLE", update=changed,
+    )  # fmt: skip
+    within: FloatProperty(
+        name="Within",
+        description="How far from that direction",
+        default=math.radians(60), min=0.0, max=math.pi, subtype="ANGLE", update=changed,
+    )  # fmt: skip
+    edge: FloatProperty(
+        name="Edge",
+        description="How wide the limit is, in cosines of the angle",
+        default=0.4, min=0.0, max=2.0, precision=3, update=changed,
+    )  # fmt: skip
+
+
+def _is_gray(_settings, image) -> bool:
+    return image.source in {"FILE", "GENERATED"}
+
+
+class LayerSettings(bpy.types.PropertyGroup):
+    """A splat layer: how it looks, and where it lies."""
+
+    name: StringProperty(name="Name", default="Layer", update=changed)
+    color: FloatVectorProperty(
+        name="Color",
+        description="Of the terrain's material, where the layer lies",
+        subtype="COLOR", size=3, min=0.0, max=1.0, default=(0.3, 0.3, 0.3),
+    )  # fmt: skip
+    strength: FloatProperty(
+        name="Strength", description="How much it covers where its rules hold", default=1.0, min=0.0, max=1.0,
+        subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    on_top: BoolProperty(
+        name="On Top",
+        description="It takes its part from the layers above it in the list; otherwise it shares the ground with them",
+        default=True, update=changed,
+    )  # fmt: skip
+    noise_size: FloatProperty(
+        name="Noise Size", description="Of the largest waves of the layer's noise", default=200.0, min=0.001, max=1e6,
+        unit="LENGTH", update=changed,
+    )  # fmt: skip
+    ragged: FloatProperty(
+        name="Ragged Edges", description="By how many of their widths noise moves the limits", default=0.8, min=0.0,
+        max=100.0, soft_max=2.0, precision=2, update=changed,
+    )  # fmt: skip
+    seed: IntProperty(name="Seed", description="Another seed is other noise", default=0, min=0, update=changed)
+    aspect: PointerProperty(type=AspectSettings)
+    mask: StringProperty(
+        name="Mask", description="A layer above this one in the list: this one lies only where that one does",
+        update=changed,
+    )  # fmt: skip
+    image: PointerProperty(
+        name="Painted",
+        description="An image over the whole terrain, north up: the layer lies where its red is 1",
+        type=bpy.types.Image, poll=_is_gray, update=changed,
+    )  # fmt: skip
+
+
+for _kind, _group in BANDS.items():
+    LayerSettings.__annotations__[_kind] = PointerProperty(type=_group)
+
+
+def layers_of(settings) -> tuple[rules.Layer, ...]:
+    """The layers of a terrain's settings for the effects, empty for none. Raises TerrainError where one cannot be."""
+    found = tuple(_layer(settings.layers, number) for number in range(len(settings.layers)))
+    if found:
+        rules.check(found)
+    return found
+
+
+def layers_given(settings) -> dict[str, object]:
+    """The parameters of the splat effects, those that are not their defaults."""
+    layers = layers_of(settings)
+    return {"layers": layers} if layers else {}
+
+
+def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
+    """Name and linear RGB of the layers that `layers_of` gives, or of those that stand in for none."""
+    if not len(settings.layers):
+        return list(zip((layer.name for layer in rules.DEFAULT), DEFAULT_COLORS, strict=True))
+    return [(layer.name, tuple(layer.color)) for layer in settings.layers]
+
+
+def _layer(layers, number: int) -> rules.Layer:
+    settings, found = layers[number], []
+    for kind in BANDS:
+        band = getattr(settings, kind)
+        if band.use:
+            limits = band.bl_rna.properties["low"]
+            low = -math.inf if band.low <= limits.hard_min else band.low
+            high = math.inf if band.high >= limits.hard_max else band.high
+            found.append(rules.Rule(kind, low, high, band.edge))
+    if settings.aspect.use:
+        aspect = settings.aspect
+        found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
+    if settings.mask:
+        found.append(rules.covering(_number_of(layers, settings.mask, number)))
+    if settings.image is not None:
+        found.append(rules.painted(painted_of(settings.image)))
+    numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
+    return rules.Layer(settings.name, tuple(found), *numbers, settings.seed)
+
+
+def _number_of(layers, name: str, before: int) -> int:
+    for number in range(before):
+        if layers[number].name == name:
+            return number
+    raise TerrainError(
+        f"The splat layer {layers[before].name!r} is masked by {name!r}; expected a layer above it in the list: move "
+        "that one up, or choose another."
+    )
+
+
+CLASSES = (*BANDS.values(), AspectSettings, LayerSettings)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sun lamps of a scene, as what is lit by them needs them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse
+
+
+class Sun(NamedTuple):
+    """`direction`: float64 [3], unit length, of the world, towards the sun. `angle`: of its disc, radians. `strength`:
+    W/m^2."""
+
+    direction: np.ndarray
+    angle: float
+    strength: float
+
+
+def sun_lamps(depsgraph) -> list[Sun]:
+    """Every sun lamp that shines in the view layer of a dependency graph, as that evaluates it."""
+    found = []
+    for lamp in _lamps(depsgraph):
+        axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
+        length = float(np.sqrt((axis * axis).sum()))
+        if lamp.data.energy > 0.0 and np.isfinite(length) and length > 0.0:
+            found.append(Sun(axis / length, lamp.data.angle, lamp.data.energy))
+    return found
+
+
+def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]:
+    """Rows of x, y, z towards a sun in the terrain's own space, its angle and its strength: shadows are the same there.
+
+    The angle is the world's: a scale that differs by axis would make an ellipse of the disc.
+    """
+    to_local = inverse(placement)[:3, :3]
+    rows = []
+    for sun in sun_lamps(depsgraph):
+        x, y, z = (float((row * sun.direction).sum()) for row in to_local)
+        rows.append((x, y, z, float(sun.angle), float(sun.strength)))
+    return tuple(sorted(rows))
+
+
+def _lamps(depsgraph) -> list:
+    """Evaluated. A render's graph lists what it shows, with the instances; in a viewport those may be many."""
+    if depsgraph.mode == "RENDER":
+        shown = (instance.object for instance in depsgraph.object_instances)
+        return [obj for obj in shown if _is_sun(obj)]
+    layer = depsgraph.view_layer
+    shown = (obj for obj in layer.objects if _is_sun(obj) and obj.visible_get(view_layer=layer))
+    return [obj.evaluated_get(depsgraph) for obj in shown]
+
+
+def _is_sun(obj) -> bool:
+    return obj.type == "LIGHT" and obj.data.type == "SUN"

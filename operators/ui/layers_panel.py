@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel of splat layers: which ones, in which order, and where each lies."""
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from ..effects.splat_layers import PRESET_PANEL, PRESETS
+from ..scene.layer_properties import BANDS
+from .panel_parts import TerrainSubpanel
+
+
+class LayerList(bpy.types.UIList):
+    """A layer a row: its color, its name, what it depends on."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_UL_layers"
+
+    def draw_item(self, _context, layout, _data, layer, _icon, _active_data, _active_name):
+        row = layout.row(align=True)
+        swatch = row.row()
+        swatch.ui_units_x = 1.0
+        swatch.prop(layer, "color", text="")
+        row.prop(layer, "name", text="", emboss=False)
+        if layer.mask:
+            row.label(icon="MOD_MASK")
+        if layer.image is not None:
+            row.label(icon="IMAGE_DATA")
+        row.prop(layer, "on_top", text="", icon="TRIA_UP_BAR" if layer.on_top else "REMOVE", emboss=False)
+
+
+class LayerPresets(PresetPanel, bpy.types.Panel):
+    bl_label = "Layer Presets"
+    preset_subdir = PRESETS
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "adaptive_terrain.layer_preset_add"
+
+
+# Blender finds the panel by the name of its class.
+LayerPresets.__name__ = LayerPresets.bl_idname = PRESET_PANEL
+
+
+class LayersPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_layers"
+    bl_label = "Layers"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, _context):
+        LayerPresets.draw_panel_header(self.layout)
+
+    def draw(self, context):
+        settings = context.object.adaptive_terrain
+        row = self.layout.row()
+        row.template_list(LayerList.bl_idname, "", settings, "layers", settings, "active_layer", rows=4)
+        buttons = row.column(align=True)
+        buttons.operator("adaptive_terrain.layer_add", text="", icon="ADD")
+        buttons.operator("adaptive_terrain.layer_remove", text="", icon="REMOVE")
+        buttons.separator()
+        buttons.operator("adaptive_terrain.layer_move", text="", icon="TRIA_UP").by = -1
+        buttons.operator("adaptive_terrain.layer_move", text="", icon="TRIA_DOWN").by = 1
+        if not settings.layers:
+            self.layout.label(text="None: grass, scree, rock and snow", icon="INFO")
+        elif settings.active_layer < len(settings.layers):
+            _draw_layer(self._columns(), settings, settings.layers[settings.active_layer])
+
+
+def _draw_layer(column, settings, layer) -> None:
+    column.prop(layer, "strength")
+    for kind in BANDS:
+        _draw_band(column, getattr(layer, kind), ("low", "high", "edge"))
+    _draw_band(column, layer.aspect, ("direction", "within", "edge"))
+    column.prop_search(layer, "mask", settings, "layers")
+    column.prop(layer, "image")
+    column.separator()
+    column.prop(layer, "noise_size")
+    column.prop(layer, "ragged")
+    column.prop(layer, "seed")
+
+
+def _draw_band(column, band, names: tuple[str, ...]) -> None:
+    """A switch, and below it, in one row, the numbers of what is switched on."""
+    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
+    if band.use:
+        numbers = column.row(align=True)
+        numbers.use_property_split = False
+        for name in names:
+            numbers.prop(band, name, text="")
+
+
+CLASSES = (LayerList, LayerPresets, LayersPanel)

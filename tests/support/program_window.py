@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real program with a window on a screen that is a file."""
+
+import os
+import struct
+import subprocess
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+SCREEN = 1600, 1000
+
+
+@contextmanager
+def window(program, arguments: list[str], framebuffer: Path):
+    """The program with a window on a screen that is a file; ends both."""
+    display = f":{os.getpid() % 40000 + 200}"
+    # A cache of its own: every kernel must be compiled, as in a fresh install.
+    environment = {**program.environment(), "DISPLAY": display, "WARP_CACHE_PATH": str(framebuffer / "kernels")}
+    screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
+    xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
+    blender = None
+    try:
+        socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
+        wait_for(socket, xvfb, 20)
+        log = open(framebuffer / "blender.log", "w")
+        blender = subprocess.Popen(program.command(*arguments), env=environment, stdout=log, stderr=subprocess.STDOUT)
+        yield blender
+    finally:
+        for process in (blender, xvfb):
+            if process is not None:
+                process.terminate()
+                process.wait(20)
+
+
+def wait_for(path: Path, process, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not path.exists():
+        assert process.poll() is None, f"the program ended with {process.returncode} before {path.name} was there"
+        assert time.monotonic() < end, f"{path.name} was not there after {seconds} s"
+        time.sleep(0.1)
+
+
+def read_screen(framebuffer: Path) -> Image.Image:
+    """Xvfb's frame buffer: an X window dump, whose header is big-endian and names its own size."""
+    data = (framebuffer / "Xvfb_screen0").read_bytes()
+    header = struct.unpack(">25I", data[:100])
+    header_size, width, height, bytes_per_line, colours = header[0], header[4], header[5], header[12], header[19]
+    start = header_size + 12 * colours
+    pixels = np.frombuffer(data, np.uint8, bytes_per_line * height, start).reshape(height, bytes_per_line)
+    return Image.fromarray(pixels[:, : 4 * width].reshape(height, width, 4)[:, :, 2::-1].copy())

@@ -23,8 +23,6 @@ from .block_tables import blocks
 from .budget import Budget, Found, limit_of
 from .drift import MOST_DRIFT, Walked, move
 
-# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
-DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
 MAX_TRIANGLES = 1 << 26
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.

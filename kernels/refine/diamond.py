@@ -21,6 +21,7 @@ PANORAMIC = wp.constant(2)
 CLEAR = wp.constant(1)
 OUTSIDE = wp.constant(0)
 CROSSED = wp.constant(-1)
+UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
 MAX_PLANES = wp.constant(6)
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
@@ -154,8 +155,8 @@ def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.b
 
 
 @wp.func
-def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
     if is_beyond(domain, x, y, depth):
@@ -178,6 +179,29 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
         # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
         halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
         error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
+    return error
+
+
+@wp.func
+def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """What leaves at `leaf_depth` in the diamond split at (x, y) miss of a detail, at most: metres, before scaling.
+
+    Beyond the rim the surface goes on level, so a triangle that reaches over it may miss all.
+    """
+    at = leaf_depth
+    if leaf_depth <= domain.detail_rim:
+        reach = reach_of(domain.unit_bits, depth)
+        if x + reach > domain.east or y + reach > domain.north:
+            at = 0
+    return domain.detail[at][0]
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+    error = raster_error_at(domain, x, y, depth)
+    if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
+        error = (error + detail_missed(domain, x, y, depth, depth)) * UP
     return error
 
 
@@ -325,6 +349,11 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
+    if domain.detailed == 1 and d.rim < 2:
+        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.detail_most * domain.error_scale)
+        d.low = d.low - more
+        d.high = d.high + more
+        d.rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
     return d
 
 

@@ -23,8 +23,8 @@ MEANING = {
     "frame": "Camera moves to evaluated mesh, all that Blender does in between.",
     "frame_meshlets": "The same with 4⁴ triangles for each leaf.",
     "still_frame": "A frame change in Blender while the camera stands still; no mesh is written.",
-    "demand": "Which attributes of the terrain's mesh the scene reads, found anew: the demo's sky and sea, a material of 20 "
-    "nodes; beside the update of a flight.",
+    "demand": "Which attributes of the terrain's mesh the scene reads, found anew: the demo's sky and sea, a material "
+    "of 20 nodes; beside the update of a flight.",
     "demand_large": "The same of a material of 200 nodes that reads 99 attributes.",
     "demand_kept": "The same while nothing has changed.",
     "program_ingest": "ingest inside the Blender program that is named above, without a window. Before 4.5 Blender "

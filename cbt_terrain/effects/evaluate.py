@@ -47,9 +47,9 @@ class _State:
 class Evaluator:
     """Evaluates effects for one terrain's surfaces; keeps what the next surface may take over.
 
-    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call took.
-    Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what would be
-    computed, whatever surfaces came before.
+    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call
+    took. Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what
+    would be computed, whatever surfaces came before.
     """
 
     threads: int = 1
@@ -146,9 +146,7 @@ def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
-def _make(
-    group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept
-) -> int:
+def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept) -> int:
     """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
     not known, None for all of them."""
     effects = [EFFECTS[step.name] for step in group]

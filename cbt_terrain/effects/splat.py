@@ -145,6 +145,7 @@ SPLATS = tuple(
         make=make,
         example=example,
         width=4,
+        span=(0.0, 1.0),
         reads=tuple(sorted(set(READ_FROM.values()))),
         choose=_chosen,
         parameters=(

@@ -7,6 +7,7 @@ from ..effects.effect import Effect
 from ..errors import TerrainError
 
 FORMS = PNG, EXR = "png", "exr"
+NO_UNIT = ("", "1")
 # Channels of an image -> bytes of a texel in Blender: bytes stay bytes, everything else becomes four floats.
 SHALLOW_BYTES, DEEP_BYTES = 4, 16
 
@@ -41,4 +42,4 @@ def coding_of(effect: Effect, form: str = PNG) -> Coding:
         return Coding(EXR, channels, 32, 0.0, 1.0)
     if form == EXR:
         return Coding(EXR, channels, 16, 0.0, 1.0)
-    return Coding(PNG, channels, 16 if effect.unit else 8, *effect.span)
+    return Coding(PNG, channels, 8 if effect.unit in NO_UNIT else 16, *effect.span)

@@ -3,8 +3,11 @@
 
 Renderers interpolate within a tile's image, not across its rim, and EEVEE, which packs tiles of several sizes side by
 side, mixes in texels of a stranger. So every image shows a margin of its neighbours' ground: MARGIN of its side all
-round, which is at least one texel. What looks a tile up keeps clear of it: see `lookup`. A small terrain is one image,
-without a margin, over all of its ground.
+round, which is at least one texel. What looks a tile up keeps clear of it: see `lookup`.
+
+A terrain that fits into one image is not cut: EEVEE takes the jump from tile to tile for the derivative of the place,
+and shows the coarsest mip in a line of a pixel or two where tiles meet. Cycles has no mips, and shows no line. One image
+has no margin, and the mesh's UV are places in it.
 """
 
 import math
@@ -16,7 +19,7 @@ from ..field.lattice import Lattice
 LEAST, MOST = 64, 4096
 MARGIN = 1 / LEAST
 # So many cells of the raster are one image; a tile has so many, or more where there would be more than ten across.
-SINGLE_CELLS, TILE_CELLS = 1024, 992
+SINGLE_CELLS, TILE_CELLS = 4096, 992
 MOST_COLUMNS, MOST_ROWS = 10, 99
 FIRST = 1001
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.maps.folder import JSON_NAME
@@ -14,6 +15,7 @@ from ..effects.map_baking import MapRequest, carry_out, known, summary
 from ..output.frame_sources import SceneFrames, StoreFrames, file_name
 from ..text.console import Progress
 
+READER = "this command"
 MOST_FRAMES = 100_000  # of a path whose frames nobody has named
 
 
@@ -61,7 +63,8 @@ def store_subjects(
         if len(frames) > MOST_FRAMES:
             raise TerrainError(f"The camera path has {len(frames):,} frames; name those that count with --frames.")
         views = tuple(flight.view(frame, resolution) for frame in frames)
-    request = MapRequest(known(names), out, views, only_seen=bool(views))
+    asked = tuple(Asked(name, (READER,)) for name in known(names))
+    request = MapRequest(asked, out, views, only_seen=bool(views))
     return [Subject(StoreFrames.name, open_store(store), request)]
 
 

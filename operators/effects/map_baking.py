@@ -17,8 +17,6 @@ from ...cbt_terrain.maps.bake import Baked, bake
 from ...cbt_terrain.maps.coding import PNG, coding_of
 from ...cbt_terrain.maps.tiling import tiling_of
 
-READER = "Bake Maps"
-
 
 @dataclass(frozen=True, eq=False)
 class MapRequest:
@@ -55,14 +53,14 @@ def carry_out(
     return bake(field, request.asked, request.folder, sides, **heights, **more)
 
 
-def known(names: Iterable[str]) -> tuple[Asked, ...]:
-    """The effects of these names. Raises TerrainError for a name that there is not, or none at all."""
+def known(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of effects, each once. Raises TerrainError for a name that there is not, or none at all."""
     names = sorted(set(names))
     unknown = [name for name in names if name not in EFFECTS]
     if unknown or not names:
         said = f"There is no map {unknown[0]!r}" if unknown else "No map is asked for"
         raise TerrainError(f"{said}; expected one or more of {', '.join(sorted(EFFECTS))}.")
-    return tuple(Asked(name, (READER,)) for name in names)
+    return tuple(names)
 
 
 def summary(baked: Baked, name: str) -> str:

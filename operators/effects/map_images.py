@@ -78,14 +78,9 @@ def reload(folder: Path, files: set[str]) -> None:
 
 
 def map_texture(tree, obj, name: str, vector: bpy.types.NodeSocket) -> bpy.types.Node:
-    """An image texture node of a map that is there; `vector`: of `map_vector`.
-
-    Tiles are interpolated cubically: where one ends and the next begins EEVEE would take the place's jump for its
-    derivative, and linear interpolation would show a line of the coarsest mip.
-    """
+    """An image texture node of a map that is there; `vector`: of `map_vector`."""
     node = tree.nodes.new("ShaderNodeTexImage")
     node.image, node.extension = map_image(obj, name), "EXTEND"
-    node.interpolation = "Cubic" if node.image.source == "TILED" else "Linear"
     tree.links.new(vector, node.inputs["Vector"])
     return node
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from ...cbt_terrain.ask.linear import inverse, product
 from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.maps.folder import read_index
 from ..scene.map_properties import CHOSEN, FRAME, SHOT
 from ..scene.pauses import paused
-from ..scene.request import RENDER, gather
+from ..scene.request import RENDER, Overrides, gather
 from . import map_images
 from .map_baking import MapRequest, known
 
@@ -24,7 +25,8 @@ def names_of(obj, depsgraph) -> set[str]:
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
         return set(settings.chosen)
-    read = read_as_images(obj)
+    asked = gather(obj, depsgraph, RENDER).effects.asked
+    read = {item.name for item in asked if item.family == PICTURE} | read_as_images(obj)
     if not read:
         raise TerrainError(
             f"No material of {obj.name!r} reads an effect or a map; choose the maps, or make a Terrain Material."
@@ -57,8 +59,8 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     further arguments of `request.gather`. Raises TerrainError.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
-    asked = known(names_of(obj, depsgraph) if names is None else names)
-    first = gather(obj, depsgraph, RENDER, **look)
+    names = known(names_of(obj, depsgraph) if names is None else names)
+    first = gather(obj, depsgraph, RENDER, overrides=Overrides(effects=names), **look)
     seen = {"only_seen": frames is not None or settings.frames == SHOT}
     if frames is None:
         frames = {FRAME: [scene.frame_current], SHOT: range(scene.frame_start, scene.frame_end + 1)}
@@ -79,7 +81,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
                 scene.frame_set(now[0], subframe=now[1])
     budget = settings.budget_mb if settings.use_budget else None
     yield MapRequest(
-        asked=asked,
+        asked=first.effects.asked,
         folder=map_images.map_folder(obj),
         views=tuple(views),
         placement=first.placement,

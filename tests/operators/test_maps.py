@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Maps in Blender: baked for a camera, found again as images, and shading as the full mesh does."""
+
+import time
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.maps import sizing, tiling
+from adaptive_terrain.cbt_terrain.maps.folder import read_index
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+
+bpy = pytest.importorskip("bpy")
+
+from adaptive_terrain.operators.cli.command_line import main  # noqa: E402
+from adaptive_terrain.operators.effects import bake_maps, map_images, map_request  # noqa: E402
+from adaptive_terrain.operators.mesh.writer import write_mesh  # noqa: E402
+from adaptive_terrain.operators.scene import session  # noqa: E402
+
+
+@pytest.fixture
+def terrain(scene, store, tmp_path, add_terrain):
+    obj = add_terrain()
+    obj.adaptive_terrain.maps.folder = str(tmp_path / "maps")
+    bpy.context.view_layer.objects.active = obj
+    return obj
+
+
+@pytest.fixture
+def small_tiles(monkeypatch):
+    monkeypatch.setattr(tiling, "SINGLE_CELLS", 32)
+    monkeypatch.setattr(tiling, "TILE_CELLS", 60)
+
+
+def bake(obj) -> None:
+    assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
+
+
+def keys(obj) -> dict[str, str]:
+    maps = read_index(map_images.map_folder(obj))["maps"]
+    return {tile["file"]: tile["key"] for entry in maps.values() for tile in entry["tiles"]}
+
+
+def wear(obj, name: str = "detail_normal") -> None:
+    """A diffuse material with a baked normal."""
+    material = bpy.data.materials.new("worn")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    texture = map_images.map_texture(tree, obj, name, map_images.map_vector(tree, obj))
+    bump = tree.nodes.new("ShaderNodeNormalMap")
+    bump.space = "OBJECT"
+    diffuse, out = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(texture.outputs["Color"], bump.inputs["Color"])
+    tree.links.new(bump.outputs["Normal"], diffuse.inputs["Normal"])
+    tree.links.new(diffuse.outputs[0], out.inputs["Surface"])
+    obj.data.materials.clear()
+    obj.data.materials.append(material)
+
+
+def shaded(path) -> np.ndarray:
+    scene = bpy.context.scene
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    return np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[..., 0]
+
+
+def light_and_camera(size: float) -> None:
+    scene = bpy.context.scene
+    sun = bpy.data.lights.new("sun", "SUN")
+    sun.use_shadow, sun.angle, sun.energy = False, 0.0, 3.0
+    lamp = bpy.data.objects.new("sun", sun)
+    lamp.rotation_euler = 0.7, 0.3, 0.0
+    camera = bpy.data.objects.new("above", bpy.data.cameras.new("above"))
+    camera.data.type, camera.data.ortho_scale, camera.data.clip_end = "ORTHO", size, 1e6
+    camera.location = 0, 0, 1e5
+    for obj in (lamp, camera):
+        scene.collection.objects.link(obj)
+    scene.camera, scene.render.engine = camera, "CYCLES"
+    scene.render.resolution_x = scene.render.resolution_y = 96
+    scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = 16, 0, False
+    scene.view_settings.view_transform = "Raw"
+    scene.render.image_settings.file_format = "OPEN_EXR"
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_coarse_mesh_with_a_normal_map_is_shaded_as_the_full_one(terrain, tmp_path, request, tiled):
+    if tiled:
+        request.getfixturevalue("small_tiles")
+    obj = terrain
+    obj.adaptive_terrain.live = False
+    obj.adaptive_terrain.maps.frames = "WHOLE"
+    obj.rotation_euler, obj.scale = (0, 0, 0.4), (1.5, 1.5, 1.0)
+    field = session.open_field(bpy.path.abspath(obj.adaptive_terrain.store))
+    west, south, east, _ = field.lattice.rectangle()
+    bake(obj)
+    image = map_images.map_image(obj, "detail_normal")
+    assert (image.source == "TILED") == tiled and map_images.map_image(obj, "detail_normal") == image
+    light_and_camera(0.9 * (east - west))
+    relief = field.max_height - field.min_height
+    pictures = {}
+    for name, error in (("full", relief * 1e-5), ("coarse", relief * 0.05), ("mapped", relief * 0.05)):
+        if name == "mapped":
+            wear(obj)
+        write_mesh(obj.data, Terrain(field).update(Criterion(error_px=0.0, error_m=error)).surface)
+        pictures[name] = shaded(tmp_path / f"{name}.exr")
+    off = {name: float(np.sqrt(((pictures[name] - pictures["full"]) ** 2).mean())) for name in ("coarse", "mapped")}
+    assert pictures["full"].mean() > 0.1
+    assert off["mapped"] < 0.25 * off["coarse"], off
+
+
+def test_only_what_a_nearer_camera_needs_is_baked_again(terrain, small_tiles, monkeypatch):
+    monkeypatch.setattr(sizing, "LEAST", 16)
+    bake(terrain)
+    before = keys(terrain)
+    camera = bpy.context.scene.camera
+    camera.rotation_euler.z += 2.0
+    bake(terrain)
+    assert keys(terrain) == before
+    camera.location *= 0.2
+    bake(terrain)
+    changed = {file for file, key in keys(terrain).items() if before[file] != key}
+    assert changed
+
+
+def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
+    other = add_terrain()
+    for obj in (terrain, other):
+        obj.adaptive_terrain.maps.folder = ""
+        bpy.context.view_layer.objects.active = obj
+        bake(obj)
+    other.adaptive_terrain.vertical_scale = 3.0
+    bake(other)
+    assert map_images.map_folder(terrain) != map_images.map_folder(other)
+    assert keys(terrain) != keys(other)
+    assert map_images.map_image(terrain, "detail_normal") != map_images.map_image(other, "detail_normal")
+    assert map_images.map_image(terrain, "slope") is None
+
+
+def test_numbers_and_their_units_reach_blender(terrain):
+    terrain.adaptive_terrain.maps.frames = "WHOLE"
+    terrain.adaptive_terrain.maps.chosen = {"slope", "height"}
+    bake(terrain)
+    field = session.open_field(bpy.path.abspath(terrain.adaptive_terrain.store))
+    for name, low, high in (("slope", 0.0, np.pi / 2), ("height", field.min_height, field.max_height)):
+        image, coding = map_images.map_image(terrain, name), map_images.coding_of_map(terrain, name)
+        pixels = np.array(image.pixels[:]).reshape(-1, image.channels)[:, 0]
+        numbers = coding["zero"] + pixels * (coding["one"] - coding["zero"])
+        assert image.colorspace_settings.name == "Non-Color"
+        assert low <= numbers.min() < numbers.max() <= high
+    assert coding["unit"] == "m" and numbers.max() - numbers.min() > 0.8 * (high - low)
+
+
+def test_what_the_materials_read_is_baked(terrain):
+    settings = terrain.adaptive_terrain.maps
+    bake(terrain)
+    settings.which = "READ"
+    with pytest.raises(RuntimeError, match="No material"):
+        bpy.ops.adaptive_terrain.bake_maps()
+    wear(terrain)
+    assert map_request.names_of(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal"}
+    tree = terrain.data.materials[0].node_tree
+    slope = tree.nodes.new("ShaderNodeAttribute")
+    slope.attribute_name = "slope"
+    tree.links.new(slope.outputs["Fac"], tree.nodes["Diffuse BSDF"].inputs["Roughness"])
+    assert map_request.names_of(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal", "slope"}
+
+
+def running(obj):
+    operator = SimpleNamespace(report=Mock())
+    for name in ("invoke", "modal", "cancel", "_look", "_end", "_finish"):
+        setattr(operator, name, getattr(bake_maps.BakeMaps, name).__get__(operator))
+    operator.context = SimpleNamespace(
+        window_manager=Mock(), window=None, object=obj, scene=bpy.context.scene, view_layer=bpy.context.view_layer
+    )
+    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
+    return operator
+
+
+def turns(operator, event: str = "TIMER"):
+    for _ in range(3000):
+        ended = operator.modal(operator.context, SimpleNamespace(type=event, value="PRESS"))
+        if ended & {"FINISHED", "CANCELLED"}:
+            operator.context.window_manager.event_timer_remove.assert_called_once()
+            return ended
+        event = "TIMER"
+        time.sleep(0.01)
+    raise AssertionError("baking never ended")
+
+
+def test_a_shot_is_looked_at_beside_the_window(terrain):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 5
+    scene.frame_set(3)
+    terrain.adaptive_terrain.maps.frames = "SHOT"
+    operator = running(terrain)
+    assert bake_maps.progress() is not None
+    assert turns(operator) == {"FINISHED"} and bake_maps.progress() is None
+    assert scene.frame_current == 3 and len(keys(terrain)) == 1
+
+
+def test_escape_leaves_the_maps_as_they_were(terrain, monkeypatch):
+    bake(terrain)
+    before = keys(terrain)
+    terrain.adaptive_terrain.maps.chosen = {"detail_normal", "slope", "height"}
+    going_on = bake_maps.Job._progress
+
+    def slow(self, fraction):
+        time.sleep(0.3)
+        going_on(self, fraction)
+
+    monkeypatch.setattr(bake_maps.Job, "_progress", slow)
+    operator = running(terrain)
+    operator.modal(operator.context, SimpleNamespace(type="TIMER", value=""))
+    assert turns(operator, "ESC") == {"CANCELLED"}
+    folder = map_images.map_folder(terrain)
+    assert keys(terrain) == before and len(list(folder.iterdir())) == 1 + len(before)
+
+
+def test_the_command_bakes_a_scene_and_a_store(terrain, tmp_path, capsys):
+    blend = tmp_path / "scene.blend"
+    store = bpy.path.abspath(terrain.adaptive_terrain.store)
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    name = terrain.name
+    wanted = ["--maps", "slope,detail_normal", "--budget", "40"]
+    assert main(["maps", "--scene", str(blend), "--out", str(tmp_path / "a"), "--frames", "1", *wanted]) == 0
+    assert set(read_index(tmp_path / "a" / name)["maps"]) == {"slope", "detail_normal"}
+    assert main(["maps", "--store", store, "--out", str(tmp_path / "b"), "--format", "exr"]) == 0
+    assert read_index(tmp_path / "b")["maps"]["detail_normal"]["format"] == "exr"
+    assert main(["maps", "--store", store, "--out", str(tmp_path / "b"), "--maps", "rocks"]) == 1
+    assert "There is no map 'rocks'" in capsys.readouterr().err
+    assert main(["maps", "--store", store, "--out", str(tmp_path / "b"), "--frames", "1-3"]) == 2

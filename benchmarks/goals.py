@@ -27,9 +27,15 @@ GOALS: dict[tuple[str, int], float] = {
     ("frame", 1_000_000): 0.17,
     ("program_ingest", 1_000_000): 0.15,
     ("program_frame", 1_000_000): 0.35,
+    ("effects_fused", 1_000_000): 0.5,
+    ("effects_cut", 1_000_000): 1.0,
+    ("effects_flight", 1_000_000): 0.15,
+    ("effects_ingest", 1_000_000): 0.01,
     ("demand", ANY_SIZE): 0.02,
     ("demand_large", ANY_SIZE): 0.1,
     ("demand_kept", ANY_SIZE): 0.005,
+    ("splats", ANY_SIZE): 3.5,
+    ("flow", ANY_SIZE): 1.0,
     ("depth", 500_000): 1.15,
     ("budget_first", ANY_SIZE): 3.0,
     ("budget_flight", ANY_SIZE): 3.0,
@@ -60,6 +66,16 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         0.05,
         "rays skip 97 of 100 crossings, but a skip reads what no cache holds and costs as much as a crossing: 20 to 30 "
         "ns. Other sizes of the smallest blocks and other distances of the first crossings are within a tenth.",
+    ),
+    ("effects_cut", 1_000_000): (
+        2.0,
+        "half of it are the twelve splat layers; what a jet gives takes as long as the update: 16 samples of one or "
+        "two levels, most of them not in the cache.",
+    ),
+    ("effects_flight", 1_000_000): (
+        0.38,
+        "nothing of it is large: the level of each vertex anew (a third), the copies of what stays (a third), to find "
+        "it, and the half percent that is computed.",
     ),
     ("cycles_error", ANY_SIZE): (
         0.1,

@@ -27,6 +27,11 @@ MEANING = {
     "of 20 nodes; beside the update of a flight.",
     "demand_large": "The same of a material of 200 nodes that reads 99 attributes.",
     "demand_kept": "The same while nothing has changed.",
+    "effects_fused": "Height, slope, aspect, three curvatures and a normal of each vertex of the built-in island by "
+    "one kernel, beside four; one thread.",
+    "effects_cut": "These and twelve splat layers after the update to another view; all threads.",
+    "effects_flight": "The same of a camera that moves on by 8 m; what stays is copied.",
+    "effects_ingest": "One float of each vertex into Blender, beside the mesh.",
     "program_ingest": "ingest inside the Blender program that is named above, without a window. Before 4.5 Blender "
     "takes normals by corner only, and encodes them one by one: a million triangles took 608 ms in 4.3.2, 2.1 times "
     "the plain ingest, and a frame 638 ms.",
@@ -40,6 +45,10 @@ MEANING = {
     "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
     "from the last frame.",
     "budget_level": "As budget_first, of edges 30 times too short, all round over a flat 4097² field.",
+    "splats": "Weights of twelve layers at the vertices of a million triangles, half of them with noise, beside the "
+    "jets that their rules read; one thread.",
+    "flow": "Catchment areas of 1025² samples, depressions cut through, several directions; beside the errors and "
+    "ranges that an import makes of them, all threads; flow runs on one.",
     "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, one "
     "thread: the same bits as with every crossing.",
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",

@@ -15,12 +15,14 @@ from . import (
     cycles,
     cycles_likeness,
     demand_rows,
+    effects,
     engine,
     files,
     fit_row,
     goals,
     in_blender,
     in_program,
+    layer_rows,
     light_rows,
     performance_page,
     report,
@@ -117,10 +119,13 @@ def everything(
             yield partial(engine.refine_row, flat, size, threads, roam)
     for row in (engine.refine_error_row, engine.still_row, engine.surface_row, engine.meshlets_row):
         yield partial(row, rough, roam)
+    yield effects.fused_row
+    yield effects.frames_rows
     yield partial(engine.depth_row, flat)
     yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
+    yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
@@ -138,6 +143,7 @@ def everything(
         yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
         yield partial(in_blender.still_frame_row, rough, store)
         yield partial(demand_rows.demand_rows, rough)
+        yield effects.ingest_row
     if program:
         yield partial(in_program.program_rows, program, store)
     else:

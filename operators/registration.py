@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, splat_layers
+from .effects import bake_maps, splat_layers, terrain_material
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -22,7 +22,7 @@ from .scene import (
     session,
     update_terrain,
 )
-from .ui import overlay_panel, panels, status_bar, status_row
+from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
 
 MODULES = (
     properties,
@@ -34,12 +34,14 @@ MODULES = (
     freeze_detail,
     bake_terrain,
     bake_maps,
+    terrain_material,
     splat_layers,
     layer_images,
     export_terrain,
     measuring,
     measure_accuracy,
     sweep_accuracy,
+    effects_panel,
     overlay_panel,
     status_row,
     panels,

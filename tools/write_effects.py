@@ -5,14 +5,17 @@
 """
 
 import io
+import json
 import statistics
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
@@ -24,20 +27,22 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.operators.blender import need_bpy
+from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.output.exporting import write_files
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.numbers import plain
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 SIZE = 2049
 EVERY = 8  # samples a picture's pixel
-RUNS = 5
-# What the button *Terrain Material* reads with its first settings, and six layers.
-DEMANDED = "splat_1", "splat_2", "sky"
+RUNS = 3
 RESOLUTION = (1920, 1080)
-EYE, TARGET = (-2500, -3900, 620), (300, 0, 560)  # as in the demo's flight
+EYE, TARGET = (-2500, -3900, 620), (300, 0, 560)  # near the demo's frame
+FRAME = 12
+LETTERS = 20  # pixels, of a line below a picture
 LAYERS = np.array([(0.76, 0.66, 0.42), (0.45, 0.62, 0.27), (0.55, 0.5, 0.47), (0.93, 0.95, 0.98)])
 HEAD = """# Effects
 
@@ -78,12 +83,15 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-effects-") as folder:
             import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "island")
             field = open_store(Path(folder) / "island")
-            pictures = {f"effect_{name}.jpg": jpg(picture(name, field)) for name in EFFECTS}
-            page = [HEAD, *saving(field), SCALES, "## All effects\n", *map(section, EFFECTS.values()), add_your_own()]
+            demo = of_demo(Path(folder))
+            drawn = {name: picture(name, field, demo.layers) for name in EFFECTS}
+            pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
+            sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in EFFECTS.values()]
+            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, add_your_own()]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    write_files(DOCS / "images", pictures)
+    write_files(DOCS / "images", pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
     write_files(DOCS, {"effects.md": "\n".join(page)})
     return 0
 
@@ -94,19 +102,44 @@ def jpg(pixels: np.ndarray) -> bytes:
     return file.getvalue()
 
 
+def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
+    """The island in its material beside all effects: in colour those of `worn`, in grey those that nothing reads."""
+    island = Image.open(DOCS / "images" / "island.jpg").convert("RGB")
+    columns, side, gap = 4, 150, 8
+    rows = -(-len(EFFECTS) // columns)
+    high = rows * (side + LETTERS + gap)
+    island = island.resize((high * island.width // island.height, high))
+    sheet = Image.new("RGB", (island.width + gap + columns * (side + gap), high), (250, 249, 245))
+    sheet.paste(island, (0, 0))
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.truetype(matplotlib.get_data_path() + "/fonts/ttf/DejaVuSans.ttf", LETTERS - 5)
+    for number, name in enumerate(EFFECTS):
+        x = island.width + gap + (number % columns) * (side + gap)
+        y = number // columns * (side + LETTERS + gap)
+        if f"effect_{name}.jpg" not in pictures:
+            continue
+        tile = Image.open(io.BytesIO(pictures[f"effect_{name}.jpg"])).resize((side, side))
+        if name not in worn:
+            tile = Image.blend(tile.convert("L").convert("RGB"), Image.new("RGB", tile.size, (250, 249, 245)), 0.6)
+        sheet.paste(tile, (x, y))
+        draw.text((x, y + side + 1), name, fill=(28, 31, 38) if name in worn else (160, 160, 160), font=font)
+    return jpg(np.asarray(sheet))
+
+
 def add_your_own() -> str:
     code = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
 
 
-def section(effect: Effect) -> str:
-    """An effect as its declaration has it, beside its picture."""
+def section(effect: Effect, drawn: bool) -> str:
+    """An effect as its declaration has it, below its picture, if there is one: the demo has not so many layers."""
     facts = [f"**Unit** {effect.unit or 'none'}"]
-    if effect.reads:
-        facts.append(f"**Reads** {', '.join(f'[{name}](#{name})' for name in effect.reads)}")
+    if reads := effect.reads_with(()):
+        facts.append(f"**Reads** {', '.join(f'[{name}](#{name})' for name in reads)}")
     facts += [f"**Looks** {effect.halo}"] if effect.halo else []
     facts += [f"**Adds to the bound** {effect.bound or 'nothing'}", f"**Source** {effect.source}"]
-    lines = [f"### {effect.name}\n", f"![{effect.about}](images/effect_{effect.name}.jpg)\n", f"{effect.about}.\n"]
+    shown = [f"![{effect.about}](images/effect_{effect.name}.jpg)\n"] if drawn else []
+    lines = [f"### {effect.name}\n", *shown, f"{effect.about}.\n"]
     lines.append(" · ".join(facts) + "\n")
     numbers = [p for p in effect.parameters if isinstance(p.default, int | float)]
     if numbers:
@@ -116,54 +149,93 @@ def section(effect: Effect) -> str:
     return "\n".join(lines)
 
 
-def saving(field) -> list[str]:
-    """What one frame's effects take: each, those that the material reads, all."""
-    view = View.look(EYE, TARGET, fov_deg=50, resolution=RESOLUTION, clip=(1, 100_000))
-    terrain = Terrain(field)
-    update = terrain.update(Criterion(error_px=1.0), [view])
-    vertices = len(update.surface.positions)
+@dataclass(frozen=True)
+class Demo:
+    """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
+    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `layers`: of
+    the ground."""
 
-    def ms_and_bytes(names, threads: int) -> tuple[float, int]:
-        asked, times = plan([Asked(name, ("a material",)) for name in names]), []
-        for _ in range(RUNS + 1):  # the first compiles, and makes what is kept of a field
-            evaluator = Evaluator(threads)
-            start = time.perf_counter()
-            evaluator.attributes(asked, field, update.surface, [view])
-            times.append((time.perf_counter() - start) * 1e3)
-        return statistics.median(times[1:]), sum(ran.nbytes for ran in evaluator.ran.values())
+    read: tuple[int, float, int]
+    everything: tuple[int, float, int]
+    vertices: int
+    worn: set[str]
+    layers: tuple
 
-    alone = {name: ms_and_bytes([name], 1) for name in EFFECTS}
-    demanded = [name for name in DEMANDED if name in EFFECTS]
-    (read_ms, read_bytes), (all_ms, all_bytes) = ms_and_bytes(demanded, 2), ms_and_bytes(list(EFFECTS), 2)
+
+def saving(demo: Demo, field) -> list[str]:
+    """What a frame of the demo takes: what its material reads, and everything; and each effect alone."""
+    rows = [("nothing reads any", 0, 0.0, 0), ("**what the material reads**", *demo.read)]
+    rows.append(("everything", *demo.everything))
     text = (
         "## What it saves\n\n"
-        f"One frame of the island, {SIZE:,} x {SIZE:,} samples, 1 pixel at {RESOLUTION[0]} x {RESOLUTION[1]}: "
-        f"{vertices:,} vertices, none of them known from the frame before. The material of the button "
-        f"*Terrain Material* reads {', '.join(f'`{name}`' for name in demanded)}.\n\n"
-        "| | effects | ms, two threads | MB |\n| --- | ---: | ---: | ---: |\n"
-        f"| nothing reads any | 0 | 0 | 0 |\n"
-        f"| **what is read** | {len(plan([Asked(n, ()) for n in demanded]).steps)} | {plain(read_ms)} | "
-        f"{plain(read_bytes / 1e6)} |\n"
-        f"| everything | {len(EFFECTS)} | {plain(all_ms)} | {plain(all_bytes / 1e6)} |\n\n"
-        "Of a flight's next frame only the new vertices are evaluated.\n\n"
-        "Each alone, with what it reads, on one thread; *declared* is what its declaration says:\n\n"
+        f"Frame {FRAME} of the demo: the island, {SIZE:,} x {SIZE:,} samples, at 1 pixel of {RESOLUTION[0]} x "
+        f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Where the next frame "
+        "of a flight keeps a vertex, it keeps its values.\n\n"
+        "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |\n"
+        + "\n".join(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows)
+        + "\n\nEach alone, with what it reads, on one thread; *declared* is what its declaration says:\n\n"
         "| effect | ns a vertex | declared | bytes a vertex |\n| --- | ---: | ---: | ---: |"
     )
-    rows = [
-        f"| [{name}](#{name}) | {plain(1e6 * ms / vertices)} | {plain(EFFECTS[name].cost_ns)} | "
-        f"{4 * EFFECTS[name].width} |"
-        for name, (ms, _) in alone.items()
+    view = View.look(EYE, TARGET, fov_deg=50, resolution=RESOLUTION, clip=(1, 100_000))
+    surface = Terrain(field).update(Criterion(error_px=1.0), [view]).surface
+    lines = [
+        f"| [{name}](#{name}) | {plain(1e6 * alone(name, field, surface, view) / len(surface.positions))} | "
+        f"{plain(effect.cost_ns)} | {4 * effect.width} |"
+        for name, effect in EFFECTS.items()
     ]
     where = ", ".join(machine()[key] for key in ("Processor", "System"))
-    return [text, *rows, f"\nMeasured on {where}, {machine()['Threads']} threads.\n"]
+    return [text, *lines, f"\nMeasured on {where}, {machine()['Threads']} threads.\n"]
 
 
-def picture(name: str, field) -> np.ndarray:
+def of_demo(folder: Path) -> Demo:
+    need_bpy("The demo")
+    from adaptive_terrain.operators.demo import scene as demo_scene
+    from adaptive_terrain.operators.scene import session
+    from adaptive_terrain.operators.scene.layer_properties import layers_of
+
+    (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
+    flight = read_camera_path(folder / "flight.json")
+    criterion, frames = Criterion(error_px=1.0), range(FRAME, FRAME + 1)
+    _, obj = demo_scene.build(folder, folder / "island", flight, frames, RESOLUTION, criterion)
+
+    def taken() -> tuple[int, float, int]:
+        times = []
+        for _ in range(RUNS + 1):  # the first makes what is kept of a field
+            session.record_of(obj).terrain = None  # nothing is known from before
+            session.update_object(obj)
+            made = [status for status in session.record_of(obj).status.effects.values() if not status.skipped]
+            times.append(sum(status.ms for status in made))
+        return len(made), statistics.median(times[1:]), sum(status.nbytes for status in made)
+
+    read = taken()
+    statuses = session.record_of(obj).status.effects
+    worn = {step.name for step in plan([Asked(name, ()) for name in demo_scene.MAPS]).steps}
+    worn |= {name for name, status in statuses.items() if not status.skipped}
+    for name in EFFECTS:
+        getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
+    return Demo(read, taken(), len(obj.data.vertices), worn, layers_of(obj.adaptive_terrain))
+
+
+def alone(name: str, field, surface, view: View) -> float:
+    """Milliseconds of an effect and what it reads, on one thread."""
+    asked, times = plan([Asked(name, ("a material",))]), []
+    for _ in range(RUNS + 1):
+        evaluator = Evaluator(threads=1)
+        start = time.perf_counter()
+        evaluator.attributes(asked, field, surface, [view])
+        times.append((time.perf_counter() - start) * 1e3)
+    return statistics.median(times[1:])
+
+
+def picture(name: str, field, layers: tuple) -> np.ndarray:
     """The effect over the whole island as colours in a low sun: uint8 [rows, columns, 3], north on top."""
     places, rows = _grid(field)
     read: dict = {}
-    for step in plan([Asked(name, ("this page",))]).steps:
-        read |= EFFECTS[step.name].make(places, {step.name: EFFECTS[step.name].defaults()}, read)
+    given = (("layers", layers),) if "layers" in EFFECTS[name].defaults() else ()
+    for step in plan([Asked(name, ("this page",), parameters=given)]).steps:
+        values = EFFECTS[step.name].defaults()
+        values |= {"layers": layers} if "layers" in values else {}
+        read |= EFFECTS[step.name].make(places, {step.name: values}, read)
     colour = colours(read[name].reshape(rows, rows, -1).astype(np.float64))
     heights = places.positions[:, 2].reshape(rows, rows).astype(np.float64)
     north, east = np.gradient(heights, field.lattice.step_x * EVERY)

@@ -71,7 +71,8 @@ class Effect:
     `width`. `make`: see Make; effects with the same `make` are made together, in one call. A function of the place, the
     level, the parameters and what is read alone: which other places are asked for changes nothing. `reads`: names of
     other effects; where parameters decide which of them, `choose` tells. `halo`: how far around a place it looks.
-    `bound`: what it adds to the error of the mesh, "" for nothing. `span`: between which all its numbers lie, None
+    `bound`: what it adds to the error of the mesh, "" for nothing. `scaled`: whether the level counts, too; of what it
+    reads as well. `span`: between which all its numbers lie, None
     where nobody can say: maps of it hold floats. `cost_ns`: nanoseconds an element on one thread, measured. `source`:
     paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
     and asserts that.
@@ -88,6 +89,7 @@ class Effect:
     parameters: tuple[Parameter, ...] = ()
     halo: str = ""
     bound: str = ""
+    scaled: bool = True
     span: tuple[float, float] | None = None
     cost_ns: float = 0.0
     source: str = ""

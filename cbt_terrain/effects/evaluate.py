@@ -20,6 +20,7 @@ from .plan import Plan
 from .scale import fixed_level, footprint_levels
 
 Group = list[Asked]  # what is made in one call
+ANY_LEVEL = "ANY_LEVEL"
 
 
 @dataclass(frozen=True)
@@ -98,11 +99,14 @@ class Evaluator:
                 footprint_levels(heights, positions, views, placement, self.threads, levels)
             places[family] = Places(heights, positions, levels, *scale, self.threads)
             fresh[family] = kept.fresh(levels, before)
+        if not all(EFFECTS[step.name].scaled for step in plan.steps):
+            fresh[ANY_LEVEL] = kept.new()
         stay = {name for name, key in keys.items() if last.keys.get(name) == key}
         for group in _made_together(plan, stay):
             start = time.perf_counter()
             family = group[0].family
-            which = fresh[family] if group[0].name in stay else None
+            scale_of = family if EFFECTS[group[0].name].scaled else ANY_LEVEL
+            which = fresh[scale_of] if group[0].name in stay else None
             computed = _make(group, places[family], which, values, kept)
             ms = (time.perf_counter() - start) * 1e3 / len(group)
             for step in group:
@@ -125,7 +129,7 @@ def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
     for step in plan.steps:
         effect = EFFECTS[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
-        scale = level if step.family == GEOMETRY and effect.domain != MAP else None
+        scale = level if step.family == GEOMETRY and effect.domain != MAP and effect.scaled else None
         read = tuple(keys[name] for name in effect.reads_with(step.parameters))
         keys[step.name] = (step.name, effect.version, numbers, step.family, scale, heights, read)
     return keys
@@ -136,7 +140,7 @@ def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
     group_of: dict[str, int] = {}
     order: list[tuple[tuple, Group]] = []
     for step in plan.steps:
-        kind = (EFFECTS[step.name].make, step.family, step.name in stay)
+        kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in stay)
         after = max((group_of[name] for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
         number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):

@@ -20,6 +20,6 @@ HEIGHT = Effect(
     make=make,
     example=example,
     halo=HALO,
-    cost_ns=90,
+    cost_ns=105,
     source=SOURCE,
 )

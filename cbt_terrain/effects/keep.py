@@ -9,7 +9,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 
 PLACES = "places"
-MOST_FRESH = 0.5
+MOST_FRESH = 0.75
 
 
 class Kept:
@@ -69,6 +69,13 @@ class Kept:
         inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
         launch.once(kernels.list_fresh, inputs, step="kept")
         return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
+
+    def new(self) -> np.ndarray:
+        """int32 [n]: the places that the last surface does not have, whatever their levels."""
+        change = np.zeros(self._count + 1, np.int8)
+        change[self._runs[:, 0]] += 1
+        np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
+        return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
 
     def forget_others(self, names: set[str]) -> None:
         """Drop every array but the places and these."""

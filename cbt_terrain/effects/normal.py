@@ -23,6 +23,6 @@ DETAIL_NORMAL = Effect(
     width=3,
     halo=HALO,
     span=(-1.0, 1.0),
-    cost_ns=90,
+    cost_ns=100,
     source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,
 )

@@ -81,6 +81,7 @@ SKY = Effect(
     make=make,
     example=example,
     parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
+    scaled=False,
     halo="the whole raster",
     cost_ns=41000,
     source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",

@@ -55,6 +55,7 @@ SUN = Effect(
             "only the strongest counts",
         ),
     ),
+    scaled=False,
     halo="the whole raster",
     cost_ns=2400,
     source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",

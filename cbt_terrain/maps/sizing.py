@@ -97,6 +97,8 @@ def resolutions(
     """
     if budget_mb is not None and not budget_mb > 0:
         raise TerrainError(f"The budget of the maps is {budget_mb} MB; expected more than 0.")
+    # A tile that holds an eye has a footprint of 0, which no factor makes coarser.
+    footprints = np.maximum(footprints, min(field.lattice.step_x, field.lattice.step_y))
     coarser = 0.0
     while True:
         sides = [_side(tiling, field, metres * 2**coarser) for metres in footprints]

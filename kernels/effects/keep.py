@@ -11,6 +11,8 @@ from ..unchecked import copy_floats, count_same_floats, count_same_vec3s, number
 
 wp.set_module_options({"enable_backward": False})
 
+# Five for each of 51 places of one hash in 64 that may be missed: of 3,000 places all are looked for.
+ALWAYS = wp.constant(256)
 LOOK = wp.constant(32)  # places, of both surfaces together, that are skipped to find the next run
 
 
@@ -85,12 +87,28 @@ def match_anywhere(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """The rest, wherever the last surface has it. `table` [2**bits] is -1: it keeps one place for each hash of x and y,
-    so a run may begin late; none is wrong."""
+    """The rest, wherever the last surface has it, if that is five eighths of it.
+
+    `table` [2**bits] is -1: it keeps one place for each hash of x and y, so a run may begin late; none is wrong. Places
+    of one hash in 64 tell how much there is to find: after a cut it is too little to look for.
+    """
     for i in range(last_count):
-        put(table, wp.int64(slot_of(last[i], bits)), i)
+        slot = slot_of(last[i], bits)
+        if (slot & 63) == 0:
+            put(table, wp.int64(slot), i)
     k = found[0]
     v = found[1]
+    common = wp.int32(ALWAYS)
+    for i in range(v, count):
+        slot = slot_of(places[i], bits)
+        if (slot & 63) == 0:
+            common -= 5
+            if number_at(table, slot) >= 0:
+                common += 8 * count_same_vec3s(places, i, last, number_at(table, slot), 1)
+    if common < 0:
+        return
+    for i in range(last_count):
+        put(table, wp.int64(slot_of(last[i], bits)), i)
     while v < count:
         at = number_at(table, slot_of(places[v], bits))
         same = wp.int32(0)

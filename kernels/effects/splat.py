@@ -129,10 +129,13 @@ def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float
     """The band of a rule; straight edges where a quantity is a share itself."""
     a = (q - low) * per_edge + 0.5
     b = (high - q) * per_edge + 0.5
-    part = wp.float32(0.0)
-    if kind >= LAYER:
-        part = wp.clamp(a, 0.0, 1.0) * wp.clamp(b, 0.0, 1.0)
-    else:
+    least = wp.min(a, b)
+    part = wp.float32(1.0)
+    if least <= 0.0:
+        part = 0.0
+    elif least < 1.0 and kind >= LAYER:
+        part = wp.min(a, 1.0) * wp.min(b, 1.0)
+    elif least < 1.0:
         part = smooth(a) * smooth(b)
     return part
 
@@ -149,42 +152,44 @@ def noise_of(layer: Layer, step: wp.float64, x: wp.float64, y: wp.float64, level
 
 
 @wp.func
-def cover_of(
-    s: Splat, layer: Layer, v: wp.int32, x: wp.float64, y: wp.float64, level: wp.float32, covers: Weights
-) -> wp.float32:
-    """How much of a place a layer covers by its own rules; `covers` has that of those before it."""
-    noise = wp.float32(0.0)
-    known = wp.int32(0)
-    cover = layer.strength
-    for k in range(layer.first, layer.end):
-        if cover > 0.0:
-            r = s.rules[k]
-            q = wp.float32(0.0)
-            needed = wp.int32(0)
-            if r.kind <= DIRECTION:
-                at = wp.int64(r.at) * s.count + wp.int64(v)
-                q = s.values[at]
-                if r.kind == LOGARITHM:
-                    q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
-                elif r.kind == DIRECTION:
-                    q = r.sine * q + r.cosine * s.values[at + s.count]
-                # Noise is dear, and far from its limits it changes nothing of a rule.
-                reach = (0.5 + layer.ragged) * r.edge
-                near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
-                needed = wp.where(layer.ragged > 0.0 and near < reach, 1, 0)
-            elif r.kind == NOISE:
-                needed = 1
-            elif r.kind == LAYER:
-                q = covers[r.at]
-            else:
-                q = image_at(s.images, r, x / s.across, y / s.up)
-            if needed == 1:
-                if known == 0:
-                    known = 1
-                    noise = noise_of(layer, s.step, x, y, level)
-                q = wp.where(r.kind == NOISE, noise, q + layer.ragged * r.edge * noise)
-            cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
-    return cover
+def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, level: wp.float32) -> Weights:
+    """How much of a place each layer covers by its own rules."""
+    covers = Weights()
+    for number in range(s.layer_count):
+        layer = s.layers[number]
+        noise = wp.float32(0.0)
+        known = wp.int32(0)
+        cover = layer.strength
+        for k in range(layer.first, layer.end):
+            if cover > 0.0:
+                r = s.rules[k]
+                q = wp.float32(0.0)
+                needed = wp.int32(0)
+                if r.kind <= DIRECTION:
+                    at = wp.int64(r.at) * s.count + wp.int64(v)
+                    q = s.values[at]
+                    if r.kind == LOGARITHM:
+                        q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
+                    elif r.kind == DIRECTION:
+                        q = r.sine * q + r.cosine * s.values[at + s.count]
+                    # Noise is dear, and far from its limits it changes nothing of a rule.
+                    reach = (0.5 + layer.ragged) * r.edge
+                    near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
+                    needed = wp.where(layer.ragged > 0.0 and near < reach, 1, 0)
+                elif r.kind == NOISE:
+                    needed = 1
+                elif r.kind == LAYER:
+                    q = covers[r.at]
+                else:
+                    q = image_at(s.images, r, x / s.across, y / s.up)
+                if needed == 1:
+                    if known == 0:
+                        known = 1
+                        noise = noise_of(layer, s.step, x, y, level)
+                    q = wp.where(r.kind == NOISE, noise, q + layer.ragged * r.edge * noise)
+                cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
+        covers[number] = cover
+    return covers
 
 
 @wp.func
@@ -225,14 +230,12 @@ def splats(
     x = wp.float64(positions[v][0]) - s.west
     y = wp.float64(positions[v][1]) - s.south
     level = wp.clamp(levels[v], 0.0, 30.0)
+    covers = covers_at(s, v, x, y, level)
     w = Weights()
-    covers = Weights()
     sum = wp.float32(0.0)
     for k in range(s.layer_count):
-        layer = s.layers[k]
-        cover = cover_of(s, layer, v, x, y, level, covers)
-        covers[k] = cover
-        if layer.on_top != 0 and k > 0:
+        cover = covers[k]
+        if s.layers[k].on_top != 0 and k > 0:
             if sum <= LEAST:  # on bare ground, which is the first layer's
                 w[0] = 1.0
                 sum = 1.0

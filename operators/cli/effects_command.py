@@ -43,15 +43,15 @@ def _alone(name: str, field, surface):
     return type(evaluator.ran[name])(sum(r.ms for r in ran), sum(r.nbytes for r in ran), evaluator.ran[name].computed)
 
 
-def of_scene(blend: Path, camera: str | None = None, frame: int | None = None) -> list[str]:
-    """Lines: of each terrain of a .blend file, at a frame and the detail of the render, what it reads and what not."""
+def of_scene(blend: Path, camera: str | None = None) -> list[str]:
+    """Lines: of each terrain of a .blend file, at its frame and the render's detail, what is read and what not."""
     from ..output.frame_sources import SceneFrames
     from ..scene import session
 
     scene = SceneFrames(blend, camera, None)
     lines = []
-    for piece in scene.pieces(scene.scene.frame_current if frame is None else frame):
-        record = session.record_of(piece.obj)
+    for piece in scene.pieces(scene.scene.frame_current):
+        statuses = session.record_of(piece.obj).status.effects
         lines.append(f"{piece.name}: {len(piece.surface.triangles):,} triangles")
-        lines += [f"  {line}" for line in effect_lines.plan_lines(record.plan, record.evaluator.ran)]
+        lines += [f"  {effect_lines.status_line(name, status)}" for name, status in statuses.items()]
     return lines

@@ -32,7 +32,7 @@ ERROR_PX = 1.0
 # A triangle should be wide enough to be seen as one.
 LEVELS_ERROR_PX = 6.0
 # How long the steps take, relative to each other, for the time that is left.
-WEIGHT = {"import": 8.0, "meshes": 10.0, "crops": 5.0, "picture": 16.0, "levels": 8.0}
+WEIGHT = {"import": 8.0, "meshes": 10.0, "crops": 5.0, "maps": 14.0, "picture": 16.0, "levels": 8.0}
 # What the page shows side by side.
 CROPS_PX = (4.0, 2.0, 1.0, 0.5)
 FLIGHT = {
@@ -73,12 +73,16 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         flight = read_camera_path(out / "flight.json")
         shown = crops(Terrain(open_store(store)), Frame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
         done("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
+        from ..scene import session
         from . import scene as demo_scene
 
         scene, obj = demo_scene.build(out, store, flight, FRAMES, RESOLUTION, criterion)
+        done("Maps and material", f"maps: {', '.join(demo_scene.MAPS)}", WEIGHT["maps"])
         pictures = [(frame, f"frame_{frame:02d}.png") for frame in PICTURE_FRAMES]
+        effects = {}
         for frame, name in pictures:
             scene.frame_set(frame)
+            effects[frame] = session.record_of(obj).status.effects
             demo_scene.render(scene, out / name)
             done(f"Picture of frame {frame}", name, WEIGHT["picture"])
         levels = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
@@ -94,6 +98,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         summaries=summaries,
         pictures=pictures,
         crops=shown,
+        effects=effects,
         levels={"frame": LEVELS_FRAME, "error_px": LEVELS_ERROR_PX, "triangles": levels},
         steps=steps,
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...cbt_terrain.accuracy.crops import Crop
 from ..output.exporting import write_text
+from ..text.numbers import plain
 from ..text.page_blocks import (
     Code,
     Figures,
@@ -46,11 +47,12 @@ def write_page(
     summaries: list[dict],
     pictures: list[tuple[int, str]],
     crops: Sequence[Crop],
+    effects: dict[int, dict],
     levels: dict,
     steps: dict[str, float],
 ) -> None:
     """Write the page: `summaries` of the exported frames, `steps` in seconds, `levels` the figures of the drawings,
-    `crops` of that frame."""
+    `crops` of that frame, `effects` of the pictures' frames: an EffectStatus by name."""
     frames = [{"frame": summary["frame"], **summary["terrains"][0]} for summary in summaries]
     by_frame = {frame["frame"]: frame for frame in frames}
     (first, first_name), *others = pictures
@@ -82,6 +84,13 @@ def write_page(
             ],
             first_wide=True,
         ),
+        Heading("What the material reads"),
+        Text(
+            "The colours are layers by rules of height, slope and flowing water. Normals and the sky that each place "
+            "sees are baked maps, as fine as the flight shows them, so shading does not depend on the triangles. What "
+            f"nothing reads is not computed: {', '.join(_skipped(effects))}."
+        ),
+        _effects_table(effects),
         Heading("Frame by frame"),
         Plot(
             "frames.svg",
@@ -134,6 +143,20 @@ def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
         f"{bound_text(frame['bound_px'], 'px')} in a picture of {resolution[0]} x {resolution[1]}, updated in "
         f"{frame['ms']['total']:.0f} ms."
     )
+
+
+def _skipped(effects: dict[int, dict]) -> list[str]:
+    """Names of the effects that no frame has computed."""
+    return [name for name in next(iter(effects.values())) if all(frame[name].skipped for frame in effects.values())]
+
+
+def _effects_table(effects: dict[int, dict]) -> Table:
+    skipped, rows = _skipped(effects), []
+    for name, first in next(iter(effects.values())).items():
+        if name not in skipped:
+            cost = [f"{plain(frame[name].ms)} ms, {frame[name].computed:,}" for frame in effects.values()]
+            rows.append([name, " and ".join(first.readers), *cost])
+    return Table(["Effect", "Read by", *(f"Frame {number}: time, vertices" for number in effects)], rows)
 
 
 def _table(frames: list[dict]) -> Table:

@@ -2,6 +2,7 @@
 """The demo's Blender scene: an island in low sun, a camera in flight, and drawings of the levels of detail."""
 
 import math
+import runpy
 from pathlib import Path
 
 import bpy
@@ -10,23 +11,30 @@ from mathutils import Matrix, Vector
 
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.run.partial_files import written_beside
+from ..effects import splat_layers
+from ..effects.material import dress
 from ..effects.nodes import Nodes
+from ..effects.terrain_material import sources_of
 from ..output.frame_sources import open_empty_file
 from ..scene import session
+from ..scene.map_properties import SHOT
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
-from .materials import HAZE, land_material, level_material, plain_material, sea_material
+from .materials import HAZE, level_material, plain_material, put_haze, sea_material
 
 ZENITH = (0.07, 0.20, 0.56, 1.0)
 PAPER = (0.93, 0.925, 0.90, 1.0)
 SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 28.0, 285.0
 SEA_SIZE_M = 400_000.0
 SAMPLES = 6
+MAPS, MAPS_MB = ("detail_normal", "sky"), 64.0
+BEACH_M = 8.0
 
 
 def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
-    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), saved as `out`/island.blend.
+    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), in its material, saved as
+    `out`/island.blend.
 
     Returns the scene and the terrain's object.
     """
@@ -46,10 +54,8 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         detail.error_px = criterion.error_px
     scene.frame_set(frames[0])
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
-    field = session.record_of(obj).field
-    step = 1 + (field.lattice.width - 1) // 2048
-    every = slice(None, None, step)
-    obj.data.materials.append(land_material(field.heights(every, every), field.lattice.step_x * step))
+    bake_island_maps(obj)
+    wear_material(obj)
     file = str((out / "island.blend").resolve())
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=file)
@@ -57,6 +63,25 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         bpy.ops.wm.save_as_mainfile(filepath=file)
     Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
     return scene, obj
+
+
+def bake_island_maps(obj) -> None:
+    """Normals and the sky that is seen, as fine as the shot shows them."""
+    bpy.context.view_layer.objects.active = obj
+    maps = obj.adaptive_terrain.maps
+    maps.frames, maps.chosen = SHOT, set(MAPS)
+    maps.use_budget, maps.budget_mb = True, MAPS_MB
+    with quiet():
+        bpy.ops.adaptive_terrain.bake_maps()
+
+
+def wear_material(obj) -> None:
+    """The preset *Alpine* above a beach, and what the button *Terrain Material* makes of these layers, in haze."""
+    runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
+    beach = obj.adaptive_terrain.layers.add()
+    beach.name, beach.color, beach.noise_size = "Beach", (0.46, 0.38, 0.25), 120.0
+    beach.height.use, beach.height.high, beach.height.edge = True, BEACH_M, BEACH_M
+    put_haze(dress(obj, sources_of(obj, ())))
 
 
 def _add_camera(scene, path, frames: range):

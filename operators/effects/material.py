@@ -128,7 +128,7 @@ def build_group(tree, sources: Sources, size: float) -> None:
     for item in _inputs(tree):
         if item.socket_type == "NodeSocketFloat":
             item.min_value, item.max_value = 0.0, 1e6 if item.name == SIZE else 1.0
-            item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.7, SHADOW: 0.0}[item.name]
+            item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.4, SHADOW: 0.0}[item.name]
 
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:

@@ -7,7 +7,7 @@ from ...cbt_terrain.effects.splat import NAMES
 from ..scene import session
 from ..scene.layer_properties import colors_of
 from .map_images import map_image, map_vector
-from .material import SKY, SUN, Sources, dress
+from .material import A_GROUP, NORMAL, SKY, SUN, Sources, dress
 
 
 class TerrainMaterial(bpy.types.Operator):
@@ -18,9 +18,13 @@ class TerrainMaterial(bpy.types.Operator):
     bl_label = "Terrain Material"
     bl_options = {"REGISTER", "UNDO"}
 
-    sky: bpy.props.BoolProperty(name="Sky", description="Darken what sees little of the sky", default=True)
+    sky: bpy.props.BoolProperty(
+        name="Sky",
+        description="Darken what sees little of the sky. A baked map of it is taken in any case; without one, a large "
+        "height map takes seconds",
+    )
     sun: bpy.props.BoolProperty(
-        name="Sun", description="Read the suns' shadows, for light that casts none; see Shadow of the group"
+        name="Sun", description="Darken what the sun does not reach, by the group's Shadow: for lamps that cast none"
     )
 
     @classmethod
@@ -37,8 +41,9 @@ class TerrainMaterial(bpy.types.Operator):
 def sources_of(obj, light) -> Sources:
     """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
     layers = colors_of(obj.adaptive_terrain)
-    names = ("detail_normal", SKY, SUN, *NAMES[: -(-len(layers) // 4)])
+    names = (NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
+    light = [name for name in (SKY, SUN) if name in light or name in maps]
     return Sources(layers, light, maps, lambda tree: map_vector(tree, obj))
 
 

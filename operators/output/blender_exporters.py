@@ -9,6 +9,10 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 
+# Blender's types of attributes that glTF knows, and those of such a type that are no attributes of ours.
+GLTF_TYPES = ("FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR")
+OWN_NAMES = ("position", "custom_normal")
+
 
 @contextmanager
 def only_selected(obj):
@@ -65,11 +69,30 @@ def export_selected(name: str, form: str) -> None:
         bpy.ops.wm.stl_export(**only)
     else:
         _enable_gltf()
-        bpy.ops.export_scene.gltf(
-            filepath=name,
-            export_format="GLB",
-            use_selection=True,
-            export_current_frame=True,  # else it goes to frame 0
-            export_animations=False,
-            export_materials="NONE",
-        )
+        with _gltf_names(obj.data for obj in bpy.context.selected_objects if obj.type == "MESH"):
+            bpy.ops.export_scene.gltf(
+                filepath=name,
+                export_format="GLB",
+                use_selection=True,
+                export_current_frame=True,  # else it goes to frame 0
+                export_animations=False,
+                export_materials="NONE",
+                export_attributes=True,
+            )
+
+
+@contextmanager
+def _gltf_names(meshes):
+    """glTF takes attributes of vertices whose names begin with an underscore: while it is written ours do."""
+    renamed = []
+    try:
+        for mesh in meshes:
+            names = [item.name for item in mesh.attributes if item.domain == "POINT" and item.data_type in GLTF_TYPES]
+            for name in names:
+                if name not in OWN_NAMES and not name.startswith(("_", ".")):
+                    mesh.attributes[name].name = "_" + name
+                    renamed.append((mesh, name))
+        yield
+    finally:
+        for mesh, name in renamed:
+            mesh.attributes["_" + name].name = name

@@ -17,7 +17,7 @@ from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import length
 from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.plan import Plan
+from ...cbt_terrain.effects.plan import Plan, plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ..output.frame_sources import SceneFrames, file_name
@@ -114,7 +114,7 @@ class Look:
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), current_setting(request)
         found = Subject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
-        found.called = self.name
+        found.called, found.effects = self.name, plan(request.effects.asked)
         found.notes += notes_on(request.criterion)
         return found
 

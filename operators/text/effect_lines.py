@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is said of effects: of the catalogue, of a plan, of what an evaluation took."""
-
-from collections.abc import Mapping
+"""What is said of effects: of the catalogue, of what a scene reads, of what an evaluation took."""
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, MAP, Effect
-from ...cbt_terrain.effects.evaluate import Ran
-from ...cbt_terrain.effects.plan import Plan
 from .numbers import plain
 
 BYTES = 4  # of a float32
@@ -17,7 +13,7 @@ def about(effect: Effect) -> dict:
     return {
         "about": effect.about,
         "unit": effect.unit,
-        "reads": ", ".join(effect.reads),
+        "reads": ", ".join(effect.reads_with(())),
         "parameters": {p.name: _parameter(p) for p in effect.parameters} or "",
         "looks": effect.halo,
         "adds to the bound": effect.bound,
@@ -39,25 +35,31 @@ def _parameter(parameter) -> str:
     return f"{parameter.default:g}{unit} ({parameter.least:g} to {parameter.most:g}): {parameter.about}"
 
 
-def plan_lines(plan: Plan, ran: Mapping[str, Ran]) -> list[str]:
-    """A line for each effect: who reads it and what it took, or why it was skipped."""
-    lines = [f"{step.name}: {readers(step)}{took(ran.get(step.name))}" for step in plan.steps]
-    return lines + [f"{name}: skipped, {why}" for name, why in plan.skipped.items()]
+def status_line(name: str, status) -> str:
+    """`slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
+    said = readers_text(status)
+    said = said[0].lower() + said[1:]
+    return f"{name}: {said}" if status.skipped else f"{name}: {said}; {figures(status)}"
 
 
-def readers(step) -> str:
-    """`read by material Rock, node Attribute.003`; geometry is told apart, because its scale is another."""
-    scale = ", at one scale" if step.family == GEOMETRY else ""
-    return f"read by {' and '.join(step.readers)}{scale}"
+def readers_text(status) -> str:
+    """Who reads an effect, or why it was skipped; `status`: an EffectStatus, None before the first update."""
+    if status is None:
+        return "No update yet"
+    if status.skipped:
+        return f"Skipped, {status.skipped}"
+    scale = ", at one scale" if status.family == GEOMETRY else ""
+    return f"Read by {' and '.join(status.readers)}{scale}"
 
 
-def took(ran: Ran | None) -> str:
-    """`; 12.1 ms, 0.4 MB`."""
-    return f"; {figures(ran)}" if ran else ""
+def cost_text(status) -> str:
+    """`12.1 ms, 0.4 MB, 1,203 new`: what the last update took."""
+    return f"{figures(status)}, {status.computed:,} new" if status is not None and not status.skipped else "-"
 
 
-def figures(ran: Ran) -> str:
-    return f"{plain(ran.ms)} ms, {plain(ran.nbytes / 1e6)} MB"
+def figures(took) -> str:
+    """Of a Ran or an EffectStatus."""
+    return f"{plain(took.ms)} ms, {plain(took.nbytes / 1e6)} MB"
 
 
 def unknown(name: str) -> str:

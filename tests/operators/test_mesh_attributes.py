@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.mesh.attributes import DOMAINS, TYPES, Attribu
 from adaptive_terrain.operators.mesh.cleanup import Cleanup, clean_up
 from adaptive_terrain.operators.mesh.writer import write_mesh
 from adaptive_terrain.operators.output.blender_exporters import export_selected, only_selected
-from mesh_files import read_ply_fields
+from mesh_files import read_glb_attributes, read_ply_fields
 
 # Blender's data type -> which property of its elements has the numbers, of those that are not "value".
 PROPERTY = {"FLOAT2": "vector", "FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}
@@ -88,6 +88,38 @@ def test_a_ply_and_an_npz_carry_attributes(empty, grid_surface, tmp_path):
     with np.load(tmp_path / "a.npz") as file:
         assert np.array_equal(file["wetness"], wet) and np.array_equal(file["error_m"], error)
         assert '"error_m": {"domain": "FACE", "unit": "m"}' in str(file["info"])
+
+
+def every_width(surface) -> dict[str, Attribute]:
+    """As effects make them: of points, one to four floats each."""
+    count = surface.sizes["POINT"]
+    values = {f"of_{n}": np.linspace(0, n, count * n, dtype=np.float32).reshape(count, n) for n in (2, 3, 4)}
+    values["of_1"] = np.linspace(3, 4, count, dtype=np.float32)
+    return {name: Attribute(array, "POINT") for name, array in values.items()}
+
+
+def test_a_ply_and_a_glb_carry_what_effects_make(empty, grid_surface, tmp_path):
+    plain = grid_surface(4, 4)
+    made = every_width(plain)
+    obj = bpy.data.objects.new("Terrain", bpy.data.meshes.new("Terrain"))
+    empty.collection.objects.link(obj)
+    write_mesh(obj.data, plain.with_attributes(made))
+    names = set(obj.data.attributes.keys())
+    with only_selected(obj):
+        export_selected(str(tmp_path / "a.ply"), "ply")
+        export_selected(str(tmp_path / "a.glb"), "glb")
+    assert set(obj.data.attributes.keys()) == names, "names are as they were"
+    vertices = read_ply_fields(tmp_path / "a.ply")
+    place = vertices["x"].astype(int) + 5 * vertices["y"].astype(int)
+    assert np.array_equal(vertices["of_1"], made["of_1"].array[place])
+    for name in ("of_2", "of_3"):  # four are a colour, of which Blender's PLY has one
+        columns = [vertices[f"{name}_{axis}"] for axis in "xyz"[: int(name[-1])]]
+        assert np.array_equal(np.stack(columns, 1), made[name].array[place])
+    found = read_glb_attributes(tmp_path / "a.glb")
+    x, _, y = found["POSITION"].T  # y is up, north is -z
+    place = np.rint(x).astype(int) + 5 * np.rint(-y).astype(int)
+    for name, attribute in made.items():
+        assert np.array_equal(found["_" + name.upper()], attribute.array[place]), name
 
 
 @pytest.mark.parametrize(

@@ -108,3 +108,22 @@ def read_npz(path):
 def z_up(vertices):
     """Of a file whose y is up."""
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], 1)
+
+
+def read_glb_attributes(path):
+    """What each vertex of the only part of the only mesh has, float32 [n] or [n, width], by glTF's names."""
+    raw = path.read_bytes()
+    [head] = struct.unpack_from("<I", raw, 12)
+    scene, binary = json.loads(raw[20 : 20 + head]), raw[28 + head :]
+    [[part]] = [mesh["primitives"] for mesh in scene["meshes"]]
+    found = {}
+    for name, number in part["attributes"].items():
+        accessor = scene["accessors"][number]
+        view = scene["bufferViews"][accessor["bufferView"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        if accessor["componentType"] != 5126:  # float32
+            continue
+        first = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        values = np.frombuffer(binary, np.float32, accessor["count"] * width, first)
+        found[name] = values.reshape(-1, width) if width > 1 else values
+    return found

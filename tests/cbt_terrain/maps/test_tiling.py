@@ -141,6 +141,8 @@ def test_a_budget_is_kept_and_coarsens_all_alike(small_tiles):
         sides = sizing.resolutions(tiles, field, finest, 8, budget_mb=megabytes)
         assert sum(side * side for side in sides) * 8 <= megabytes * 1e6 or set(sides) == {64}
         assert sides == sorted(sides, reverse=True)
+    eye_inside = sizing.resolutions(tiles, field, finest * 0, 8, budget_mb=8.0)
+    assert sum(side * side for side in eye_inside) * 8 <= 8e6, "footprints of 0 get coarser, too"
     with pytest.raises(TerrainError, match="expected more than 0"):
         sizing.resolutions(tiles, field, finest, 8, budget_mb=0.0)
 

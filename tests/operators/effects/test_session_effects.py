@@ -193,8 +193,7 @@ def sun(elevation, azimuth, energy=2.0):
     return lamp
 
 
-@pytest.mark.parametrize("mode", ["VIEWPORT", "RENDER"])
-def test_sun_lamps_that_shine_are_found(scene, mode):
+def test_sun_lamps_that_shine_are_found(scene):
     lamp = sun(30.0, 180.0)
     for energy, hidden in ((0.0, False), (1.0, True)):
         other = sun(10.0, 0.0, energy)
@@ -207,6 +206,32 @@ def test_sun_lamps_that_shine_are_found(scene, mode):
     lamp.scale = (3.0, 3.0, -3.0)
     [mirrored] = sun_lamps(bpy.context.evaluated_depsgraph_get())
     assert mirrored.direction == pytest.approx([-x for x in wanted], abs=1e-6), "it shines the other way"
+
+
+def test_a_render_has_the_suns_that_it_shows(scene):
+    """Other lamps may be hidden in renders than in viewports; instances shine, too."""
+    shown, viewport_only = sun(30.0, 180.0), sun(50.0, 180.0)
+    shown.hide_viewport, viewport_only.hide_render = True, True
+    kit = bpy.data.collections.new("Kit")
+    lamp = sun(70.0, 180.0)
+    scene.collection.objects.unlink(lamp)
+    kit.objects.link(lamp)
+    empty = bpy.data.objects.new("Empty", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", kit
+    scene.collection.objects.link(empty)
+    found = {}
+
+    def look(_scene, depsgraph):
+        if depsgraph.mode == "RENDER":
+            found[depsgraph.mode] = sorted(round(math.degrees(math.asin(s.direction[2]))) for s in sun_lamps(depsgraph))
+
+    bpy.app.handlers.frame_change_post.append(look)
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 1, 2
+    try:
+        bpy.ops.render.render()
+    finally:
+        bpy.app.handlers.frame_change_post.remove(look)
+    assert found == {"RENDER": [30, 70]}
 
 
 def test_suns_are_turned_into_the_terrains_own_space(scene):

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel *Effects*: what is computed for whom, what it takes, and why the rest is not.
+
+Every effect has one row, computed or not, and one of them has its details in as many lines whatever they say: nothing
+moves while someone aims at it.
+"""
+
+import bpy
+
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ..scene import live, session
+from ..scene.effect_properties import is_number
+from ..scene.map_properties import label
+from ..text.effect_lines import cost_text, readers_text
+from .panel_parts import TerrainSubpanel, figures, fixed_lines
+
+NAME_WIDTH, COST_WIDTH = 0.46, 0.5  # parts of a row, and of what is left of it
+ABOUT_LINES, READER_LINES = 3, 3
+_shown = next(iter(EFFECTS))
+
+
+class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_effects"
+    bl_label = "Effects"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        obj = context.object
+        statuses, settings = session.record_of(obj).status.effects, obj.adaptive_terrain.effects
+        self.layout.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
+        figures(self.layout.column(align=True), summary_lines(statuses))
+        rows = self.layout.column(align=True)
+        for name in EFFECTS:
+            _draw_row(rows, settings, name, statuses.get(name))
+        _draw_details(self.layout.box(), _shown, statuses.get(_shown))
+        column = self._columns()
+        column.prop(settings, "geometry_metres")
+        for parameter in filter(is_number, EFFECTS[_shown].parameters):
+            column.prop(getattr(settings, _shown), parameter.name)
+
+
+def _draw_row(rows, settings, name: str, status) -> None:
+    computed = status is not None and not status.skipped
+    row = rows.split(factor=NAME_WIDTH, align=True)
+    left = row.row(align=True)
+    left.alignment = "LEFT"
+    icon = "RADIOBUT_ON" if computed else "RADIOBUT_OFF"
+    left.operator("adaptive_terrain.show_effect", text=label(name), icon=icon, emboss=name == _shown).name = name
+    right = row.split(factor=COST_WIDTH, align=True)
+    cost = right.row()
+    cost.active = computed
+    cost.label(text=f"{status.ms:.1f} ms" if computed else "-")
+    right.prop(getattr(settings, name), "when", text="")
+
+
+def _draw_details(box, name: str, status) -> None:
+    column = box.column(align=True)
+    effect = EFFECTS[name]
+    fixed_lines(column, f"{label(name)}{f' ({effect.unit})' if effect.unit else ''}: {effect.about}", ABOUT_LINES)
+    fixed_lines(column, readers_text(status), READER_LINES)
+    column.label(text=cost_text(status))
+
+
+def summary_lines(statuses) -> list[tuple[str, str]]:
+    """The lines above the list: as many before the first update."""
+    made = [status for status in statuses.values() if not status.skipped]
+    ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
+    return [("Computed", f"{len(made)} of {len(EFFECTS)}"), ("Cost", f"{ms:.1f} ms, {megabytes:.1f} MB")]
+
+
+class ShowEffect(bpy.types.Operator):
+    """Show who reads this effect, what it takes, and its settings"""
+
+    bl_idname = "adaptive_terrain.show_effect"
+    bl_label = "Show Effect"
+    bl_options = {"INTERNAL"}
+
+    name: bpy.props.StringProperty(name="Effect")
+
+    def execute(self, context):
+        global _shown
+        if self.name not in EFFECTS:
+            self.report({"ERROR"}, f"There is no effect {self.name!r}; expected one of {', '.join(EFFECTS)}.")
+            return {"CANCELLED"}
+        _shown = self.name
+        live.redraw_panels()
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((ShowEffect,))

@@ -23,8 +23,8 @@ MEANING = {
     "frame": "Camera moves to evaluated mesh, all that Blender does in between.",
     "frame_meshlets": "The same with 4⁴ triangles for each leaf.",
     "still_frame": "A frame change in Blender while the camera stands still; no mesh is written.",
-    "demand": "Which attributes of the terrain's mesh the scene reads, found anew: the demo's sky and sea, a material of 20 "
-    "nodes; beside the update of a flight.",
+    "demand": "Which attributes of the terrain's mesh the scene reads, found anew: the demo's sky and sea, a material "
+    "of 20 nodes; beside the update of a flight.",
     "demand_large": "The same of a material of 200 nodes that reads 99 attributes.",
     "demand_kept": "The same while nothing has changed.",
     "program_ingest": "ingest inside the Blender program that is named above, without a window. Before 4.5 Blender "
@@ -40,6 +40,9 @@ MEANING = {
     "budget_flight": "The same in a flight, beside one for the error that fits in its first frame; both take leaves "
     "from the last frame.",
     "budget_level": "As budget_first, of edges 30 times too short, all round over a flat 4097² field.",
+    "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, one "
+    "thread: the same bits as with every crossing.",
+    "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -21,6 +21,7 @@ from . import (
     goals,
     in_blender,
     in_program,
+    light_rows,
     performance_page,
     report,
     scale,
@@ -120,6 +121,7 @@ def everything(
     yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
+    yield partial(light_rows.light_rows)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

@@ -236,6 +236,14 @@ def count_same_vec3s(
 
 
 @wp.func_native(
+    "const float *p = a.data + i, *q = b.data + j; int k = 0; while (k < most && p[k] == q[k]) ++k; return k;"
+)
+def count_same_floats(
+    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
+) -> wp.int32: ...
+
+
+@wp.func_native(
     "const float* from = values.data + first; float* __restrict to = out.data + at; "
     "for (int k = 0; k < count; ++k) to[k] = from[k];"
 )

@@ -47,9 +47,9 @@ class _State:
 class Evaluator:
     """Evaluates effects for one terrain's surfaces; keeps what the next surface may take over.
 
-    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call took.
-    Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what would be
-    computed, whatever surfaces came before.
+    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call
+    took. Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what
+    would be computed, whatever surfaces came before.
     """
 
     threads: int = 1

@@ -9,6 +9,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 
 PLACES = "places"
+MOST_FRESH = 0.5
 
 
 class Kept:
@@ -56,7 +57,10 @@ class Kept:
         return values
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """int32 [n]: the places that the last surface does not have, or not at their level; None if that is all."""
+        """int32 [n]: the places that the last surface does not have, or not at their level.
+
+        None if most are so: to make all anew costs less than to put them among others.
+        """
         if last is None or not len(self._runs):
             return None
         fresh, found = np.empty(self._count, np.int32), np.zeros(1, np.int32)
@@ -64,7 +68,7 @@ class Kept:
         arrays = [flat(array, wp.float32) for array in (levels, last)]
         inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
         launch.once(kernels.list_fresh, inputs, step="kept")
-        return fresh[: found[0]]
+        return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
 
     def forget_others(self, names: set[str]) -> None:
         """Drop every array but the places and these."""
@@ -81,7 +85,12 @@ def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     """int32 [n, 3]: first place, first place of the last surface, how many."""
     if not len(places) or not len(last):
         return np.empty((0, 3), np.int32)
-    runs, found = np.empty((len(places), 3), np.int32), np.zeros(1, np.int32)
+    runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
     arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
-    launch.once(kernels.match, [*arrays, shared(runs, wp.vec3i), flat(found, wp.int32)], step="kept")
+    ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
+    launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
+    if found[1] < len(places):
+        bits = len(last).bit_length() + 1  # so that few places share a hash
+        table = np.full(1 << bits, -1, np.int32)
+        launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
     return runs[: found[0]].copy()

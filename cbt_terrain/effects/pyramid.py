@@ -65,6 +65,7 @@ def _ground(field: HeightField, coarser: np.ndarray) -> kernels.Ground:
     found.columns = wp.array(sizes[:, 1], dtype=wp.int32, device=launch.DEVICE)
     found.levels = len(sizes)
     found.step_x, found.step_y = lattice.step_x, lattice.step_y
+    found.per_x, found.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     found.west, found.south, _, _ = lattice.rectangle()
     found.height_scale, found.height_offset = 1.0, 0.0
     return found

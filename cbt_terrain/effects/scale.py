@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scale at which an effect is evaluated: a level of the pyramid for each place, in steps of 1/8, so that values stay
-bit for bit while the camera creeps."""
+"""The scale at which an effect is evaluated: a level of the pyramid for each place, in steps of 1/8, so that values
+stay bit for bit while the camera creeps."""
 
 import math
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ def footprint_levels(
     threads: int = 1,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """float32 [n]: the level whose samples are as far apart as a pixel covers across the line of sight, of the view that
-    sees the place finest.
+    """float32 [n]: the level whose samples are as far apart as a pixel covers across the line of sight, of the view
+    that sees the place finest.
 
     positions: float32 [n, 3], metres in the terrain's own space, which `placement` (4 x 4) takes to the world. The
     footprint is by distance, not by depth: turning the camera changes nothing. Of a terrain that is stretched more one

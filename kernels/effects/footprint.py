@@ -5,7 +5,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Of the squared footprint's mantissa, 1 .. 2: from here on it belongs to the next eighth of a level, 2**((k + 1/2) / 4).
+# Of the mantissa of the squared footprint, 1 .. 2: 2**((k + 1/2) / 4), from where on it belongs to the next eighth.
 STEP_0 = wp.constant(wp.float64(1.0905077326652577))
 STEP_1 = wp.constant(wp.float64(1.2968395546510096))
 STEP_2 = wp.constant(wp.float64(1.5422108254079407))

@@ -66,58 +66,25 @@ def arc_tangent(t: wp.float64) -> wp.float64:
 
 
 @wp.func
-def slope_of(q: Jet) -> wp.float64:
-    """Radians."""
-    return arc_tangent(wp.sqrt(q[1] * q[1] + q[2] * q[2]))
-
-
-@wp.func
-def mean_curvature_of(q: Jet) -> wp.float64:
-    """Of the surface, 1 / metre: positive where it is convex, as on a summit."""
-    w = wp.float64(1.0) + q[1] * q[1] + q[2] * q[2]
+def mean_curvature_of(q: Jet, r: wp.float64) -> wp.float64:
+    """Of the surface, 1 / metre: positive where it is convex, as on a summit. r: 1 / sqrt(1 + squared gradient)."""
     one = wp.float64(1.0)
     bend = (one + q[2] * q[2]) * q[3] - wp.float64(2.0) * q[1] * q[2] * q[4] + (one + q[1] * q[1]) * q[5]
-    return wp.float64(-0.5) * bend / (w * wp.sqrt(w))
+    return wp.float64(-0.5) * bend * (r * r * r)
 
 
 @wp.func
-def profile_curvature_of(q: Jet) -> wp.float64:
-    """Down the slope, 1 / metre: positive where it steepens downhill; 0 on level ground."""
-    p2 = q[1] * q[1] + q[2] * q[2]
-    k = wp.float64(0.0)
-    if p2 > LEVEL_GROUND * LEVEL_GROUND:
-        w = wp.float64(1.0) + p2
-        bend = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
-        k = -bend / (p2 * w * wp.sqrt(w))
-    return k
+def profile_curvature_of(q: Jet, r: wp.float64, run: wp.float64) -> wp.float64:
+    """Down the slope, 1 / metre: positive where it steepens downhill. run: metres along a metre of rise, or 0."""
+    bend = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
+    return -bend * (run * run) * (r * r * r)
 
 
 @wp.func
-def plan_curvature_of(q: Jet, most: wp.float64) -> wp.float64:
-    """Of the contour line, 1 / metre, `most` at most: positive on a ridge; 0 on level ground."""
-    p2 = q[1] * q[1] + q[2] * q[2]
-    k = wp.float64(0.0)
-    if p2 > LEVEL_GROUND * LEVEL_GROUND:
-        bend = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
-        k = wp.clamp(-bend / (p2 * wp.sqrt(p2)), -most, most)
-    return k
-
-
-@wp.func
-def aspect_of(q: Jet) -> wp.vec2f:
-    """Sine and cosine of the direction downhill, clockwise from north; (0, 0) on level ground."""
-    p = wp.sqrt(q[1] * q[1] + q[2] * q[2])
-    a = wp.vec2f(0.0, 0.0)
-    if p > LEVEL_GROUND:
-        a = wp.vec2f(wp.float32(-q[1] / p), wp.float32(-q[2] / p))
-    return a
-
-
-@wp.func
-def normal_of(q: Jet) -> wp.vec3f:
-    """Upward, of length 1."""
-    n = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + q[1] * q[1] + q[2] * q[2])
-    return wp.vec3f(wp.float32(-q[1] * n), wp.float32(-q[2] * n), wp.float32(n))
+def plan_curvature_of(q: Jet, run: wp.float64) -> wp.float64:
+    """Of the contour line, 1 / metre: positive on a ridge. run: metres along a metre of rise, or 0."""
+    bend = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
+    return -bend * (run * run) * run
 
 
 @wp.kernel
@@ -135,17 +102,23 @@ def from_jets(
     q = jet_at(ground, wp.float64(p[0]), wp.float64(p[1]), level)
     if (values.wanted & HEIGHT) != 0:
         values.height[v] = single(q[0])
+    squared = q[1] * q[1] + q[2] * q[2]
+    rise = wp.sqrt(squared)
+    r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)
+    run = wp.float64(0.0)
+    if rise > LEVEL_GROUND:
+        run = wp.float64(1.0) / rise
     if (values.wanted & SLOPE) != 0:
-        values.slope[v] = wp.float32(slope_of(q))
+        values.slope[v] = wp.float32(arc_tangent(rise))
     if (values.wanted & ASPECT) != 0:
-        values.aspect[v] = aspect_of(q)
+        values.aspect[v] = wp.vec2f(wp.float32(-q[1] * run), wp.float32(-q[2] * run))
     if (values.wanted & MEAN_CURVATURE) != 0:
-        values.mean_curvature[v] = single(mean_curvature_of(q))
+        values.mean_curvature[v] = single(mean_curvature_of(q, r))
     if (values.wanted & PROFILE_CURVATURE) != 0:
-        values.profile_curvature[v] = single(profile_curvature_of(q))
+        values.profile_curvature[v] = single(profile_curvature_of(q, r, run))
     if (values.wanted & PLAN_CURVATURE) != 0:
         # A contour that turns within a sample of the level is not resolved.
-        spacing = wp.min(ground.step_x, ground.step_y) * wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
-        values.plan_curvature[v] = single(plan_curvature_of(q, wp.float64(1.0) / spacing))
+        most = wp.max(ground.per_x, ground.per_y) / wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
+        values.plan_curvature[v] = wp.float32(wp.clamp(plan_curvature_of(q, run), -most, most))
     if (values.wanted & NORMAL) != 0:
-        values.normal[v] = normal_of(q)
+        values.normal[v] = wp.vec3f(wp.float32(-q[1] * r), wp.float32(-q[2] * r), wp.float32(r))

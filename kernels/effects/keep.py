@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stays of the values of the last surface: places that are in both are found, and their values copied.
 
-Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run is
-(first place, first place of the last surface, how many). What is equal is so bit by bit.
+Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run
+is (first place, first place of the last surface, how many). What is equal is so bit by bit.
 """
 
 import warp as wp
 
-from ..unchecked import copy_floats, count_same_vec3s
+from ..unchecked import copy_floats, count_same_floats, count_same_vec3s, number_at, put
 
 wp.set_module_options({"enable_backward": False})
 
 LOOK = wp.constant(32)  # places, of both surfaces together, that are skipped to find the next run
-# So often that may fail before the rest counts as new: after a cut there is little to find, and looking is not free.
-FAILURES = wp.constant(512)
 
 
 @wp.func
@@ -38,7 +36,7 @@ def next_common(
 
 
 @wp.kernel
-def match(
+def match_in_order(
     places: wp.array(dtype=wp.vec3f),
     count: int,
     last: wp.array(dtype=wp.vec3f),
@@ -46,12 +44,12 @@ def match(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """Runs that follow each other in both; `found` [1]: how many."""
+    """Runs as far as they follow each other in both; `found` [2]: how many, and the first place that is not decided."""
     v = wp.int32(0)
     at = wp.int32(0)
     k = wp.int32(0)
-    failures = wp.int32(0)
-    while v < count and at < last_count and failures < FAILURES:
+    lost = wp.int32(0)
+    while v < count and lost == 0:
         same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
         if same > 0:
             runs[k] = wp.vec3i(v, at, same)
@@ -60,10 +58,48 @@ def match(
         at += same
         skip = next_common(places, v, count, last, at, last_count)
         if skip[0] < 0:
-            failures += 1
-            skip = wp.vec2i(LOOK, LOOK)
-        v += skip[0]
-        at += skip[1]
+            lost = 1
+        else:
+            v += skip[0]
+            at += skip[1]
+    found[0] = k
+    found[1] = v
+
+
+@wp.func
+def slot_of(p: wp.vec3f, bits: wp.int32) -> wp.int32:
+    """Where a place belongs in a table of 2**bits."""
+    h = wp.cast(p[0], wp.uint32) * wp.uint32(0x1E3779B1) ^ wp.cast(p[1], wp.uint32) * wp.uint32(0x35EBCA77)
+    h = (h ^ (h >> wp.uint32(15))) * wp.uint32(0x2C1B3C6D)
+    return wp.int32(h >> wp.uint32(32 - bits))
+
+
+@wp.kernel
+def match_anywhere(
+    places: wp.array(dtype=wp.vec3f),
+    count: int,
+    last: wp.array(dtype=wp.vec3f),
+    last_count: int,
+    bits: int,
+    table: wp.array(dtype=wp.int32),
+    runs: wp.array(dtype=wp.vec3i),
+    found: wp.array(dtype=wp.int32),
+):
+    """The rest, wherever the last surface has it. `table` [2**bits] is -1: it keeps one place for each hash of x and y,
+    so a run may begin late; none is wrong."""
+    for i in range(last_count):
+        put(table, wp.int64(slot_of(last[i], bits)), i)
+    k = found[0]
+    v = found[1]
+    while v < count:
+        at = number_at(table, slot_of(places[v], bits))
+        same = wp.int32(0)
+        if at >= 0:
+            same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
+            if same > 0:
+                runs[k] = wp.vec3i(v, at, same)
+                k += 1
+        v += wp.max(same, 1)
     found[0] = k
 
 
@@ -88,11 +124,13 @@ def list_fresh(
             fresh[n] = v
             n += 1
             v += 1
-        for i in range(run[2]):
-            if levels[v + i] != last_levels[run[1] + i]:
-                fresh[n] = v + i
+        end = v + run[2]
+        while v < end:
+            v += count_same_floats(levels, v, last_levels, run[1] + v - run[0], end - v)
+            if v < end:
+                fresh[n] = v
                 n += 1
-        v += run[2]
+                v += 1
     found[0] = n
 
 

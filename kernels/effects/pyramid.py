@@ -31,6 +31,8 @@ class Ground:
     levels: wp.int32
     step_x: wp.float64  # metres between samples of level 0
     step_y: wp.float64
+    per_x: wp.float64  # samples of it in a metre
+    per_y: wp.float64
     west: wp.float64  # metres, of the first sample
     south: wp.float64
     height_scale: wp.float64
@@ -160,6 +162,12 @@ def four_heights(ground: Ground, level: wp.int32, row: wp.int32, near: wp.vec4i,
 
 
 @wp.func
+def part_of(level: wp.int32) -> wp.float64:
+    """2**-level."""
+    return wp.cast(wp.int64(1023 - level) << wp.int64(52), wp.float64)
+
+
+@wp.func
 def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
     """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
     columns = ground.columns[level]
@@ -191,8 +199,9 @@ def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> 
         z = wp.dot(bx, h)
         g = wp.dot(dx, h)
         q += Jet(by[b] * z, by[b] * g, dy[b] * z, by[b] * wp.dot(sx, h), dy[b] * g, sy[b] * z)
-    per_x = wp.float64(1.0) / (ground.step_x * wp.float64(wp.int32(1) << level))
-    per_y = wp.float64(1.0) / (ground.step_y * wp.float64(wp.int32(1) << level))
+    part = part_of(level)
+    per_x = ground.per_x * part
+    per_y = ground.per_y * part
     return Jet(
         base + q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y
     )
@@ -206,12 +215,12 @@ def jet_at(ground: Ground, x: wp.float64, y: wp.float64, level: wp.float32) -> J
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
-    cell_x = wp.clamp((x - ground.west) / ground.step_x, wp.float64(0.0), last_x)
-    cell_y = wp.clamp((y - ground.south) / ground.step_y, wp.float64(0.0), last_y)
+    cell_x = wp.clamp((x - ground.west) * ground.per_x, wp.float64(0.0), last_x)
+    cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), last_y)
     scale = wp.clamp(level, wp.float32(0.0), wp.float32(ground.levels - 1))
     below = wp.int32(scale)
     part = wp.float64(scale) - wp.float64(below)
-    per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
+    per = part_of(below)
     q = level_jet(ground, below, cell_x * per, cell_y * per)
     if part > wp.float64(0.0):
         per *= wp.float64(0.5)

@@ -8,7 +8,7 @@ import bpy
 
 from ...cbt_terrain.effects.effect import GEOMETRY
 from .found import ACTIVE_UV, VERTEX_GROUP, Demand
-from .trees import Tree, animated_paths, nodes_inside
+from .trees import Trees, animated_paths, nodes_inside
 from .walk import Walk
 
 
@@ -30,7 +30,7 @@ def is_enabled(modifier, render: bool) -> bool:
     return getattr(modifier, shown) or shown in "".join(_animated(modifier))
 
 
-def read_modifier(found: Demand, modifier, words: str, trees: dict[int, Tree], viewers: bool = False) -> Taken:
+def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Taken:
     """Add what one modifier reads, and return what it takes in. `viewers`: what they show counts, too."""
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Taken()
@@ -77,7 +77,7 @@ def read_particles(found: Demand, system, words: str) -> None:
     found.add(ACTIVE_UV, f"{words} (hair takes the emitter's UV)", GEOMETRY)
 
 
-def _read_nodes(found: Demand, modifier, words: str, trees: dict[int, Tree], viewers: bool) -> Taken:
+def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Taken:
     values, attributes = _inputs(modifier)
     for label, name in attributes:
         if name:

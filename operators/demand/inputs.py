@@ -15,7 +15,7 @@ def used_inputs(walk, node, context: tuple) -> list:
     if walk.is_altered(node):
         return list(node.inputs)
     # A mix or a switch keeps links on the sockets of its other data types, which are not enabled.
-    inputs = [s for s in node.inputs if s.enabled and not getattr(s, "is_unavailable", False)]
+    inputs = [socket for socket in node.inputs if socket.enabled]
     choose = CHOOSING.get(node.bl_idname)
     return choose(walk, node, context, inputs) if choose else inputs
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...cbt_terrain.effects.effect import PICTURE
 from .found import ACTIVE_COLOR, ACTIVE_UV, ALL, Demand
 from .readers import HIT
-from .trees import Tree, nodes_inside
+from .trees import Trees, nodes_inside
 from .walk import Walk
 
 # Which of a material's outputs an engine takes.
@@ -28,7 +28,7 @@ class Look:
     targets: set[str]
     aovs: set[str]
     osl: bool
-    trees: dict[int, Tree] = field(default_factory=dict)
+    trees: Trees = field(default_factory=Trees)
 
 
 def look_of(scene, layers, preview: bool) -> Look:

@@ -52,7 +52,7 @@ def _coordinates(walk, node, output, context):
 
 
 def _image(walk, node, _output, context):
-    if not walk.feeding(node, node.inputs["Vector"]):  # other textures take generated coordinates then
+    if not walk.feeding(node.inputs["Vector"]):  # other textures take generated coordinates then
         walk.read(ACTIVE_UV, node, context, "unlinked vector")
 
 

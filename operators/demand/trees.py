@@ -2,35 +2,42 @@
 """What a walk needs of one node tree: which sockets feed which, and what animation may change."""
 
 import re
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 # An animated property of a node: its name, and the number of the input whose value it is, if it is one.
 PATH = re.compile(r'nodes\["((?:[^"\\]|\\.)*)"\](?:\.inputs\[(\d+)\]\.default_value)?')
 
 
-class Tree(NamedTuple):
-    """`feeding`: by the pointer of an input, the (node, output) of its links that are valid and not muted. `varied`:
-    (node's name, number of the input) of values that are animated or driven. `altered`: names of nodes of which
-    anything else is, so that nothing of them is known."""
+@dataclass
+class Trees:
+    """Node trees that were read, by the pointers of their parts, which hold while nothing edits them.
 
-    feeding: dict[int, list[tuple]]
-    varied: set[tuple[str, int]]
-    altered: set[str]
+    `feeding`: of an input, the (node, output) of its links that are valid and not muted. `varied`: inputs whose value
+    is animated or driven. `altered`: nodes of which anything else is, so that nothing of them is known.
+    """
 
+    read: set[int] = field(default_factory=set)
+    feeding: dict[int, list[tuple]] = field(default_factory=dict)
+    varied: set[int] = field(default_factory=set)
+    altered: set[int] = field(default_factory=set)
 
-def read_tree(tree) -> Tree:
-    found = Tree({}, set(), set())
-    for link in tree.links:
-        if link.is_valid and not link.is_muted:
-            found.feeding.setdefault(link.to_socket.as_pointer(), []).append((link.from_node, link.from_socket))
-    for path in animated_paths(tree):
-        if named := PATH.match(path):
-            name = named[1].replace('\\"', '"').replace("\\\\", "\\")
-            if named[2] is not None:
-                found.varied.add((name, int(named[2])))
+    def add(self, tree) -> None:
+        """Read a tree, once."""
+        if tree.as_pointer() in self.read:
+            return
+        self.read.add(tree.as_pointer())
+        for link in tree.links:
+            if link.is_valid and not link.is_muted:
+                self.feeding.setdefault(link.to_socket.as_pointer(), []).append((link.from_node, link.from_socket))
+        for path in animated_paths(tree):
+            named = PATH.match(path)
+            node = named and tree.nodes.get(named[1].replace('\\"', '"').replace("\\\\", "\\"))
+            if not node:
+                continue
+            if named[2] is not None and int(named[2]) < len(node.inputs):
+                self.varied.add(node.inputs[int(named[2])].as_pointer())
             else:
-                found.altered.add(name)
-    return found
+                self.altered.add(node.as_pointer())
 
 
 def animated_paths(block) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from .found import ALL, Demand
 from .inputs import used_inputs
 from .readers import note_reads
-from .trees import Tree, read_tree
+from .trees import Trees
 
 DEEPEST = 30  # groups in groups
 MOST_STEPS = 10_000  # groups that are used twice in groups that are used twice ... would never end
@@ -28,7 +28,7 @@ class Walk:
     found: Demand
     words: str
     family: str
-    trees: dict[int, Tree]
+    trees: Trees
     values: dict = field(default_factory=dict)
     osl: bool = False
     seen: set = field(default_factory=set)
@@ -38,27 +38,28 @@ class Walk:
 
     def visit(self, node, socket, context: tuple = ()) -> None:
         """Note what everything reads that feeds an input."""
+        self.trees.add(node.id_data)
         waiting = [(node, socket, context)]
         while waiting:
             node, socket, context = waiting.pop()
             if len(self.seen) > MOST_STEPS:
                 self.read(ALL, node, context[:1], "too many groups in groups to follow")
                 return
-            for source, output in self.feeding(node, socket):
+            for source, output in self.feeding(socket):
                 waiting += self._through(source, output, context)
 
-    def feeding(self, node, socket) -> list[tuple]:
+    def feeding(self, socket) -> list[tuple]:
         """(node, output) of what feeds an input."""
-        return self._tree(node).feeding.get(socket.as_pointer(), [])
+        return self.trees.feeding.get(socket.as_pointer(), [])
 
     def is_altered(self, node) -> bool:
         """Whether animation changes more of a node than values of its inputs."""
-        return node.name in self._tree(node).altered
+        return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
         """The value of an input if it has one for good, else None."""
         for _ in range(100):
-            links = self.feeding(node, socket)
+            links = self.feeding(socket)
             if len(links) > 1:
                 return None
             if not links:
@@ -81,20 +82,12 @@ class Walk:
         words = ", ".join([self.words, *groups, f"node {node.name}"])
         self.found.add(name, f"{words} ({why})" if why else words, self.family)
 
-    def _tree(self, node) -> Tree:
-        tree = node.id_data
-        key = tree.as_pointer()
-        if key not in self.trees:
-            self.trees[key] = read_tree(tree)
-        return self.trees[key]
-
     def _own_value(self, node, socket):
         """Of an input that nothing feeds."""
-        if self.is_altered(node) or not hasattr(socket, "default_value"):
+        if self.is_altered(node) or socket.as_pointer() in self.trees.varied:
             return None
-        number = next((i for i, other in enumerate(node.inputs) if other == socket), -1)
-        value = socket.default_value
-        return None if (node.name, number) in self._tree(node).varied or not isinstance(value, CONSTANTS) else value
+        value = getattr(socket, "default_value", None)
+        return value if isinstance(value, CONSTANTS) else None
 
     def _passed(self, node, output, context: tuple) -> tuple | None:
         """The input whose value an output passes on as it is, with its node and context; None if there is none."""
@@ -125,13 +118,15 @@ class Walk:
         note_reads(self, node, output, context)
         if not node.bl_idname.startswith(KNOWN) or node.bl_idname.endswith("NodeCustomGroup"):
             self.read(ALL, node, context, f"an unknown type of node, {node.bl_idname}")
-        return [(node, socket, context) for socket in used_inputs(self, node, context)]
+        fed = (socket for socket in used_inputs(self, node, context) if self.feeding(socket))
+        return [(node, socket, context) for socket in fed]
 
     def _into(self, group, output, context: tuple) -> list[tuple]:
         """The end of a group that makes one of its outputs."""
         if len(context) >= DEEPEST:
             self.read(ALL, group, context[:1], "groups too deep to follow")
             return []
+        self.trees.add(group.node_tree)
         ends = [n for n in group.node_tree.nodes if n.bl_idname == "NodeGroupOutput" and n.is_active_output]
         inside = (*context, group)
         return [(e, s, inside) for e in ends for s in e.inputs if s.identifier == output.identifier]

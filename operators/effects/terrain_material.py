@@ -4,8 +4,8 @@
 import bpy
 
 from ...cbt_terrain.effects.splat import NAMES
-from ...cbt_terrain.effects.splat_rules import DEFAULT
 from ..scene import session
+from ..scene.layer_properties import colors_of
 from .map_images import map_image, map_vector
 from .material import SKY, SUN, Sources, dress
 
@@ -36,7 +36,7 @@ class TerrainMaterial(bpy.types.Operator):
 
 def sources_of(obj, light) -> Sources:
     """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
-    layers = [(layer.name, (0.3, 0.3, 0.3)) for layer in DEFAULT]
+    layers = colors_of(obj.adaptive_terrain)
     names = ("detail_normal", SKY, SUN, *NAMES[: -(-len(layers) // 4)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     return Sources(layers, light, maps, lambda tree: map_vector(tree, obj))

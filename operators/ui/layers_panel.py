@@ -77,13 +77,13 @@ def _draw_layer(column, settings, layer) -> None:
 
 
 def _draw_band(column, band, names: tuple[str, ...]) -> None:
-    """A switch, and beside it the numbers of what is switched on."""
-    row = column.row(align=True, heading=band.bl_rna.properties["use"].name)
-    row.prop(band, "use", text="")
-    numbers = row.row(align=True)
-    numbers.use_property_split = False
-    for name in names if band.use else ():
-        numbers.prop(band, name, text="")
+    """A switch, and below it, in one row, the numbers of what is switched on."""
+    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
+    if band.use:
+        numbers = column.row(align=True)
+        numbers.use_property_split = False
+        for name in names:
+            numbers.prop(band, name, text="")
 
 
 CLASSES = (LayerList, LayerPresets, LayersPanel)

@@ -231,6 +231,19 @@ def count_same_vec3s(
 
 
 @wp.func
+def count_same_floats(
+    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
+) -> wp.int32:
+    k = wp.int32(0)
+    same = wp.bool(True)
+    while k < most and same:
+        same = a[i + k] == b[j + k]
+        if same:
+            k += 1
+    return k
+
+
+@wp.func
 def copy_floats(
     values: wp.array(dtype=wp.float32),
     first: wp.int64,

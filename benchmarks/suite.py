@@ -22,6 +22,7 @@ from . import (
     in_blender,
     in_program,
     light_rows,
+    maps_rows,
     performance_page,
     report,
     scale,
@@ -122,6 +123,7 @@ def everything(
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
     yield partial(light_rows.light_rows)
+    yield partial(maps_rows.maps_row)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

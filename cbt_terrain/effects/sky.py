@@ -75,9 +75,7 @@ SKY = Effect(
     span=(0.0, 1.0),
     make=make,
     example=example,
-    parameters=(
-        Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),
-    ),
+    parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
     halo="the whole raster",
     cost_ns=35000,
     source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",

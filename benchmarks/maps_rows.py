@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What baking a map costs, beside the plainest way to a normal map of the same size: numpy's differences, one thread."""
+"""What baking a map costs, beside the plainest way to as large a normal map: numpy, on one thread."""
 
 import tempfile
 import zlib

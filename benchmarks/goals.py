@@ -42,6 +42,7 @@ GOALS: dict[tuple[str, int], float] = {
     ("budget_level", ANY_SIZE): 3.0,
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
+    ("maps_normal", ANY_SIZE): 1.0,
     ("import_reopen", ANY_SIZE): 1.0,
     ("scale_refine", ANY_SIZE): 1.05,
     ("scale_surface", ANY_SIZE): 1.05,

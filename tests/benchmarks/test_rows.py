@@ -21,6 +21,7 @@ from adaptive_terrain.benchmarks import (
     in_program,
     layer_rows,
     light_rows,
+    maps_rows,
     measure,
     report,
     scale,
@@ -203,6 +204,7 @@ def small_suite(monkeypatch):
         measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
+        maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
@@ -214,7 +216,7 @@ def small_suite(monkeypatch):
 
 
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
-ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
+ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview", "maps_normal"]
 ENGINE_ROWS += ["cold_start"]
 
 

@@ -22,8 +22,8 @@ from .diamond import (
     LocalView,
     diamond_at,
     error_at,
-    finest_in,
     larger,
+    nearest_pixel2,
     rest_of,
     sizes,
     smaller,
@@ -171,7 +171,7 @@ def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
     if stand_of(view, d.low, d.high) != OUTSIDE:
-        pixel2 = finest_in(view, d, 1)
+        pixel2 = nearest_pixel2(view, d)
         if view.kind == PERSPECTIVE:
             ahead = least_depth(view, d)
             if ahead > wp.float64(0.0):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import warp as wp
 
-from ...kernels.effects.horizon import fill_horizon
+from ...kernels.refine.horizon_map import fill_horizon
 from ...kernels.refine.diamond import Asked, Domain, LocalView
 from ...kernels.refine.hiding import RING_BITS, ROW
 from ..ask.criterion import LARGEST

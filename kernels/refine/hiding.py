@@ -6,7 +6,7 @@ one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and 
 differ from machine to machine. Slopes are heights above the eye by that distance: they order the rays of one azimuth.
 Radii of the rings are the numbers with five bits behind their first: 2 - 3 % apart.
 
-kernels/effects/horizon.py fills the map. Each entry has the slope below which all rays of its bin are behind ground
+kernels/refine/horizon_map.py fills the map. Each entry has the slope below which all rays of its bin are behind ground
 that is no farther than the ring, whatever mesh keeps what is asked; so entries rise with the ring. A box is hidden if
 all rays to it are below the entries of the ring that is just nearer than all of it.
 

@@ -11,9 +11,9 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..refine.diamond import Asked, LocalView, range_at
-from ..refine.excess import heights_between
-from ..refine.hiding import BINS, ROW, radius_of
+from .diamond import Asked, LocalView, range_at
+from .excess import heights_between
+from .hiding import BINS, ROW, radius_of
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,7 +11,7 @@ SMOKE := tests/test_layers.py tests/regressions tests/faults \
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy figures lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy effects figures lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -24,6 +24,7 @@ help:
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
+	@echo "make effects    docs/effects.md: what there is to read of a terrain, its pictures and costs"
 	@echo "make figures    the figures of docs/method"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
@@ -63,6 +64,9 @@ profile: $(READY)
 
 accuracy: $(READY)
 	$(PY) tools/write_accuracy.py
+
+effects: $(READY)
+	$(PY) tools/write_effects.py
 
 figures: $(READY)
 	$(PY) tools/draw_figures.py

@@ -2,14 +2,13 @@
 """The two charts of docs/performance.md: time against triangles, and the steps of a frame."""
 
 from ..operators.text.log_plot import Curve, draw
-from ..operators.text.svg import BLUE, GOLD, GREEN, LINE, PURPLE, RED, SOFT, TEAL, box, path, picture, text
+from ..operators.text.svg import GOLD, GREEN, LINE, PURPLE, RED, SOFT, TEAL, box, path, picture, text
 from .measure import Row
 
 COLOURS = {"refine": TEAL, "surface": GREEN, "ingest": GOLD, "frame": RED}
 # What a frame's steps are, in their order; the last is what lies between them.
 STEPS = {
     "refine": ("refine", TEAL),
-    "mark": ("tree", BLUE),
     "weld": ("weld", GREEN),
     "displace": ("displace", GOLD),
     "mesh": ("mesh written", RED),

@@ -24,7 +24,6 @@ from .profiles import (
     BLOCK,
     BOX,
     COPY,
-    COUNTERS,
     DESCENT,
     DISPLACE,
     ERRORS,
@@ -65,14 +64,13 @@ PARTS = {
 }
 # Kernels by their module, where it is not the walk's.
 MODULES = {
-    "sum_reduction": COUNTERS,
     "count": SEARCH,
     "weld": WELD,
     "weld_border": WELD,
     "displace": DISPLACE,
     "ingest": OUR_WRITER,
 }
-KERNELS_OF_REFINEMENT = ("walk.", "sum_reduction.")
+KERNELS_OF_REFINEMENT = ("walk.",)
 CYCLES_SYNC = ("create_mesh", "ccl::Mesh::", "GuardedAllocator", "BlenderSync", "MeshManager", "GeometryManager")
 
 

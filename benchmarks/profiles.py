@@ -9,7 +9,7 @@ DESCENT, BAND_TEST, BAND = "walk: stack and branches", "walk: errors against ban
 ERRORS, BOX, PIXEL = "walk: errors read", "walk: boxes of diamonds", "walk: pixels on a box"
 LEAF, BLOCK, MERGED = "walk: leaves written", "walk: even blocks", "walk: not attributed"
 KEPT = "walk: subtrees kept and taken"
-COUNTERS, WELD, DISPLACE = "tree marked, counters", "weld", "displace, normals, uv"
+WELD, DISPLACE = "weld", "displace, normals, uv"
 SEARCH = "search for a triangle limit"
 SYSTEM, COPY, PYTHON = "the system: memory's pages", "memory copied or cleared", "Python and numpy"
 OUR_WRITER, BLENDER = "our mesh writer's kernels", "Blender"
@@ -27,7 +27,6 @@ MEANING = {
     BLOCK: "even blocks: leaves copied from a table",
     KEPT: "what the last frame has found copied, what the next one may copy noted",
     MERGED: "instructions that the compiler made of several lines",
-    COUNTERS: "the tree's cells compared with the last ones, counters above changed ones",
     SEARCH: "every diamond's last step found and counted",
     WELD: "vertex numbers of corners, edges",
     DISPLACE: "samples read, positions and normals made of them",

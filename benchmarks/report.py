@@ -12,7 +12,7 @@ from .measure import Row
 
 # What a reader of the page should know of each row.
 MEANING = {
-    "refine_1t": "The walk of the tree, tree marked, counters up to date; the camera moves by 0.1 % of the side a "
+    "refine_1t": "The walk of the tree, tree marked; the camera moves by 0.1 % of the side a "
     "frame, all round over a flat 4097² field, edges of one length on screen, depth 27; one thread.",
     "refine_2t": "The same on two threads.",
     "refine_error": "Error on screen over a rough 4097² field, frustum and guard band on; one thread.",

@@ -146,7 +146,7 @@ class Terrain:
         shape = (meshlet, depth, vertical_scale, vertical_offset)
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         leaves, error = self._refinement.replay(domain, depths, cell_bits)
-        changed = bool(leaves.changed_cells) or shape != shape_key
+        changed = leaves.changed or shape != shape_key
         try:
             surface = self._builder.build(leaves, domain, meshlet) if changed else self._last.surface
         except TornMesh:
@@ -215,7 +215,7 @@ class Terrain:
         while True:
             leaves, relaxed = self._refinement.run(domain, asked, depth, most, criterion.max_triangles is not None)
             # The same leaves displaced the same way are the same mesh.
-            changed |= bool(leaves.changed_cells)
+            changed |= leaves.changed
             if changed:
                 surface = self._builder.build(leaves, domain, criterion.meshlet)
             # The cut at the rim makes two of some triangles.

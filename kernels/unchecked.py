@@ -195,22 +195,6 @@ def copy_cells(
 ): ...
 
 
-# Two streams of cells (kernels/refine/sum_reduction.py), eight at a time: milliseconds for 500,000 0.37, one by one in
-# Warp 0.98.
-
-
-@wp.func_native(
-    "const wp::int64 *a = cells.data + i, *b = old_cells.data + j; const wp::int64 most = stop - i; wp::int64 k = 0; "
-    "for (; most < 0 || k + 8 <= most; k += 8) { wp::int64 differ = 0, links = 0; "
-    "for (int n = 0; n < 8; ++n) { differ |= a[k + n] ^ b[k + n]; links |= a[k + n]; } "
-    "if (differ != 0 || links < 0) break; } "
-    "while (k != most && a[k] == b[k] && a[k] >= 0) ++k; return k;"
-)
-def count_same(
-    cells: wp.array(dtype=wp.int64), i: wp.int64, stop: wp.int64, old_cells: wp.array(dtype=wp.int64), j: wp.int64
-) -> wp.int64: ...
-
-
 @wp.func_native(
     "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
     "for (int k = 0; k < 3 * count; ++k) to[k] = from[k];"

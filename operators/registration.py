@@ -6,6 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
+from .effects import bake_maps
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -31,6 +32,7 @@ MODULES = (
     update_terrain,
     freeze_detail,
     bake_terrain,
+    bake_maps,
     export_terrain,
     measuring,
     measure_accuracy,

@@ -51,6 +51,12 @@ def check_05_inside_blender(said, folder):
     assert asked == kept > free > 0 and (folder / "island.blend").exists()
 
 
+def check_06_an_effect(said, folder):
+    assert numbers(said, r"noon_sun of ([\d,]+)")[0] > 1000 and "made: detail_normal, noon_sun;" in said
+    least, most = numbers(said, r"([\d]\.[\d]+)")
+    assert 0.0 <= least < 0.5 < most <= 1.0
+
+
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}
 
 

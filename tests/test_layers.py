@@ -22,7 +22,7 @@ MAY_IMPORT = {
 ROOMS = {
     "kernels": ["unchecked", "field", "refine", "budget", "bicubic", "mesh", "effects", "fitting", "accuracy"],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
         *("importing", "fit", "accuracy"),
     ],
     "operators": [

@@ -12,16 +12,19 @@ import numpy as np
 
 from ..ask.criterion import Criterion
 from ..ask.view import View
+from ..effects.evaluate import Evaluator
+from ..effects.plan import Plan
 from ..field.bicubic import interpolated
 from ..field.heightfield import HeightField
 from ..fit.fit import fit
+from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..refine.terms import Terms
 from ..terrain import Terrain
 from . import Errors, Measured, Sight, look, measure, popping
 from .cost_curve import CostCurve
 from .sweep_settings import Setting
-from .timed_runs import RUNS, Frame, median_by_step, timed_runs
+from .timed_runs import RUNS, Frame, median_by_step, timed_runs, to_finished_mesh
 
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
 KEPT_SIGHTS = 16
@@ -29,7 +32,7 @@ KEPT_SIGHTS = 16
 DIFFERENT = 0.02
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
-STEPS = ("refine", "mark", "weld", "meshlets", "displace", "ingest", "fit")
+STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
 TERMS = tuple(Terms.__dataclass_fields__)
 PARTS = ("count", "max", "p95", "mean", "rms")
 
@@ -42,7 +45,8 @@ class Row:
     mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
     (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
-    "ingest", writing a Blender mesh, comes on top. `spread_ms`: the fastest and the slowest run, to the finished mesh.
+    "effects", making attributes, and "ingest", writing a Blender mesh, come on top. `spread_ms`: the fastest
+    and the slowest run, to the finished mesh.
     """
 
     setting: Setting
@@ -66,7 +70,7 @@ class Row:
     @property
     def whole_ms(self) -> float:
         """From the camera to the finished mesh, in Blender's memory if that was measured."""
-        return self.ms["total"] + self.ms.get("ingest", 0.0)
+        return to_finished_mesh(self.ms)
 
     def figures(self) -> dict[str, float | int | str | None]:
         """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
@@ -94,13 +98,15 @@ def sweep(
     base: Criterion | None = None,
     threads: int | None = None,
     write: Callable[[Surface], float] | None = None,
+    effects: Plan = Plan(),
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
     """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
 
     `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh, and returns
-    the milliseconds of that step, "ingest". `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
+    the milliseconds of that step, "ingest". `effects`: whose attributes are made for every mesh. `on_progress`
+    gets 0 .. 1. Any of them may raise, which ends the sweep.
     """
     rows, sights = [], {}
 
@@ -121,7 +127,7 @@ def sweep(
         if setting.fitted:
             row = _fitted_row(reference, setting, frames[0], threads, on_part)
         else:
-            row = _row(reference, setting, frames, base or Criterion(), threads, sight, write, on_part)
+            row = _row(reference, setting, frames, base or Criterion(), threads, sight, write, effects, on_part)
         rows.append(row)
         on_row(row)
     on_progress(1.0)
@@ -150,8 +156,11 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     return front
 
 
-def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, on_part) -> Row:
+def _row(
+    heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, effects: Plan, on_part
+) -> Row:
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
+    evaluator = Evaluator(terrain.threads)
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     looks = [(frame, view) for frame in frames for view in frame.views or [None]]
@@ -175,7 +184,12 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
                     on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
                 )
             )
-        runs += timed_runs(terrain, criterion, frame, RUNS if len(frames) == 1 else 1, write)
+
+        def made(surface: Surface, views: Sequence[View], frame: Frame = frame) -> dict[str, Attribute]:
+            return evaluator.attributes(effects, heights, surface, views, *frame.heights)
+
+        count = RUNS if len(frames) == 1 else 1
+        runs += timed_runs(terrain, criterion, frame, count, write, made if effects.steps else None)
         if frame.after:
             popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
     triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
@@ -194,7 +208,7 @@ def _row(heights, setting: Setting, frames: Sequence[Frame], base: Criterion, th
         updates[loosest].terms_px if in_pixels else updates[loosest].terms_m,
         worst(popped),
         median_by_step(runs),
-        spread_of([run["total"] + run.get("ingest", 0.0) for run in runs]),
+        spread_of([to_finished_mesh(run) for run in runs]),
     )
 
 

@@ -4,6 +4,7 @@
 import dataclasses
 import math
 import statistics
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 from ..ask.criterion import Criterion
 from ..ask.linear import length
 from ..ask.view import View
+from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..terrain import Terrain
 
@@ -43,8 +45,10 @@ def timed_runs(
     frame: Frame,
     count: int = RUNS,
     write: Callable[[Surface], float] | None = None,
+    effects: Callable[[Surface, Sequence[View]], dict[str, Attribute]] | None = None,
 ) -> list[dict[str, float]]:
-    """Milliseconds by step of `count` updates, more where they are short; "ingest" are those that `write` says it took.
+    """Milliseconds by step of `count` updates, more where they are short; "ingest" are those that `write` says it took,
+    "effects" those of making the attributes that it then writes too.
 
     The camera stands a little to the right of its place, then to the left, and so on; where that changes no leaf,
     heights move instead.
@@ -62,8 +66,13 @@ def timed_runs(
             offset = frame.vertical_offset + side * nudge
             update = terrain.update(criterion, views, frame.placement, scale, offset)
         runs.append(dict(update.ms))
+        surface = update.surface
+        if effects is not None:
+            start = time.perf_counter()
+            surface = surface.with_attributes(effects(surface, views))
+            runs[-1]["effects"] = (time.perf_counter() - start) * 1e3
         if write is not None:
-            runs[-1]["ingest"] = write(update.surface)
+            runs[-1]["ingest"] = write(surface)
     return runs[1:]  # the first found memory that was cold
 
 
@@ -71,6 +80,11 @@ def median_by_step(runs: list[dict[str, float]]) -> dict[str, float]:
     """A step that a run did not take took it no time."""
     steps = dict.fromkeys(step for run in runs for step in run)
     return {step: statistics.median(run.get(step, 0.0) for run in runs) for step in steps}
+
+
+def to_finished_mesh(ms: dict[str, float]) -> float:
+    """Milliseconds of all steps that come one after the other."""
+    return ms["total"] + ms.get("effects", 0.0) + ms.get("ingest", 0.0)
 
 
 def _moved(view: View, metres: float) -> View:

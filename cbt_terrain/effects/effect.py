@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What an effect is: a declaration, and a function over the places that it is asked for."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -70,10 +70,11 @@ class Effect:
     `name`: of the attribute or map. `about`: one line of meaning. `unit`: of its numbers, of which each element has
     `width`. `make`: see Make; effects with the same `make` are made together, in one call. A function of the place, the
     level, the parameters and what is read alone: which other places are asked for changes nothing. `reads`: names of
-    other effects. `halo`: how far around a place it looks. `bound`: what it adds to the error of the mesh, "" for
-    nothing. `cost_ns`: nanoseconds an element on one thread, measured. `source`: paper and section. `version`: raised
-    whenever its values change. `example`: evaluates it where the answer is known, and
-    asserts that.
+    other effects; where parameters decide which of them, `choose` tells. `halo`: how far around a place it looks.
+    `bound`: what it adds to the error of the mesh, "" for nothing. `span`: between which all its numbers lie, None
+    where nobody can say: maps of it hold floats. `cost_ns`: nanoseconds an element on one thread, measured. `source`:
+    paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
+    and asserts that.
     """
 
     name: str
@@ -87,9 +88,15 @@ class Effect:
     parameters: tuple[Parameter, ...] = ()
     halo: str = ""
     bound: str = ""
+    span: tuple[float, float] | None = None
     cost_ns: float = 0.0
     source: str = ""
     version: int = 1
+    choose: Callable[[Mapping[str, object]], tuple[str, ...]] | None = None
+
+    def reads_with(self, values: Iterable[tuple[str, object]]) -> tuple[str, ...]:
+        """Names of the effects that it reads with parameters that differ from their defaults so."""
+        return self.reads if self.choose is None else self.choose(self.defaults() | dict(values))
 
     def defaults(self) -> dict[str, float]:
         return {parameter.name: parameter.default for parameter in self.parameters}

@@ -9,18 +9,21 @@ from .effect import Places
 
 
 def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters) -> np.ndarray:
-    """An effect at every inner sample of a raster, float32 [rows, columns] of samples `step` metres apart."""
+    """An effect at every inner sample of a raster, whose samples are `step` metres apart: float32 [rows - 4,
+    columns - 4], or with the effect's width."""
     field = from_array(np.asarray(heights, np.float32), step)
     lattice = field.lattice
     west, south, _, _ = lattice.rectangle()
     x = west + np.arange(lattice.width) * step
     y = south + np.arange(lattice.height) * step
-    grid = np.stack([*np.meshgrid(x, y), field.heights()], -1).astype(np.float32)[2:-2, 2:-2].reshape(-1, 3)
-    return _value(name, Places(field, grid, np.full(len(grid), level, np.float32)), parameters)
+    inner = np.stack([*np.meshgrid(x, y), field.heights()], -1).astype(np.float32)[2:-2, 2:-2]
+    grid = inner.reshape(-1, 3)
+    values = _value(name, Places(field, grid, np.full(len(grid), level, np.float32)), parameters)
+    return values.reshape(*inner.shape[:2], *values.shape[1:])
 
 
 def _value(name: str, places: Places, parameters: dict) -> np.ndarray:
     """With what it reads, at its defaults."""
     effect = EFFECTS[name]
-    read = {other: _value(other, places, {}) for other in effect.reads}
+    read = {other: _value(other, places, {}) for other in effect.reads_with(parameters.items())}
     return effect.make(places, {name: effect.defaults() | parameters}, read)[name]

@@ -5,17 +5,37 @@ wanted, because it takes the derivatives once."""
 from collections.abc import Mapping
 
 import numpy as np
+import warp as wp
 
+from ...kernels.effects import jet as kernels
+from ..run import launch
+from ..run.buffers import flat, shared
 from .effect import Places, Wanted
+from .pyramid import ground
+
+SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
+HALO = "2 samples of the level"
+# Effects -> fields of the kernel's Values, Warp's and numpy's shape of an element, and the bit that asks for it.
+MADE = {
+    "height": ("height", wp.float32, (), kernels.HEIGHT),
+    "slope": ("slope", wp.float32, (), kernels.SLOPE),
+    "aspect": ("aspect", wp.vec2f, (2,), kernels.ASPECT),
+    "mean_curvature": ("mean_curvature", wp.float32, (), kernels.MEAN_CURVATURE),
+    "profile_curvature": ("profile_curvature", wp.float32, (), kernels.PROFILE_CURVATURE),
+    "plan_curvature": ("plan_curvature", wp.float32, (), kernels.PLAN_CURVATURE),
+    "detail_normal": ("normal", wp.vec3f, (3,), kernels.NORMAL),
+}
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """See Make in effect.py."""
-    field = places.field
-    lattice = field.lattice
-    west, south, _, _ = lattice.rectangle()
-    samples = field.heights() * places.vertical_scale
-    north, east = np.gradient(samples, lattice.step_y, lattice.step_x)
-    i = np.clip(np.rint((places.positions[:, 0] - west) / lattice.step_x).astype(int), 0, lattice.width - 1)
-    j = np.clip(np.rint((places.positions[:, 1] - south) / lattice.step_y).astype(int), 0, lattice.height - 1)
-    return {"slope": np.arctan(np.hypot(east[j, i], north[j, i])).astype(np.float32)}
+    values, made = kernels.Values(), {}
+    for name in wanted:
+        field, dtype, shape, _ = MADE[name]
+        made[name] = np.empty((len(places), *shape), np.float32)
+        setattr(values, field, shared(made[name], dtype))
+    values.wanted = sum(MADE[name][3] for name in wanted)
+    heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
+    inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
+    launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
+    return made

@@ -32,7 +32,7 @@ def plan(asked: Iterable[Asked]) -> Plan:
     waiting = list(found.values())
     while waiting:
         item = waiting.pop()
-        for name in EFFECTS[item.name].reads:
+        for name in EFFECTS[item.name].reads_with(item.parameters):
             reader = f"effect {item.name}"
             known = found.get(name) or Asked(name, (), item.family)
             # What geometry is made from has one scale, and so has what that reads.
@@ -41,5 +41,6 @@ def plan(asked: Iterable[Asked]) -> Plan:
                 readers = known.readers if reader in known.readers else (*known.readers, reader)
                 found[name] = replace(known, readers=readers, family=family)
                 waiting.append(found[name])
-    order = TopologicalSorter({name: EFFECTS[name].reads for name in sorted(found)}).static_order()
+    reads = {name: EFFECTS[name].reads_with(found[name].parameters) for name in sorted(found)}
+    order = TopologicalSorter(reads).static_order()
     return Plan(tuple(found[name] for name in order), attributes)

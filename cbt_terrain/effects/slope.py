@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from .effect import Effect, Evaluate
-from .jet import make
+from .jet import HALO, SOURCE, make
 
 
 def example(evaluate: Evaluate) -> None:
@@ -22,7 +22,8 @@ SLOPE = Effect(
     unit="rad",
     make=make,
     example=example,
-    halo="1.5 samples of the level",
-    cost_ns=60,
-    source="Horn 1981; a B-spline instead of the 3 x 3 differences",
+    halo=HALO,
+    span=(0.0, math.pi / 2),
+    cost_ns=90,
+    source='Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE,
 )

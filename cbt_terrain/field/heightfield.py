@@ -33,6 +33,8 @@ class HeightField:
     valid: None or, where holes are to be cut out, uint8 [height, width]: 0 where a sample was missing; the cells that
     have such a corner are holes (see holes.py).
     key: identifies the content: equal keys, equal terrains.
+    prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
+    light: what was found once about the light on the heights, whatever lies between them (effects/occluder.py, sky.py).
     """
 
     samples: np.ndarray
@@ -58,6 +60,8 @@ class HeightField:
     interpolation: str = "bilinear"
     expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
+    prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
+    light: dict[tuple, tuple] = field(default_factory=dict, repr=False)
 
     @property
     def raster_key(self) -> str:

@@ -9,6 +9,7 @@
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
     STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
                                 error_c_m1.npy its error hierarchies for meshlets
+    STORE/data-*/effect_*.npy   what an effect has made of the whole raster (effects/whole.py)
 
 A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
 while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
@@ -41,6 +42,7 @@ MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
+    r"|effect_[a-z_]+_[0-9a-f]{16}\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )

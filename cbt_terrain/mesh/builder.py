@@ -2,6 +2,7 @@
 """From leaves to the arrays that Blender keeps: welding, meshlets, displacement."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import warp as wp
@@ -12,14 +13,13 @@ from ...kernels.mesh import meshlet as meshlet_kernels
 from ...kernels.mesh import weld as weld_kernels
 from ...kernels.mesh import weld_state
 from ...kernels.refine.diamond import Domain
-from ...kernels.refine.sum_reduction import Run, Runs
+from ...kernels.refine.runs import Run, Runs
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..refine.refinement import Leaves
 from ..run import launch
 from ..run.buffers import Buffers, bind
 from ..run.memory import physical_memory
-from ..tree.concurrent_tree import no_runs
 from . import borders
 from .attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from .cut import swap
@@ -247,7 +247,7 @@ class SurfaceBuilder:
         """
         get, p, vertices = self._buffers.get, self._points, sum(n for _, n in parts)
         if slots is None:
-            bind(p, taken=no_runs())
+            bind(p, taken=_no_runs())
             slots = [0] * len(parts)
         bind(
             p,
@@ -284,6 +284,15 @@ class SurfaceBuilder:
 
     def _pieces(self, items: int) -> int:
         return self._threads if items >= launch.SLICE_ITEMS else 1
+
+
+@cache
+def _no_runs() -> Runs:
+    """Nothing known of two streams."""
+    runs = Runs()
+    runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")
+    runs.room = 1
+    return runs
 
 
 def _piece(count: int, k: int, pieces: int) -> tuple[int, int]:

@@ -13,12 +13,11 @@ from ...kernels.refine import walk as kernels
 from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.diamond import Asked, Domain
-from ...kernels.refine.sum_reduction import Run, Runs
+from ...kernels.refine.runs import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared
-from ..tree.cell_streams import AHEAD
 from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
 from .block_tables import blocks
 from .budget import Budget, Found, limit_of
@@ -64,7 +63,7 @@ class Leaves:
     slots: np.ndarray
     after: "Leaves | None" = None
     taken: "Runs | None" = None
-    changed_cells: int = 0
+    changed: bool = True
 
     @property
     def total(self) -> int:
@@ -86,7 +85,7 @@ class Refinement:
         # Two sets that take turns, as the tree's streams do: setting arrays and structs costs as much as launches.
         self._walk_structs: tuple[list[Walk], list[Walk]] = [], []
         self._recorded: tuple[dict, dict] = {}, {}
-        self._motion, self._runs, self._point_runs = Motion(), Runs(), Runs()
+        self._motion, self._point_runs = Motion(), Runs()
         self._last: Walked | None = None
 
     def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, limited: bool = False):
@@ -107,11 +106,11 @@ class Refinement:
                 break
         leaves = self._leaves(walks, counts)
         if self._last:
-            leaves.after, leaves.taken = self._last.after, self._listed(self._point_runs, "point_runs")
+            leaves.after, leaves.taken = self._last.after, self._listed()
             self._last.after = None
             if leaves.after:
                 leaves.after.after = None  # or all leaves of a flight would stay
-        leaves.changed_cells = self._mark(walks, counts)
+        leaves.changed = self._mark(walks, counts)
         if self._last:
             self._last.leaves = leaves
         return leaves, math.sqrt(asked.limit)
@@ -153,7 +152,7 @@ class Refinement:
         launch.once(replay_kernels.replay, [domain, walks[0], shared(depths, wp.uint8), worst], step="refine")
         counts = self.buffers.numpy("counts")[:4].reshape(1, 4).copy()
         leaves = self._leaves(walks, counts)
-        leaves.changed_cells = self._mark(walks, counts)
+        leaves.changed = self._mark(walks, counts)
         return leaves, float(self.buffers.numpy("replay_worst")[0])
 
     def _need_tree(self, cell_bits: int) -> None:
@@ -239,10 +238,8 @@ class Refinement:
             "last_code": get("last_code", 1, wp.uint16),
             "last_point": get("last_point", 1, wp.vec2i),
             "last_cell": self.tree.last_cells(),
-            "runs": get("runs", slices * _room_for(capacity), Run),
-            "run_counts": get("runs_counts", slices, wp.int64),
             "point_runs": get("point_runs", slices * _room_for(capacity), Run),
-            "point_run_counts": get("point_runs_counts", slices, wp.int64),
+            "point_run_counts": get("point_run_counts", slices, wp.int64),
         }
         self.buffers.numpy("sides")[: slices * 4 * squares] = 0
         while len(self._walk_structs[0]) < slices:
@@ -284,28 +281,27 @@ class Refinement:
         found, squares_of = np.ascontiguousarray(counts[used, :3]), squares_of.astype(np.int32)
         return Leaves(found, squares_of, before, sides.sum(axis=0), base, stopped, used)
 
-    def _mark(self, walks: list[Walk], counts: np.ndarray) -> int:
-        """Write the leaves into the tree; returns how many of its cells changed."""
+    def _mark(self, walks: list[Walk], counts: np.ndarray) -> bool:
+        """Make the leaves those of the tree; returns whether it is another one now."""
         parts = [(w.leaf_base, n) for w, n in zip(walks, counts[:, 0], strict=True)]
         squares, most = self.lattice.squares, 1 << self.lattice.square_bits
         if squares < most:  # those that only fill the tree up to a power of two are a leaf each, after all others
             cells = self.tree.next_cells(1).numpy()
-            first = len(cells) - AHEAD - 1 - (most - squares)
+            first = len(cells) - (most - squares)
             cells[first : first + most - squares] = np.arange(squares, most, dtype=np.int64) << self._cell_bits
             parts.append((first, most - squares))
-        last = self._last
-        runs = self._listed(self._runs, "runs") if last else None
-        # A mark that is stopped leaves cells and counters that do not agree: then the next refinement has a new tree.
+        # A mark that is stopped half-way: then the next refinement has a new tree.
         tree, self.tree = self.tree, None
-        changed = tree.mark_written(parts, runs)
+        changed = tree.would_change(parts)
+        tree.mark(parts)
         self.tree = tree
         self._walk_structs, self._recorded = self._walk_structs[::-1], self._recorded[::-1]
         return changed
 
-    def _listed(self, runs: Runs, name: str) -> Runs:
-        """What a walk that keeps has taken."""
-        get, last = self.buffers.get, self._last
-        bind(runs, runs=get(name, 1, Run), counts=get(name + "_counts", 1, wp.int64))
+    def _listed(self) -> Runs:
+        """The points that a walk that keeps has taken."""
+        get, last, runs = self.buffers.get, self._last, self._point_runs
+        bind(runs, runs=get("point_runs", 1, Run), counts=get("point_run_counts", 1, wp.int64))
         bind(runs, room=last.room, lists=last.slots)
         return runs
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
+import numpy as np
 import warp as wp
 
 from . import stopping
@@ -132,6 +133,20 @@ def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cos
             return lambda: wp.launch(kernel, hi - lo, inputs=[lo, *inputs], device=DEVICE)
 
         together([job(lo, hi) for lo, hi in zip(cuts, cuts[1:], strict=False)])
+
+
+def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
+    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, equal ones in their order.
+
+    Both have room for twice as many, which is scratch.
+    """
+    stopping.check()
+    with timed(step):
+        arrays = [
+            wp.array(array, dtype=kind, device=DEVICE, copy=False)
+            for array, kind in ((keys, wp.float32), (values, wp.int32))
+        ]
+        wp.utils.radix_sort_pairs(*arrays, count)
 
 
 _loaded: set = set()

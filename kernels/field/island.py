@@ -7,19 +7,12 @@ on every machine, and a point of the plane has the same height at every resoluti
 
 import warp as wp
 
+from .noise import scramble
+
 wp.set_module_options({"enable_backward": False})
 
 # Octaves of the eroded relief: the first is as long as half the island's side, the last 1 / 500 of that.
 RELIEF_OCTAVES = wp.constant(9)
-
-
-@wp.func
-def scramble(value: wp.uint32):
-    """Integer hash (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
-    x = value
-    x = (x ^ (x >> wp.uint32(16))) * wp.uint32(0x7FEB352D)
-    x = (x ^ (x >> wp.uint32(15))) * wp.uint32(0x846CA68B)
-    return x ^ (x >> wp.uint32(16))
 
 
 @wp.func

@@ -11,7 +11,7 @@ each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 
 import warp as wp
 
 from ..refine.curve import DEEPEST
-from ..refine.sum_reduction import Run
+from ..refine.runs import Run
 from ..unchecked import look_up, look_up_pairs, number_row, pair_at, put_pair
 
 wp.set_module_options({"enable_backward": False})

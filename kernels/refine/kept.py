@@ -10,7 +10,6 @@ from .coherence import Subtree, carried, veil_in
 from .diamond import CROSSED, Asked, coarsest, smaller, stand_of
 from .emit import stands_alone
 from .steps import size_of
-from .sum_reduction import Run
 from .walk_state import Cursor, Keeper, Square, Walk, Written
 
 wp.set_module_options({"enable_backward": False})
@@ -47,42 +46,36 @@ def begin_keeping(w: Walk):
 
 
 @wp.func
-def noted(
-    w: Walk, runs: wp.array(dtype=Run), count: wp.int64, first: wp.int64, before: wp.int64, entries: wp.int64
-) -> wp.int64:
-    """Note a run of what is taken, with the last one if it goes on; returns how many there are.
+def note_points(w: Walk, first: wp.int64, before: wp.int64, points: wp.int64):
+    """Note a run of points that are taken, with the last one if it goes on.
 
     Where there is no room for another run, what is in it counts as new.
     """
+    count = w.keeper[w.slot].point_runs
     entry = wp.int64(w.slot) * w.room + count
     follows = wp.bool(False)
     if count > wp.int64(0):
-        last = runs[entry - wp.int64(1)]
+        last = w.point_runs[entry - wp.int64(1)]
         follows = last.first + last.count == first and last.before + last.count == before
     if follows:
-        runs[entry - wp.int64(1)].count = runs[entry - wp.int64(1)].count + entries
+        w.point_runs[entry - wp.int64(1)].count = w.point_runs[entry - wp.int64(1)].count + points
     elif count < w.room:
-        runs[entry].first = first
-        runs[entry].before = before
-        runs[entry].count = entries
-        count += wp.int64(1)
-    return count
+        w.point_runs[entry].first = first
+        w.point_runs[entry].before = before
+        w.point_runs[entry].count = points
+        w.keeper[w.slot].point_runs = count + wp.int64(1)
 
 
 @wp.func
 def copy_taken(w: Walk, subtree: Subtree, n: Written):
     """Copy what the last frame has written of a subtree behind what there is."""
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
-        k = w.slot
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
         copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, wp.uint16(0), w.code, leaf)
         copy_cells(w.last_cell, subtree.first_leaf, subtree.leaves, w.cell, leaf)
         copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, point)
-        leaves = wp.int64(subtree.leaves)
-        points = wp.int64(subtree.vertices)
-        w.keeper[k].runs = noted(w, w.runs, w.keeper[k].runs, leaf, subtree.first_leaf, leaves)
-        w.keeper[k].point_runs = noted(w, w.point_runs, w.keeper[k].point_runs, point, subtree.first_vertex, points)
+        note_points(w, point, subtree.first_vertex, wp.int64(subtree.vertices))
 
 
 @wp.func

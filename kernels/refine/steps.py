@@ -107,5 +107,4 @@ def put_results(w: Walk, n: Written):
     w.counts[4 * w.slot + 3] = wp.int64(w.keeper[w.slot].stopped)
     w.kept_counts[w.slot] = w.keeper[w.slot].count
     w.taken[w.slot] = w.keeper[w.slot].taken
-    w.run_counts[w.slot] = w.keeper[w.slot].runs
     w.point_run_counts[w.slot] = w.keeper[w.slot].point_runs

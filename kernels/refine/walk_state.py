@@ -6,7 +6,7 @@ import warp as wp
 from .band import Band
 from .block import Blocks
 from .coherence import Motion, Subtree
-from .sum_reduction import Run
+from .runs import Run
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,8 +35,7 @@ class Keeper:
     before: Written  # what there was when it was opened
     stopped: wp.int32  # 1: a leaf of it, or if none is open of any, is too coarse and as deep as leaves may be
     stopped_before: wp.int32  # ... when it was opened
-    runs: wp.int64  # of leaves that were taken
-    point_runs: wp.int64
+    point_runs: wp.int64  # of points that were taken
     taken: wp.int64  # leaves
     sizes: wp.vec3i  # leaves, vertices and edges of the subtree that was taken last
 
@@ -69,9 +68,7 @@ class Walk:
     kept: wp.array(dtype=Subtree)  # each slot's list from entry slot * room on
     kept_counts: wp.array(dtype=wp.int64)
     room: wp.int64  # of each slot's list; 0: nothing is kept
-    runs: wp.array(dtype=Run)  # of leaves that were taken: lists as those of `kept`
-    point_runs: wp.array(dtype=Run)  # of points
-    run_counts: wp.array(dtype=wp.int64)
+    point_runs: wp.array(dtype=Run)  # of points that were taken: lists as those of `kept`
     point_run_counts: wp.array(dtype=wp.int64)
     taken: wp.array(dtype=wp.int64)  # per slice: leaves that were taken
     motion: Motion  # of the view since the last frame

@@ -37,6 +37,7 @@ def measure(subjects: list[Subject], show_progress: bool | None = None) -> None:
                 subject.frames,
                 base=subject.base,
                 write=write,
+                effects=subject.effects,
                 on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
                 on_progress=lambda fraction, done=done: bar.to(done + fraction),
             )

@@ -81,3 +81,17 @@ def pair(separator: str, kind, most: float):
         return first, second
 
     return checked
+
+
+def parse_effects(text: str) -> tuple[str, ...] | None:
+    """Names of effects, each once; () for `none`, None for `auto`."""
+    from ...cbt_terrain.effects.catalogue import EFFECTS
+    from ..text.effect_lines import unknown
+
+    if text in ("auto", "none"):
+        return None if text == "auto" else ()
+    names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    for name in names:
+        if name not in EFFECTS:
+            raise ValueError(unknown(name))
+    return names

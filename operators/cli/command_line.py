@@ -15,11 +15,12 @@ from typing import NoReturn
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from . import verbs
-from .argument_types import MAX_INT, argument, count, pair, part, path, positive
+from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+MAX_BUDGET_MB = 1e9
 FRAMES = "A,B-C,D-E:STEP"
 AT_MOST = "triangles at most, but not fewer than two for each root square"
 
@@ -61,6 +62,7 @@ def _run(argv: list[str] | None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
     from ..output.exporting import FORMATS, parse_formats, parse_frames
 
     parser = argparse.ArgumentParser(
@@ -124,7 +126,28 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--interpolation", **between)
+    verb.add_argument(
+        "--effects",
+        type=argument(parse_effects),
+        metavar="auto|none|F,F",
+        help="attributes to write: what the scene reads (auto; of a store none), none, or these",
+    )
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+
+    verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
+    verb.add_argument(
+        "--maps", metavar="NAME,NAME", help=f"which (what the scene's settings say, or {verbs.DEFAULT_MAP})"
+    )
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    verb.add_argument("--budget", type=positive(MAX_BUDGET_MB), metavar="MB", help="of all images together, in Blender")
+    verb.add_argument("--format", choices=MAP_FORMS, help="png (8 and 16 bits) or exr (floats)")
 
     verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
     source = verb.add_mutually_exclusive_group(required=True)
@@ -135,6 +158,14 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+
+    verb = _verb(
+        subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
+    )
+    source = verb.add_mutually_exclusive_group()
+    source.add_argument("--scene", type=path, metavar="X.blend", help="who reads what, and why the rest is skipped")
+    source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
+    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
 
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")

@@ -9,6 +9,7 @@ from ...cbt_terrain.errors import shown
 from ..text.console import Progress, duration
 
 DEFAULT_RESOLUTION = (1920, 1080)
+DEFAULT_MAP = "detail_normal"
 LONGEST_LINE = 10_000  # a coordinate system may be long
 
 
@@ -165,6 +166,7 @@ def _export_source(arguments):
             arguments.meshlet,
             arguments.interpolation,
             arguments.shading_floor,
+            arguments.effects,
         )
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
@@ -177,7 +179,45 @@ def _export_source(arguments):
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]
     in_blender = needs_blender(arguments.format)
-    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation)
+    return StoreFrames(
+        arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, arguments.effects or ()
+    )
+
+
+def run_effects(arguments) -> None:
+    from ..blender import need_bpy
+    from . import effects_command
+
+    if arguments.camera and not arguments.scene:
+        raise UsageError("--camera belongs to --scene")
+    if arguments.scene:
+        need_bpy("A .blend file")
+        print("\n".join(effects_command.of_scene(arguments.scene, arguments.camera)))
+        return
+    print_fields(effects_command.catalogue())
+    if arguments.store:
+        print("\n".join(effects_command.of_store(arguments.store)))
+
+
+def run_maps(arguments) -> None:
+    from ..blender import need_bpy
+    from . import maps_command
+
+    _check_source(arguments)
+    if arguments.scene:
+        need_bpy("A .blend file")
+    elif arguments.frames and not arguments.path:
+        raise UsageError("--frames are those of a --path FILE.json, or of a scene")
+    names = arguments.maps.split(",") if arguments.maps else None
+    if arguments.scene:
+        look = {"camera": arguments.camera, "resolution": arguments.resolution, "frames": arguments.frames}
+        subjects = maps_command.scene_subjects(arguments.scene, arguments.out, names, **look)
+    else:
+        names, size = names or [DEFAULT_MAP], arguments.resolution or DEFAULT_RESOLUTION
+        subjects = maps_command.store_subjects(
+            arguments.store, arguments.out, names, arguments.path, arguments.frames, size
+        )
+    maps_command.run(subjects, arguments.budget, arguments.format, arguments.progress)
 
 
 def run_accuracy(arguments) -> None:

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.mesh.attributes import LEVEL
+from ..effects.nodes import Nodes
 
 HAZE = (0.52, 0.66, 0.86, 1.0)
 HAZE_DISTANCE_M = 38_000.0
@@ -15,36 +16,8 @@ LEVEL_COLOURS = ((0.72, 0.71, 0.64), (0.36, 0.56, 0.47), (0.07, 0.33, 0.38), (0.
 INK = (0.01, 0.015, 0.04, 1.0)
 
 
-class Nodes:
-    """A node tree written as expressions: every method adds one node and returns its output."""
-
-    def __init__(self, tree):
-        self.tree = tree
-        tree.nodes.clear()
-
-    def add(self, kind: str, inputs: dict | None = None, **settings):
-        """A node with settings, its inputs (by name or index) set to values or linked to sockets."""
-        node = self.tree.nodes.new(kind)
-        for name, value in settings.items():
-            setattr(node, name, value)
-        for name, value in (inputs or {}).items():
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, node.inputs[name])
-            else:
-                node.inputs[name].default_value = value
-        return node
-
-    def math(self, operation: str, *values):
-        return self.add("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
-
-    def mix(self, factor, a, b):
-        node = self.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
-        for socket, value in zip((node.inputs[0], node.inputs[6], node.inputs[7]), (factor, a, b), strict=True):
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, socket)
-            else:
-                socket.default_value = value
-        return node.outputs[2]
+class LandNodes(Nodes):
+    """What the demo's materials are made of."""
 
     def ramp(self, value, colours):
         node = self.add("ShaderNodeValToRGB", {"Fac": value})
@@ -76,10 +49,11 @@ def plain_material(name: str, colour: tuple[float, float, float, float]) -> bpy.
     return material
 
 
-def _material(name: str) -> tuple[bpy.types.Material, Nodes]:
+def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
     material = bpy.data.materials.new(name)
     material.use_nodes = True
-    return material, Nodes(material.node_tree)
+    material.node_tree.nodes.clear()
+    return material, LandNodes(material.node_tree)
 
 
 def land_material(heights: np.ndarray, step_m: float) -> bpy.types.Material:

@@ -10,12 +10,13 @@ from mathutils import Matrix, Vector
 
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.run.partial_files import written_beside
+from ..effects.nodes import Nodes
 from ..output.frame_sources import open_empty_file
 from ..scene import session
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
-from .materials import HAZE, Nodes, land_material, level_material, plain_material, sea_material
+from .materials import HAZE, land_material, level_material, plain_material, sea_material
 
 ZENITH = (0.07, 0.20, 0.56, 1.0)
 PAPER = (0.93, 0.925, 0.90, 1.0)
@@ -89,6 +90,7 @@ def add_sky(scene) -> None:
     scene.world = world
     world.use_nodes = True
     world.cycles.sampling_method = "NONE"  # a plain gradient needs no importance map
+    world.node_tree.nodes.clear()
     n = Nodes(world.node_tree)
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
     up = n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"]

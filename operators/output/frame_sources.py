@@ -2,7 +2,7 @@
 """Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,15 @@ import numpy as np
 from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.effect import GEOMETRY, Asked
+from ...cbt_terrain.effects.evaluate import Evaluator
+from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.run import launch
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
 from ..text.console import quiet
@@ -56,17 +60,22 @@ class StoreFrames:
         resolution: tuple[int, int],
         in_blender: bool,
         interpolation: str = INTERPOLATIONS[0],
+        effects: Sequence[str] = (),
     ):
+        """`effects`: names of those whose attributes the mesh gets, at one scale: the raster's."""
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
         self.field = interpolated(open_store(store), interpolation)
         self.terrain = Terrain(self.field)
+        self.effects = plan(Asked(name, ("the export",), GEOMETRY) for name in effects)
+        self.evaluator = Evaluator(launch.default_threads())
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
             "store": field_identity(self.field),
             "path": file_digest(path),
             "resolution": list(resolution),
             "criterion": asdict(criterion),
+            "effects": sorted(effects),
         }
 
     def pieces(self, frame: int) -> Iterator[Piece]:
@@ -74,19 +83,20 @@ class StoreFrames:
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view])
         tree, how = self.terrain.saved()
+        surface = update.surface.with_attributes(self.evaluator.attributes(self.effects, self.field, update.surface))
         info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..mesh.writer import write_mesh
 
-            write_mesh(self.obj.data, update.surface)
-        yield Piece(self.name, update.surface, self.field.origin, update, info, self.obj, tree)
+            write_mesh(self.obj.data, surface)
+        yield Piece(self.name, surface, self.field.origin, update, info, self.obj, tree)
 
 
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation` and
-    `shading_floor` replace what the objects say; None keeps it.
+    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
+    `shading_floor` and `effects` (names) replace what the objects say; None keeps it.
     """
 
     def __init__(
@@ -99,6 +109,7 @@ class SceneFrames:
         meshlet: int | None = None,
         interpolation: str | None = None,
         shading_floor: float | None = None,
+        effects: tuple[str, ...] | None = None,
     ):
         bpy = import_bpy("A .blend file")
         from ..scene import session
@@ -113,7 +124,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, effects)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(

@@ -17,6 +17,7 @@ from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import length
 from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.plan import Plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ..output.frame_sources import SceneFrames, file_name
@@ -32,7 +33,8 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 class Subject:
     """One terrain that is measured. `numbers`: of the frames. `seen`: from where, in words. `current`: the setting that
     the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from.
-    `crops`: what some of the errors look like. `called`: the object's name, where there is one."""
+    `crops`: what some of the errors look like. `called`: the object's name, where there is one. `effects`: those that
+    the scene reads."""
 
     name: str
     heights: HeightField
@@ -45,6 +47,7 @@ class Subject:
     notes: list[str] = field(default_factory=list)
     crops: list[Crop] = field(default_factory=list)
     called: str = ""
+    effects: Plan = Plan()
 
     @property
     def title(self) -> str:

@@ -85,6 +85,7 @@ def measured(look: Look, through: str, job: Job) -> Subject:
         settings,
         subject.frames,
         base=subject.base,
+        effects=subject.effects,
         write=lambda surface: job.on_main(lambda: accuracy_report.ingest_ms(surface)),
         on_progress=on_progress,
     )

@@ -19,6 +19,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from .detail_properties import RenderDetail, ViewportDetail, changed
+from .map_properties import MapSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -165,6 +166,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         update=changed,
     )  # fmt: skip
     cleanup: PointerProperty(type=CleanupSettings)
+    maps: PointerProperty(type=MapSettings)
     bake_error_m: FloatProperty(
         name="Bake Error",
         description="Largest vertical error of a baked static mesh, in metres",
@@ -193,7 +195,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings)
+CLASSES = (ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings)
 
 
 def register() -> None:

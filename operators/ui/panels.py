@@ -6,7 +6,7 @@ import bpy
 from ...cbt_terrain.run import warmup
 from ..scene import session
 from ..scene.properties import CHOSEN_CAMERA
-from . import detail_panel, height_map_panel, overlay_panel, statistics_panel
+from . import detail_panel, height_map_panel, maps_panel, overlay_panel, statistics_panel
 from .panel_parts import TerrainSubpanel, figures, switched
 from .status_row import draw_preparation, draw_status
 
@@ -97,6 +97,7 @@ CLASSES = (
     *detail_panel.CLASSES,
     overlay_panel.OverlayPanel,
     MeshPanel,
+    maps_panel.MapsPanel,
     OutputPanel,
     *statistics_panel.CLASSES,
 )

@@ -6,6 +6,7 @@ import traceback
 import bpy
 
 from ...cbt_terrain.run import warmup
+from ..effects import bake_maps
 from ..scene import import_terrain, live, pack_store
 
 TURN_S = 0.1
@@ -24,6 +25,9 @@ def work() -> tuple[float | None, str] | None:
     fraction = pack_store.progress()
     if fraction is not None:
         return fraction, "Packing stores"
+    baking = bake_maps.progress()
+    if baking is not None:
+        return baking
     seconds = live.seconds_under_way()
     return (None, f"{live.stage()}, {seconds:.0f} s") if seconds >= 1.0 else None
 

@@ -24,7 +24,7 @@ def rows(monkeypatch, tmp_path):
     scale = Row("scale_refine", 1_000_000, 30.0, "slope", ratio=1.03)
     scale.figures = {"50000_ms": 1.5, "250000_ms": 7.0, "1000000_ms": 30.0}
     return [
-        Row("refine_1t", 50_000, 1.0, "roam_rebuild", 4.0, first_ms=2.0, steps={"refine": 0.8, "mark": 0.2}),
+        Row("refine_1t", 50_000, 1.0, "roam_rebuild", 4.0, first_ms=2.0, steps={"refine": 0.8, "weld": 0.2}),
         Row("refine_1t", 1_000_000, 20.0, "roam_rebuild", 80.0),
         Row("refine_2t", 500_000, 3.0, "roam_rebuild", None),
         Row("meshlets", 1_000_000, 50.0, "roam_rebuild", 80.0),
@@ -43,7 +43,7 @@ def test_the_six_keys_of_every_row(rows, tmp_path):
         assert isinstance(row["name"], str) and isinstance(row["size"], int)
     first, _, unbuilt, _, cold, memory, _ = content
     assert (first["ms"], first["baseline_ms"], first["ratio"], first["goal"]) == (1.0, 4.0, 0.25, 0.4)
-    assert first["steps"] == {"refine": 0.8, "mark": 0.2} and first["first_ms"] == 2.0
+    assert first["steps"] == {"refine": 0.8, "weld": 0.2} and first["first_ms"] == 2.0
     assert unbuilt["baseline"] == "roam_rebuild" and unbuilt["baseline_ms"] is None and unbuilt["ratio"] is None
     assert cold["baseline"] is None and cold["figures"] == {"first_update_ms": 40.0}
     assert memory["ms"] is None and memory["ratio"] == 1.5
@@ -85,13 +85,13 @@ def test_the_page_has_the_six_rows_that_were_measured(rows, monkeypatch):
 
 
 def test_the_bars_of_a_frame_are_its_steps_and_end_at_its_time():
-    steps = {"refine": 2.0, "mark": 1.0, "weld": 1.0, "displace": 3.0, "mesh": 5.0, "blender": 3.0}
+    steps = {"refine": 3.0, "weld": 1.0, "displace": 3.0, "mesh": 5.0, "blender": 3.0}
     frames = [Row("frame", 50_000, 10.0, steps={"refine": 10.0}), Row("frame", 1_000_000, 20.0, steps=steps)]
     chart = ElementTree.fromstring(plot.write_bars(frames))
     wide = [float(box.get("width")) for box in chart.iter(f"{SPACE}rect") if box.get("height") == "30.0"]
     short, long = wide[: len(plot.STEPS)], wide[len(plot.STEPS) :]
     assert sum(short) == pytest.approx(sum(long) / 2, abs=0.5)
-    assert [w / sum(long) for w in long] == pytest.approx([0.1, 0.05, 0.05, 0.15, 0.25, 0.15, 0.25], abs=0.01)
+    assert [w / sum(long) for w in long] == pytest.approx([0.15, 0.05, 0.15, 0.25, 0.15, 0.25], abs=0.01)
     assert {"50,000", "1,000,000", "20 ms"} <= {text.text for text in chart.iter(f"{SPACE}text")}
 
 
@@ -125,7 +125,7 @@ def test_ours_and_theirs_take_turns():
 
     def ours():
         turns.append("a")
-        return {"refine": 10.0 + len(turns), **({"mark": 1.0} if len(turns) > 30 else {})}
+        return {"refine": 10.0 + len(turns), **({"weld": 1.0} if len(turns) > 30 else {})}
 
     def theirs():
         turns.append("b")
@@ -133,7 +133,7 @@ def test_ours_and_theirs_take_turns():
 
     timed = alternate(ours, theirs)
     assert "".join(turns) == "ab" + 3 * (5 * "b" + 5 * "a")
-    assert timed == Timed({"refine": 30.0, "mark": 0.0}, {"refine": 11.0}, 15.0)
+    assert timed == Timed({"refine": 30.0, "weld": 0.0}, {"refine": 11.0}, 15.0)
     assert alternate(ours).baseline_ms is None
     short = []
     alternate(lambda: short.append(1) or {"total": 0.1})

@@ -12,6 +12,8 @@ from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import RUNS, SHORT_RUNS, Frame, median_by_step, timed_runs
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.effects.effect import Asked
+from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -93,7 +95,7 @@ def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
     for row in rows:
         assert row.bound <= row.setting.error * (1 + 1e-6)
         assert 0 < row.error <= row.bound * (1 + 1e-6)
-        assert {"refine", "mark", "weld", "displace", "total"} <= set(row.ms)
+        assert {"refine", "weld", "displace", "total"} <= set(row.ms)
         assert sum(ms for step, ms in row.ms.items() if step != "total") <= 1.5 * row.ms["total"]
         assert row.surface_mb == pytest.approx((row.vertices * 32 + row.triangles * 28 + 8 * _edges(row)) / 1e6)
         assert row.buffers_mb > row.surface_mb
@@ -192,3 +194,20 @@ def test_a_finer_error_never_costs_fewer_triangles(field):
     rows = sweep(field, [Setting("px", error) for error in PIXELS], [Frame([SEEN])])
     assert all(a.triangles <= b.triangles for a, b in itertools.pairwise(rows))
     assert all(a <= b for a, b in itertools.pairwise(curve_of(rows).ms))
+
+
+def test_effects_are_a_step_of_the_cost(field):
+    """What is read is made once for every run, written with the mesh, and is part of the time to the finished mesh."""
+    written = []
+
+    def write(surface):
+        written.append("slope" in surface.attributes)
+        return 1.0
+
+    asked = plan([Asked("slope", ("a test",))])
+    [row] = sweep(field, [Setting("px", 4.0)], [Frame([SEEN])], write=write, effects=asked)
+    [bare] = sweep(field, [Setting("px", 4.0)], [Frame([SEEN])], write=write)
+    made = written.count(True)
+    assert made > RUNS and written == [True] * made + [False] * (len(written) - made)
+    assert row.ms["effects"] > 0 and row.whole_ms == row.ms["total"] + row.ms["effects"] + 1.0
+    assert "effects" not in bare.ms and bare.figures()["ms_effects"] is None

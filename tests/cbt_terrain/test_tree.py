@@ -62,20 +62,6 @@ def assert_same(tree, reference):
     assert sum(1 << tree.max_depth + 1 - n.bit_length() for n in in_order) == tree.cell_count
 
 
-def assert_counters_agree(tree):
-    """Every counter is the sum of what lies below it, though only changed ones were summed again."""
-    fresh = EditedTree(tree.max_depth)
-    fresh.mark(tree.cells())
-    assert np.array_equal(fresh._upper_counts, tree._upper_counts)
-    assert np.array_equal(fresh._block_counts, tree._block_counts)
-    cells = tree.cells()
-    assert tree._block_counts.sum(dtype=np.int64) == len(cells)
-    assert np.array_equal(np.bincount(cells >> 12, minlength=len(tree._block_counts)), tree._block_counts)
-    for above, below in zip(tree._levels, tree._levels[1:], strict=False):
-        padded = np.pad(below.astype(np.int64), (0, 64 * len(above) - len(below)))
-        assert np.array_equal(padded.reshape(-1, 64).sum(axis=1), above)
-
-
 def test_a_new_tree_is_its_root():
     tree = EditedTree(20)
     assert (tree.leaf_count, tree.decode(0), tree.encode(1), tree.is_leaf(1)) == (1, 1, 0, True)
@@ -113,8 +99,6 @@ def test_random_split_and_merge_equal_the_reference(max_depth, seed, splits):
         first = reference.cell(covering)
         assert covering in reference.leaves
         assert first <= cell < first + (1 << max_depth + 1 - covering.bit_length())
-    if max_depth <= 32:  # an array of all counters is compared
-        assert_counters_agree(tree)
 
 
 @settings(max_examples=30, deadline=None)
@@ -125,9 +109,8 @@ def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
     for _ in range(4):
         reference = random_tree(rng, max_depth, int(rng.integers(1, 300)))
         before, after = set(tree.cells().tolist()), stream_of(reference)
-        assert tree.mark(after) == len(before ^ set(after.tolist()))
+        assert tree.put(after) == (before != set(after.tolist()))
         assert_same(tree, reference)
-        assert_counters_agree(tree)
         if rng.random() < 0.5:
             heap_id = min(reference.leaves)
             if heap_id >> max_depth == 0:
@@ -137,7 +120,7 @@ def test_mark_equals_a_rebuild_whatever_came_before(max_depth, seed):
 def test_an_equal_stream_changes_nothing():
     tree = EditedTree(24)
     tree.reset(12)
-    assert tree.mark(tree.cells().copy()) == 0
+    assert not tree.put(tree.cells().copy())
     assert tree.leaf_count == 4096
 
 
@@ -147,7 +130,6 @@ def test_reset_gives_every_node_of_a_depth(max_depth):
     for depth in (max_depth, 0, max_depth // 2):
         tree.reset(depth)
         assert tree.leaves().tolist() == list(range(1 << depth, 2 << depth))
-        assert_counters_agree(tree)
 
 
 @settings(max_examples=30, deadline=None)
@@ -155,7 +137,7 @@ def test_reset_gives_every_node_of_a_depth(max_depth):
 def test_bytes_round_trip(max_depth, seed, leaves):
     reference = random_tree(np.random.default_rng(seed), max_depth, leaves)
     tree = EditedTree(max_depth)
-    tree.mark(stream_of(reference))
+    tree.put(stream_of(reference))
     data = tree.to_bytes()
     assert len(data) == 20 + len(reference.leaves)
     assert tree.depths().tolist() == [n.bit_length() - 1 for n in reference.in_order()]

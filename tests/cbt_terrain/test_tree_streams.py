@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tree's cells where a walk has written them: in parts, with runs that are known to be the same, never copied."""
+"""The tree's cells where a walk has written them: in parts, never copied."""
 
 import numpy as np
 import pytest
-import warp as wp
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
-from adaptive_terrain.kernels.refine.sum_reduction import Run, Runs
 from edited_tree import EditedTree
 from fields import rough
 from hypothesis import given, settings
@@ -36,82 +33,44 @@ def leaves_of(rng, max_depth: int, count: int) -> np.ndarray:
     return np.array(sorted(cell for cell, _ in leaves), np.int64)
 
 
-def changed_cells(before, after) -> int:
-    """How many cells are in one of two streams only."""
-    return len(set(before.tolist()) ^ set(after.tolist()))
-
-
-def assert_counters_agree(tree: EditedTree) -> None:
-    """All counters are those of a tree that was marked from the cells at once."""
-    fresh = EditedTree(tree.max_depth)
-    fresh.mark(tree.cells())
-    assert np.array_equal(fresh._upper_counts, tree._upper_counts)
-    assert np.array_equal(fresh._block_counts, tree._block_counts)
-    assert fresh.to_bytes() == tree.to_bytes()
-
-
 def write_apart(tree: EditedTree, rng, cells) -> list[tuple[int, int]]:
     """Write cells as the tree's next ones, in parts with gaps of rubbish; returns the parts, some without a cell."""
     count = len(cells)
     cuts = [0, *np.sort(rng.integers(0, count + 1, rng.integers(0, 5))).tolist(), count]
-    room = count + 8 * len(cuts)
-    memory = tree.next_cells(room).numpy()
+    memory = tree.next_cells(count + 8 * len(cuts)).numpy()
     memory[:] = rng.integers(-9, 9, len(memory))
     parts, at = [], int(rng.integers(0, 3))
     for low, high in zip(cuts, cuts[1:], strict=False):
         parts.append((at, high - low))
         memory[at : at + high - low] = cells[low:high]
-        at += high - low + 1 + int(rng.integers(0, 5))
+        at += high - low + int(rng.integers(0, 5))
     return parts
-
-
-def runs_of(rng, now: list[tuple[int, int]], then: list[tuple[int, int]], before, after, lists: int = 3) -> Runs:
-    """Some of the rows of cells that lie in both streams, in `lists` lists of a room of 50, some without any."""
-    places = [np.concatenate([np.arange(first, first + n) for first, n in parts]) for parts in (now, then)]
-    old = dict(zip(before.tolist(), places[0].tolist(), strict=True))
-    rows = []
-    for cell, place in zip(after.tolist(), places[1].tolist(), strict=True):
-        if (was := old.get(cell)) is None or rng.random() < 0.1:
-            continue
-        if rows and rows[-1][0] + rows[-1][2] == place and rows[-1][1] + rows[-1][2] == was:
-            rows[-1][2] += 1
-        elif rng.random() < 0.7:
-            rows.append([place, was, 1])
-    rows = rows[: 50 * lists]
-    table, counts = np.zeros(50 * lists, Run.numpy_dtype()), np.zeros(lists, np.int64)
-    chosen = np.sort(rng.integers(0, lists, len(rows)))
-    for k in range(lists):
-        of_list = [row for row, c in zip(rows, chosen, strict=True) if c == k][:50]
-        counts[k] = len(of_list)
-        for i, row in enumerate(of_list):
-            table[50 * k + i] = tuple(row)
-    runs = Runs()
-    runs.runs, runs.counts, runs.room, runs.lists = shared(table, Run), shared(counts, wp.int64), 50, lists
-    return runs
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from([6, 12, 13, 20, 31]), st.integers(0, 2**32))
-def test_cells_in_parts_and_known_runs_give_the_tree_of_all_cells(max_depth, seed):
-    """Parts with gaps, and any of the rows that are in both streams: cells, counters, queries and what changed."""
+def test_cells_in_parts_give_the_tree_of_all_cells(max_depth, seed):
+    """Parts with gaps: cells, queries and whether anything changed."""
     rng = np.random.default_rng(seed)
     tree, cells = EditedTree(max_depth), np.zeros(1, np.int64)
-    parts = [(0, 1)]
     for _ in range(5):
-        before, was = cells, parts
-        if rng.random() < 0.7:  # a little different
+        before = cells
+        kind = rng.random()
+        if kind < 0.5:  # a little different
             extra = cells[rng.random(len(cells)) < 0.1] + (1 << max_depth) // len(cells) // 2
             cells = np.unique(np.concatenate([cells[rng.random(len(cells)) < 0.95], extra, [0]]))
             cells = cells[cells < 1 << max_depth]
-        else:
+        elif kind < 0.8:
             cells = leaves_of(rng, max_depth, int(rng.integers(1, 400)))
         parts = write_apart(tree, rng, cells)
-        runs = runs_of(rng, was, parts, before, cells) if rng.random() < 0.8 else None
-        assert tree.mark_written(parts, runs) == changed_cells(before, cells)
+        assert tree.would_change(parts) == (before.tolist() != cells.tolist())
+        tree.mark(parts)
         assert tree.leaf_count == len(cells)
         assert np.array_equal(tree.cells(), cells)
         assert [tree.cell_of_leaf(k) for k in range(0, len(cells), 17)] == cells[::17].tolist()
-        assert_counters_agree(tree)
+        fresh = EditedTree(max_depth)
+        fresh.put(cells)
+        assert fresh.to_bytes() == tree.to_bytes()
 
 
 def test_cells_that_were_written_and_not_marked_change_nothing():
@@ -120,33 +79,7 @@ def test_cells_that_were_written_and_not_marked_change_nothing():
     before = tree.to_bytes()
     tree.next_cells(5_000).numpy()[:] = 3
     assert tree.to_bytes() == before and tree.decode(5) == 517
-    assert tree.mark(tree.cells().copy()) == 0
-    assert_counters_agree(tree)
-
-
-@pytest.fixture
-def marks(monkeypatch):
-    """Of each mark: whether its count of changed cells is exact, cells in known runs, and runs of each list.
-
-    Runs hold the same cells in both streams, and each is as long as it can be.
-    """
-    found, mark_written = [], ConcurrentBinaryTree.mark_written
-
-    def checked(tree, parts, runs=None):
-        counts = runs.counts.numpy()[: runs.lists].copy() if runs else []
-        rows = [runs.runs.numpy()[k * runs.room : k * runs.room + n].copy() for k, n in enumerate(counts)]
-        now, then = tree.next_cells(1).numpy(), tree.last_cells().numpy()
-        for first, was, count in (row.tolist() for of_list in rows for row in of_list):
-            assert np.array_equal(now[first : first + count], then[was : was + count])
-        for first, was, count in ((r["first"], r["before"], r["count"]) for r in rows):
-            assert not ((first + count)[:-1] == first[1:])[(was + count)[:-1] == was[1:]].any()
-        before = tree.cells().copy()
-        changed = mark_written(tree, parts, runs)
-        found.append((changed == changed_cells(before, tree.cells()), sum(int(r["count"].sum()) for r in rows), counts))
-        return changed
-
-    monkeypatch.setattr(ConcurrentBinaryTree, "mark_written", checked)
-    return found
+    assert not tree.put(tree.cells().copy())
 
 
 def taken(terrain: Terrain) -> int:
@@ -155,53 +88,41 @@ def taken(terrain: Terrain) -> int:
 
 
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
-    """The next update is to the bit what a new terrain gives: mesh, cells and counters."""
+    """The next update is to the bit what a new terrain gives: mesh and cells."""
     update, fresh = flown.update(criterion, [view]), Terrain(flown.field, 1)
     new = fresh.update(criterion, [view])
     assert arrays(update.surface) == arrays(new.surface) and update.leaves == new.leaves
     assert np.array_equal(flown.tree.cells(), fresh.tree.cells())
-    assert_counters_agree(flown.tree)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
 @pytest.mark.parametrize("shape", SQUARES.values(), ids=SQUARES)
-def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, marks, monkeypatch):
+def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(*shape, relief=20.0), threads)
     for frame in range(6):
-        marks.clear()
         assert_as_new(flown, ERROR, over(frame))
-        exact, in_runs, counts = marks[0]
-        assert exact
-        if frame:
-            assert len(counts) == threads and in_runs > 0.3 * len(flown.tree.cells())
-    assert len(flown.tree._cells._parts) == threads + (shape == (65, 193))
+    assert len(flown.tree._parts) == threads + (shape == (65, 193))
 
 
-def test_what_is_taken_without_room_for_runs_is_compared(marks, monkeypatch):
+def test_points_that_are_taken_without_room_for_runs_are_displaced_again(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(129, 129, relief=20.0), 2)
     for frame, room in enumerate((1000, 2, 1000, 1)):
         monkeypatch.setattr(refinement, "_room_for", lambda _leaves, room=room: room)
-        flown.update(ERROR, [over(frame)])
-        exact, in_runs, counts = marks[-1]
-        assert exact
-        if room < 1000:
-            assert counts.tolist() == [room, room] and 0 < in_runs < 0.2 * taken(flown)
-        assert_counters_agree(flown.tree)
+        assert_as_new(flown, ERROR, over(frame))
 
 
-def test_a_new_tree_takes_nothing(marks, monkeypatch):
-    flown, slices = Terrain(rough(129, 129, relief=20.0), 1), launch.slices
+def test_a_new_tree_takes_nothing(monkeypatch):
+    flown, mark = Terrain(rough(129, 129, relief=20.0), 1), ConcurrentBinaryTree.mark
 
-    def stopped(*args, **options):
-        slices(*args, **options)
-        if options["step"] == "mark":
-            raise KeyboardInterrupt
+    def stopped(tree, parts):
+        mark(tree, parts)
+        raise KeyboardInterrupt
 
     flown.update(ERROR, [over(0)])
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(launch, "slices", stopped)
+        patch.setattr(ConcurrentBinaryTree, "mark", stopped)
         flown.update(ERROR, [over(1)])
     assert flown.tree is None
     assert_as_new(flown, ERROR, over(2))
@@ -210,13 +131,12 @@ def test_a_new_tree_takes_nothing(marks, monkeypatch):
     assert taken(flown) > 1000
 
 
-def test_a_walk_that_is_given_up_changes_nothing(marks):
-    """More leaves than a budget allows: the walk has written into the next stream, the counting ones have not."""
+def test_a_walk_that_is_given_up_changes_nothing():
+    """More leaves than a budget allows: the walk has written into the next cells, the counting ones have not."""
     flown = Terrain(rough(129, 129, relief=20.0), 1)
     for frame, budget in enumerate((None, 3_000, None, 3_000, 2_000)):
         criterion = Criterion(error_px=1.0, max_depth=16, max_triangles=budget)
         assert_as_new(flown, criterion, over(frame))
-    assert all(exact for exact, *_ in marks)
     assert flown.update(criterion, [over(0)]).limited == "max_triangles"
 
 

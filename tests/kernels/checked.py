@@ -202,13 +202,3 @@ def copy_cells(
 ):
     for k in range(count):
         out[at + wp.int64(k)] = cells[first + wp.int64(k)]
-
-
-@wp.func
-def count_same(
-    cells: wp.array(dtype=wp.int64), i: wp.int64, stop: wp.int64, old_cells: wp.array(dtype=wp.int64), j: wp.int64
-) -> wp.int64:
-    k = wp.int64(0)
-    while i + k != stop and cells[i + k] == old_cells[j + k] and cells[i + k] >= wp.int64(0):
-        k += wp.int64(1)
-    return k

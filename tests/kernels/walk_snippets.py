@@ -9,7 +9,6 @@ from ..unchecked import (
     copy_codes,
     copy_points,
     corners_at,
-    count_same,
     entry_at,
     height_at,
     number_at,
@@ -57,14 +56,3 @@ def pass_all(
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
     copy_points(pairs, first, count - 1, pairs, row)
     copy_cells(entries, first, count - 1, entries, row)
-    # Cells that were copied: as many as are the same, up to a place, up to a link.
-    at = wp.int64(4 * count + 1)
-    entries[at] = count_same(entries, row, wp.int64(-1), entries, first)
-    entries[at + wp.int64(1)] = count_same(entries, row, row + wp.int64(5), entries, first)
-    entries[at + wp.int64(2)] = count_same(entries, row, row + wp.int64(21), entries, first)
-    for k in range(10):  # also where less than eight are left
-        stop = row + wp.int64(7 + k)
-        entries[at - wp.int64(20 - k)] = count_same(entries, row, stop, entries, first)
-    entries[first + wp.int64(13)] = wp.int64(-7)
-    entries[row + wp.int64(13)] = wp.int64(-7)
-    entries[at + wp.int64(3)] = count_same(entries, row, wp.int64(-1), entries, first)

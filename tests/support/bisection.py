@@ -183,7 +183,7 @@ def plant(tree: EditedTree, lattice: Lattice) -> None:
         raise TerrainError(f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares.")
     roots = np.arange(2 * lattice.squares, dtype=np.int64) << (shift - 1)
     unused = np.arange(lattice.squares, 1 << lattice.square_bits, dtype=np.int64) << shift
-    tree.mark(np.concatenate([roots, unused]))
+    tree.put(np.concatenate([roots, unused]))
 
 
 def split_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Node]:

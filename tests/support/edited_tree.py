@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A tree whose leaves are asked for by heap id and edited one by one: what tests do with a tree, and no frame does.
 
-Id 1 is the root, id n has the children 2n and 2n + 1. Each edit marks all cells anew, so that the counters are those of
-a tree that was written at once.
+Id 1 is the root, id n has the children 2n and 2n + 1. Each edit writes all cells anew.
 """
 
 import numpy as np
@@ -27,18 +26,20 @@ class EditedTree(ConcurrentBinaryTree):
         max_depth, depths = depths_from_bytes(data)
         tree = cls(max_depth)
         sizes = np.int64(1) << max_depth - depths.astype(np.int64)
-        tree.mark(np.cumsum(sizes) - sizes)
+        tree.put(np.cumsum(sizes) - sizes)
         return tree
 
-    def mark(self, cells: np.ndarray) -> int:
-        """Replace the leaves by those that begin at `cells`, int64, ascending; returns how many cells changed."""
+    def put(self, cells: np.ndarray) -> bool:
+        """Replace the leaves by those that begin at `cells`, int64, ascending; returns whether they are others."""
         cells = np.asarray(cells, np.int64)
-        self.next_cells(len(cells) + 1).numpy()[: len(cells)] = cells
-        return self.mark_written([(0, len(cells))])
+        self.next_cells(len(cells)).numpy()[: len(cells)] = cells
+        changed = self.would_change([(0, len(cells))])
+        self.mark([(0, len(cells))])
+        return changed
 
     def reset(self, depth: int = 0) -> None:
         """Make the leaves all the nodes at `depth`."""
-        self.mark(np.arange(1 << depth, dtype=np.int64) << (self.max_depth - depth))
+        self.put(np.arange(1 << depth, dtype=np.int64) << (self.max_depth - depth))
 
     def leaves(self) -> np.ndarray:
         """Heap ids of all leaves in order: uint64."""
@@ -66,13 +67,13 @@ class EditedTree(ConcurrentBinaryTree):
         """Give the leaf `heap_id` its two children."""
         if heap_id >= self.cell_count or not self.is_leaf(heap_id):
             raise TerrainError(f"Node {heap_id} is at the deepest level or is not a leaf of the tree.")
-        self.mark(np.union1d(self.cells(), [self._second_cell(heap_id)]))
+        self.put(np.union1d(self.cells(), [self._second_cell(heap_id)]))
 
     def merge(self, heap_id: int) -> None:
         """Take the two children of `heap_id` away, which must be leaves: undoes `split`."""
         if not (self.is_leaf(2 * heap_id) and self.is_leaf(2 * heap_id + 1)):
             raise TerrainError(f"Node {heap_id} has not two leaves as children.")
-        self.mark(np.setdiff1d(self.cells(), [self._second_cell(heap_id)]))
+        self.put(np.setdiff1d(self.cells(), [self._second_cell(heap_id)]))
 
     def _second_cell(self, heap_id: int) -> int:
         """First cell of the second child."""

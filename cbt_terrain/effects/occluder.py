@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The ground as what light meets: the raster with the highest samples of its blocks, which rays skip by.
+
+Whatever surface lies between the samples, the ground is the raster's profile from line to line; holes are filled.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import horizon as kernels
+from ..field.codes import packed
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat
+from .effect import Places
+
+# Places of one launch: between two launches the work can be stopped.
+AT_ONCE = 1 << 14
+# Of the largest height: more than float64 can lose between a sample and a height of the profile.
+MARGIN = 1e-9
+
+def occluder_of(places: Places) -> kernels.Occluder:
+    """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
+    occluder = every_crossing(places.field, places.vertical_scale)
+    sign = -1.0 if occluder.scale < 0.0 else 1.0
+    kept = places.field.light
+    if ("tops", sign) not in kept:
+        kept["tops", sign] = find_tops(occluder, sign, places.threads)
+    tops, first, wide = kept["tops", sign]
+    occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    occluder.levels = len(wide)
+    return occluder
+
+
+def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
+    """The ground without blocks: kernels visit every crossing."""
+    lattice, occluder = field.lattice, kernels.Occluder()
+    occluder.samples = packed(field.samples, field.steps)
+    occluder.columns, occluder.rows = lattice.width, lattice.height
+    occluder.west, occluder.south, _, _ = lattice.rectangle()
+    occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
+    occluder.scale = scale
+    low, high = field.min_height * scale, field.max_height * scale
+    occluder.margin = MARGIN * max(abs(low), abs(high))
+    occluder.highest = max(low, high)
+    occluder.levels = 0
+    return occluder
+
+
+def find_tops(occluder: kernels.Occluder, sign: float, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The highest samples of all blocks (with sign -1 the lowest), float32, level after level from FINEST on; the first
+    of each level and how many are in its rows, int32 [levels], with nothing for those below FINEST."""
+    wide, high = (((n - 2) >> kernels.FINEST) + 1 for n in (occluder.columns, occluder.rows))
+    finest = np.empty((high, wide), np.float32)
+    inputs = [occluder, wp.float32(sign), flat(finest, wp.float32)]
+    launch.spread(kernels.finest_tops, high, inputs, step="light", threads=threads, cost=4.0 * occluder.columns)
+    levels, higher = [finest], np.maximum if sign > 0 else np.minimum
+    while levels[-1].size > 1:
+        rows, columns = (np.arange(0, n, 2) for n in levels[-1].shape)
+        levels.append(higher.reduceat(higher.reduceat(levels[-1], rows, axis=0), columns, axis=1))
+    first = np.cumsum([0] * (kernels.FINEST + 1) + [level.size for level in levels[:-1]], dtype=np.int32)
+    wide = np.array([0] * kernels.FINEST + [level.shape[1] for level in levels], np.int32)
+    return np.concatenate([level.ravel() for level in levels]), first, wide
+
+
+def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> Iterator[int]:
+    """Launch `kernel` for AT_ONCE places after another, with `inputs`, the places and their part of `out` (float32
+    [n]); yields after each how many are done."""
+    for first in range(0, len(places), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        where = np.ascontiguousarray(places.positions[some], np.float32)
+        values = [*inputs, wp.array(where, dtype=wp.vec3f, device=launch.DEVICE, copy=False), flat(out[some], wp.float32)]
+        launch.spread(kernel, len(where), values, step="light", threads=places.threads, cost=cost)
+        yield first + len(where)

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ambient occlusion: how open a place is to what lies within some metres of it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from .effect import Effect, Evaluate, Parameter, Places, Wanted
+from .sky import seen_from
+
+# Slopes below any: of ground near by also what falls away counts.
+ANY = -1e300
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """See Make in effect.py."""
+    radius = float(wanted["ambient_occlusion"]["radius"])
+    return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
+
+
+def example(evaluate: Evaluate) -> None:
+    """A plane hides nothing of its own half space, however steep; at the foot of a long wall, high against the radius,
+    half of it is hidden."""
+    east = np.arange(41, dtype=np.float32) * 2.0
+    assert abs(evaluate("ambient_occlusion", np.tile(east, (41, 1)), step=2.0) - 1.0).max() < 1e-6
+    wall = np.tile(np.where(east >= 40.0, np.float32(1e4), np.float32(0.0)), (41, 1))
+    foot = evaluate("ambient_occlusion", wall, step=2.0, radius=20.0)[:, 15]
+    assert 0.45 < foot.min() <= foot.max() < 0.55
+
+
+OCCLUSION = Effect(
+    name="ambient_occlusion",
+    about="Open part of what surrounds a place within a radius: 1 is open, 0 closed",
+    unit="1",
+    make=make,
+    example=example,
+    parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a place ground counts"),),
+    halo="the radius",
+    cost_ns=4000,
+    source="Bavoil, Sainz and Dimitrov 2008 (horizons); Tevs, Ihrke and Seidel 2008 (max mipmap)",
+)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The pyramid of prefiltered heights of a height field: made when first asked for, kept with the field.
+
+Level 0 is the field's own samples, mapped or coded as they are; what is made is a third of them, as float32. A level of
+a raster that does not fit ends with the sample at or beyond the rim.
+"""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import pyramid as kernels
+from ..field import codes
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+from ..run import launch
+from ..run.buffers import flat
+
+
+def shapes(lattice: Lattice) -> list[tuple[int, int]]:
+    """Rows and columns of each level. The last is the first with fewer than two cells one way."""
+    cells = [(lattice.cells_y, lattice.cells_x)]
+    while min(cells[-1]) > 1:
+        cells.append(tuple(-(-count // 2) for count in cells[-1]))
+    return [(rows + 1, columns + 1) for rows, columns in cells]
+
+
+def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:
+    """The pyramid as kernels read it; heights of the field become height * vertical_scale + vertical_offset."""
+    if not field.prefiltered:
+        made, below = _empty(field)
+        for level in range(1, below.levels):
+            rows, columns = shapes(field.lattice)[level]
+            inputs = [below, level, below.coarser]
+            launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
+        field.prefiltered.append(made)  # when it is complete: who is stopped leaves none
+    found = _ground(field, field.prefiltered[0])
+    found.height_scale, found.height_offset = vertical_scale, vertical_offset
+    return found
+
+
+def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
+    """float32 [rows, columns] metres: the heights of a level, row 0 south."""
+    if level == 0:
+        return field.heights()
+    first = int(ground(field, 1.0, 0.0, threads).first.numpy()[level])
+    rows, columns = shapes(field.lattice)[level]
+    return field.prefiltered[0][first : first + rows * columns].reshape(rows, columns)
+
+
+def _empty(field: HeightField) -> tuple[np.ndarray, kernels.Ground]:
+    count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
+    made = np.empty(max(count, 1), np.float32)
+    return made, _ground(field, made)
+
+
+def _ground(field: HeightField, coarser: np.ndarray) -> kernels.Ground:
+    lattice = field.lattice
+    sizes = np.array(shapes(lattice))
+    found = kernels.Ground()
+    found.samples = codes.packed(field.samples, field.steps)
+    found.coarser = flat(coarser, wp.float32)
+    first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]
+    found.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
+    found.rows = wp.array(sizes[:, 0], dtype=wp.int32, device=launch.DEVICE)
+    found.columns = wp.array(sizes[:, 1], dtype=wp.int32, device=launch.DEVICE)
+    found.levels = len(sizes)
+    found.step_x, found.step_y = lattice.step_x, lattice.step_y
+    found.west, found.south, _, _ = lattice.rectangle()
+    found.height_scale, found.height_offset = 1.0, 0.0
+    return found

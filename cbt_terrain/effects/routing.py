@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drainage of a whole raster: receivers, order, filled surface and areas. The methods stand in kernels/effects."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import catchment, routing
+from ..run import launch
+from ..run.buffers import flat
+
+BLOCK = 1 << 16
+
+
+@dataclass(eq=False)
+class Drainage:
+    """Where the water of a raster goes; arrays of n samples in C order.
+
+    `to`: uint8, the receiver as a direction 3 * (dy + 1) + dx + 1, 4 for a root, all of which are of `base`: uint8, 1
+    where water leaves. `order`: int32, samples after those that flow to them. `heights`: float32.
+    """
+
+    grid: routing.Grid
+    heights: np.ndarray
+    base: np.ndarray
+    to: np.ndarray
+    order: np.ndarray
+    threads: int = 1
+
+    def filled(self) -> np.ndarray:
+        """float32 [n] metres: the least surface, nowhere below the heights, from which every sample drains."""
+        out = np.empty_like(self.heights)
+        arrays = flat(self.to, wp.uint8), flat(self.order, wp.int32), flat(self.heights, wp.float32)
+        launch.once(catchment.fill_lakes, [self.grid, *arrays, flat(out, wp.float32)], step="routing")
+        return out
+
+    def areas(self, filled: np.ndarray) -> np.ndarray:
+        """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
+        count = len(self.to)
+        key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
+        inputs = [count, flat(self.order, wp.int32), flat(filled, wp.float32), flat(key, wp.float32)]
+        inputs.append(flat(item, wp.int32))
+        launch.spread(catchment.take_in_reverse, count, inputs, step="routing", threads=self.threads)
+        launch.sort_pairs(key, item, count, step="routing")
+        area = np.ones(count)
+        arrays = [flat(item, wp.int32), flat(filled, wp.float32), flat(area, wp.float64)]
+        launch.once(catchment.gather_area, [self.grid, flat(self.to, wp.uint8), *arrays], step="routing")
+        return area
+
+    def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:
+        """Give all that is below the surface of a lake the area of its outlet."""
+        arrays = [flat(self.order, wp.int32), flat(self.heights, wp.float32), flat(filled, wp.float32)]
+        inputs = [self.grid, flat(self.to, wp.uint8), *arrays, flat(area, wp.float64)]
+        launch.once(catchment.level_lakes, inputs, step="routing")
+
+
+def route(
+    heights: np.ndarray, step_x: float, step_y: float, holes: np.ndarray | None = None, threads: int = 1
+) -> Drainage:
+    """The drainage of float32 [rows, columns] metres, samples so many metres apart.
+
+    Water leaves at the rim and where `holes` (bool, of the same shape) are; depressions are cut through at their lowest
+    passes, and flats drain along the shortest ways. A function of the arguments alone but for `threads`.
+    """
+    rows, columns = heights.shape
+    base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
+    base[[0, -1]] = 1
+    base[:, [0, -1]] = 1
+    base = base.reshape(-1)
+    h = heights.reshape(-1) + np.float32(0.0)  # a sort tells -0 from 0
+    grid, to = _grid(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
+    # The names of one step each: float32 heights, and what is found of them.
+    arrays = [flat(h, wp.float32), flat(base, wp.uint8)]
+    inputs = [grid, *arrays, flat(to, wp.uint8)]
+    launch.spread(routing.find_receivers, rows, inputs, step="routing", threads=threads, cost=columns)
+    scratch, pits = np.empty(len(h), np.int32), np.zeros(1, np.int32)
+    inputs = [grid, *arrays, flat(scratch, wp.int32), flat(to, wp.uint8), flat(pits, wp.int32)]
+    launch.once(routing.cross_flats, inputs, step="routing")
+    if pits[0]:
+        _link(grid, h, base, to, int(pits[0]), scratch, threads)
+    donors, order = np.empty(len(h), np.uint8), scratch
+    inputs = [grid, flat(to, wp.uint8), flat(donors, wp.uint8)]
+    launch.spread(routing.count_donors, rows, inputs, step="routing", threads=threads, cost=columns)
+    launch.once(routing.order_downstream, [*inputs, flat(order, wp.int32)], step="routing")
+    return Drainage(grid, h, base, to, order, threads)
+
+
+def _grid(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+    grid, diagonal = routing.Grid(), step_x * step_x + step_y * step_y
+    grid.width, grid.height = columns, rows
+    grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)
+    # Length of contour over distance: half a side's for the axes, for diagonals the part that makes squares Quinn's.
+    grid.share = wp.vec3d(0.5 * step_y / step_x, 0.5 * step_x / step_y, 0.5 * step_x * step_y / diagonal)
+    return grid
+
+
+def _link(grid, h, base, to, pits: int, label: np.ndarray, threads: int) -> None:
+    """Turn the flow of every basin that ends in a pit to the basin beyond its lowest pass."""
+    label.fill(-1)
+    arrays = [flat(to, wp.uint8), flat(label, wp.int32)]
+    blocks = -(-len(h) // BLOCK)
+    inputs = [BLOCK, grid, flat(base, wp.uint8), *arrays]
+    launch.spread(routing.label_basins, blocks, inputs, step="routing", threads=threads, cost=BLOCK)
+    start = np.zeros(grid.height + 1, np.int64)
+
+    def find(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
+        found = [flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
+        inputs = [emit, grid, flat(h, wp.float32), flat(label, wp.int32), *found]
+        launch.spread(routing.find_passes, grid.height, inputs, step="routing", threads=threads, cost=grid.width)
+
+    find(0, np.empty(1, np.float32), np.empty(1, np.int32))
+    start[1:] = np.cumsum(start[:-1])
+    start[0] = 0
+    count = int(start[-1])
+    key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
+    find(1, key, edge)
+    launch.sort_pairs(key, edge, count, step="routing")
+    up = np.arange(len(h) + 1, dtype=np.int32)
+    inputs = [count, pits, grid, flat(edge, wp.int32), flat(label, wp.int32), flat(up, wp.int32), flat(to, wp.uint8)]
+    launch.once(routing.link_basins, inputs, step="routing")

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sky: how much of the sky a place sees."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects.light import sky_seen
+from ..run import launch
+from .effect import Effect, Evaluate, Places, Wanted
+from .light import AZIMUTHS, azimuths
+from .occluder import for_places, occluder_of
+
+# Beyond the raster there is ground: the sky begins at the horizontal.
+HORIZONTAL = 0.0
+WITHOUT_END = 1e300
+
+
+def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
+    """float32 [n]: the cosine-weighted part of the half space over each place that is above the horizons of ground up
+    to `far` metres off, and above the slope `lowest`."""
+    out = np.zeros(len(places), np.float32)
+    directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
+    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
+    for _done in for_places(sky_seen, places, inputs, out, cost=2000.0):
+        pass
+    return out
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """See Make in effect.py."""
+    return {"sky": seen_from(places)}
+
+
+def example(evaluate: Evaluate) -> None:
+    """A level plane sees all of it; one of 60 degrees three quarters, (1 + cos 60) / 2."""
+    assert (evaluate("sky", np.zeros((9, 9)), step=5.0) == 1.0).all()
+    steep = np.tile(np.arange(9) * 5.0 * math.sqrt(3.0), (9, 1))
+    assert abs(evaluate("sky", steep, step=5.0) - 0.75).max() < 0.003
+
+
+SKY = Effect(
+    name="sky",
+    about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
+    unit="1",
+    make=make,
+    example=example,
+    halo="the whole raster",
+    cost_ns=35000,
+    source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",
+)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splat layers: how much of a place each of up to twelve layers covers, four an attribute; one kernel makes all.
+
+What rules are about are other effects, so a jet that is taken for them serves whoever else reads those.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import splat as kernels
+from ..run import launch
+from ..run.buffers import flat, shared
+from .effect import Effect, Evaluate, Parameter, Places, Wanted
+from .splat_rules import (
+    ASPECT,
+    DEFAULT,
+    FLOW,
+    IMAGE,
+    LAYER,
+    MOST_LAYERS,
+    NOISE,
+    READ_FROM,
+    RELIEF,
+    Layer,
+    Rule,
+    check,
+    reads,
+)
+
+NAMES = ("splat_1", "splat_2", "splat_3")
+KIND_OF = {
+    ASPECT: kernels.DIRECTION,
+    FLOW: kernels.LOGARITHM,
+    NOISE: kernels.NOISE,
+    LAYER: kernels.LAYER,
+    IMAGE: kernels.IMAGE,
+}
+# An edge of no width is this wide, in parts of any unit: a limit itself is half covered.
+LEAST_EDGE = 1e-30
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """See Make in effect.py."""
+    made: dict[str, np.ndarray] = {}
+    for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
+        names = [name for name in wanted if wanted[name]["layers"] == layers]
+        made |= _weights(places, layers, names, read)
+    return made
+
+
+def _weights(
+    places: Places, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Weights of the layers at places, float32 [n, 4] for each of `names`."""
+    field, lattice, count = places.field, places.field.lattice, len(places)
+    ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
+    tables = _tables(layers, *sorted(ends))
+    splat = kernels.Splat()
+    splat.layers, splat.rules, splat.images = tables
+    splat.layer_count, splat.count = len(layers), count
+    splat.values = flat(_rows(layers, read, count), wp.float32)
+    splat.west, splat.south, east, north = lattice.rectangle()
+    splat.across, splat.up = east - splat.west, north - splat.south
+    splat.step = max(lattice.step_x, lattice.step_y)
+    made = {name: np.empty((count, 4), np.float32) for name in names}
+    unused = np.empty((0, 4), np.float32)
+    outputs = [shared(made.get(name, unused), wp.vec4f) for name in NAMES]
+    bits = sum(1 << NAMES.index(name) for name in names)
+    inputs = [splat, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), bits, *outputs]
+    launch.spread(kernels.splats, count, inputs, step="splats", threads=places.threads, cost=2 + 2 * len(layers))
+    return made
+
+
+def _rows(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """float32 [rows, n]: what the rules read, those effects one after the other; two rows of the direction."""
+    rows = [np.atleast_2d(read[name].T) for name in reads(layers)]
+    return np.concatenate(rows) if rows else np.empty((0, count), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
+    """Layers, rules and images as the kernel takes them. `lowest`, `highest`: metres that relief lies between."""
+    check(layers)
+    row, rows = 0, {}
+    for name in reads(layers):
+        rows[name], row = row, row + (2 if name == READ_FROM[ASPECT] else 1)
+    own, rules, images = [], [], []
+    for layer in layers:
+        made = kernels.Layer()
+        made.first, made.end, made.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
+        made.strength, made.ragged, made.noise_size = layer.strength, layer.ragged, layer.noise_size
+        made.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
+        own.append(made)
+        for rule in layer.rules:
+            at = rule.other if rule.of == LAYER else sum(image.size for image in images)
+            at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
+            rules.append(_rule(rule, at, lowest, highest))
+            if rule.of == IMAGE:
+                images.append(rule.image.values.reshape(-1))
+    pixels = np.concatenate(images) if images else np.empty(0, np.float32)
+    arrays = (own, kernels.Layer), (rules or [kernels.Rule()], kernels.Rule)
+    return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
+
+
+def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
+    limits, edge = np.array([rule.low, rule.high]), rule.edge
+    if rule.of == RELIEF:
+        limits, edge = lowest + limits * (highest - lowest), edge * (highest - lowest)
+    elif rule.of == FLOW:
+        with np.errstate(divide="ignore"):
+            limits = np.log10(np.maximum(limits, 0.0))
+    found = kernels.Rule()
+    found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
+    found.low, found.high, found.edge = *limits, max(edge, LEAST_EDGE)
+    found.sine, found.cosine = math.sin(rule.direction), math.cos(rule.direction)
+    if rule.image is not None:
+        found.rows, found.columns = rule.image.values.shape
+    return found
+
+
+def example(evaluate: Evaluate) -> None:
+    """Rock above 30 degrees: none of a plane of 20 degrees, all of one of 40, and always 1 in all."""
+    rock = Layer("Rock", (Rule("slope", low=math.radians(30), edge=math.radians(4)),), on_top=True)
+    east = np.arange(17, dtype=np.float32) * 10.0
+    for degrees, share in ((20, 0.0), (40, 1.0)):
+        plane = np.tile(east * np.float32(math.tan(math.radians(degrees))), (17, 1))
+        weights = evaluate("splat_1", plane, step=10.0, layers=(Layer("Grass"), rock))
+        assert (weights == (1.0 - share, share, 0.0, 0.0)).all()
+
+
+def _chosen(values: Mapping[str, object]) -> tuple[str, ...]:
+    return reads(values["layers"])
+
+
+SPLATS = tuple(
+    Effect(
+        name=name,
+        about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all add up to exactly 1",
+        unit="",
+        make=make,
+        example=example,
+        width=4,
+        reads=tuple(sorted(set(READ_FROM.values()))),
+        choose=_chosen,
+        parameters=(
+            Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer"),
+        ),
+        halo="as what the rules are about",
+        cost_ns=100,
+        source="Bands of rules; exact shares by the method of the largest remainder",
+    )
+    for k, name in enumerate(NAMES)
+)

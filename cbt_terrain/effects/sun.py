@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sun: how much of the sun's disc is above the horizon."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects.light import sun_seen
+from .effect import Effect, Evaluate, Parameter, Places, Wanted
+from .light import strips_of, strongest
+from .occluder import for_places, occluder_of
+
+# 45 degrees high in the south-west, and as wide as ours is: where no scene says where its suns are.
+AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """See Make in effect.py."""
+    sun = strongest(wanted["sun"]["suns"])
+    strips = None if sun is None else strips_of(sun)
+    out = np.zeros(len(places), np.float32)
+    if strips is not None:
+        numbers = [wp.float64(strips[name]) for name in ("elevation", "radius", "low", "high")]
+        inputs = [occluder_of(places), *numbers, strips["strips"]]
+        for _done in for_places(sun_seen, places, inputs, out, cost=300.0):
+            pass
+    return {"sun": out}
+
+
+def example(evaluate: Evaluate) -> None:
+    """A wall of 20 m under a sun 45 degrees high in the east throws a shadow of 20 m to the west."""
+    east = np.arange(41, dtype=np.float32) * 2.0
+    wall = np.tile(np.where(east >= 50.0, np.float32(20.0), np.float32(0.0)), (41, 1))
+    lit = evaluate("sun", wall, step=2.0, suns=((1.0, 0.0, 1.0, 0.00918),))
+    assert (lit[:, 2 - 2 : 15 - 2] == 1.0).all() and (lit[:, 16 - 2 : 25 - 2] == 0.0).all()
+
+
+SUN = Effect(
+    name="sun",
+    about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
+    unit="1",
+    make=make,
+    example=example,
+    parameters=(
+        Parameter(
+            "suns",
+            (AFTERNOON,),
+            -math.inf,
+            math.inf,
+            "",
+            "Rows of x, y, z towards a sun in the terrain's own space, the angle of its disc in radians, its strength",
+        ),
+    ),
+    halo="the whole raster",
+    cost_ns=4000,
+    source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",
+)

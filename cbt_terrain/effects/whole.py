@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results over a whole raster, which are made once: kept in memory up to a limit, and in the store where there is one.
+
+The content decides: a result is found by its effect, that effect's version, the parameters and the raster's key. A file
+is a guess until it is read: one of another shape or type, with a block that differs from its checksum or a value that
+is not finite, is made again.
+"""
+
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field import store
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+from ..field.store_arrays import verify_array
+
+# Bytes that results may hold in memory, the pyramids over them included; the last one stays whatever it holds.
+MOST_BYTES = 1 << 28
+# Samples of a result, at most: a larger raster is taken at a coarser level, so that memory and time stay bounded.
+MOST_SAMPLES = 4097 * 4097
+
+_kept: OrderedDict[str, HeightField] = OrderedDict()
+_making = threading.RLock()
+
+
+def level_for(shapes: list[tuple[int, int]]) -> int:
+    """The finest level of a pyramid, by the rows and columns of each, with MOST_SAMPLES at most."""
+    fitting = (level for level, (rows, columns) in enumerate(shapes) if rows * columns <= MOST_SAMPLES)
+    return next(fitting, len(shapes) - 1)
+
+
+def whole(
+    name: str,
+    version: int,
+    parameters: tuple,
+    field: HeightField,
+    lattice: Lattice,
+    make: Callable[[], np.ndarray],
+) -> HeightField:
+    """A result of the effect `name`: finite float32 [lattice.height, lattice.width], as the samples of a field.
+
+    As those it can have a pyramid; it has no errors and no ranges. `make` makes it, when nothing has kept it. Other
+    results may leave the memory for it.
+    """
+    mark = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
+    key = f"{field.raster_key}-{name}-{mark}"
+    with _making:  # whoever wants the same waits for it
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+        file = f"effect_{name}_{mark}"
+        samples = _read(field, file, (lattice.height, lattice.width))
+        if samples is None:
+            samples = make()
+            store.keep(field, file, samples)
+        own = {"samples": samples, "lattice": lattice, "steps": None, "valid": None, "path": None, "key": key}
+        _kept[key] = replace(field, **own, prefiltered=[], expanded={}, surfaces={})
+        while len(_kept) > 1 and sum(map(_nbytes, _kept.values())) > MOST_BYTES:
+            _kept.popitem(last=False)
+        return _kept[key]
+
+
+def forget() -> None:
+    """Let go of what is in memory."""
+    with _making:
+        _kept.clear()
+
+
+def _nbytes(result: HeightField) -> int:
+    return result.samples.nbytes * 4 // 3
+
+
+def _read(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
+    """What the store has kept, in memory, if all of it is what was written."""
+    folder = store.data_folder(field)
+    if folder is None:
+        return None
+    try:
+        verify_array(folder / f"{file}.npy", shape, np.float32)
+    except (OSError, TerrainError):
+        return None
+    samples = store.load_kept(field, file, shape, np.float32)
+    return samples if samples is not None and np.isfinite(samples).all() else None

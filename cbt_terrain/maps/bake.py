@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baking maps: effects at the texels of tiles, each tile only where it is not there already.
+
+A file carries the key of its content: the effect and what it reads, their versions and parameters, the heights, the
+place, the resolution and the coding. What has the key that is asked for stays. The new ones are made in a private
+folder and take their names when all are complete.
+"""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import texels as kernels
+from ..effects.catalogue import EFFECTS
+from ..effects.effect import Asked, Places
+from ..effects.plan import plan
+from ..effects.scale import STEPS_PER_LEVEL
+from ..errors import TerrainError
+from ..field import codes
+from ..field.heightfield import HeightField
+from ..run import launch, partial_files
+from ..run.buffers import flat, shared
+from . import exr, png
+from .coding import PNG, Coding, coding_of
+from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
+from .tiling import Tiling, tiling_of
+
+BAND_TEXELS = 1 << 19  # what is made at a time: some megabytes, and a thirtieth of a second
+
+
+@dataclass(frozen=True)
+class Baked:
+    """What a bake has done. `index`: of the folder, as its maps.json has it. `made`, `kept`: how many images."""
+
+    index: dict
+    made: int
+    kept: int
+
+
+@dataclass(frozen=True)
+class _Image:
+    """One image to be: of which tile, of which map, under which name, with which content."""
+
+    tile: int
+    asked: Asked
+    coding: Coding
+    side: int
+    file: str
+    key: str
+
+
+def bake(
+    field: HeightField,
+    asked: Iterable[Asked],
+    folder: str | os.PathLike,
+    resolutions: Sequence[int],
+    *,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    form: str = PNG,
+    threads: int | None = None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+    lock: AbstractContextManager | None = None,
+) -> Baked:
+    """Bring maps of the effects `asked` in `folder` up to date; `resolutions`: texels along a side of each tile.
+
+    Heights become `height * vertical_scale + vertical_offset` metres. `on_progress` gets the fraction done and may
+    raise, which cancels: the folder is then as it was. `lock` is held for each band of texels. Raises TerrainError.
+    """
+    folder, tiling = Path(folder), tiling_of(field.lattice)
+    place = _Place(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
+    images = [
+        _image(place, item, tile, side, form)
+        for tile, side in enumerate(resolutions)
+        for item in sorted(asked, key=lambda item: item.name)
+    ]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        partial_files.remove_abandoned(folder)
+        before = read_index(folder)
+        missing = [image for image in images if _key_in(folder / image.file) != image.key]
+        index = _index(place, images, before)
+        with partial_files.private_folder(folder) as partial:
+            _bake_images(place, missing, partial, on_progress, lock or nullcontext())
+            (partial / JSON_NAME).write_text(json.dumps(index, indent=1), encoding="utf-8")
+            for image in missing:
+                os.replace(partial / image.file, folder / image.file)
+            os.replace(partial / JSON_NAME, folder / JSON_NAME)
+        for file in files_of(before or {"maps": {}}) - files_of(index):
+            (folder / file).unlink(missing_ok=True)
+    except OSError as reason:
+        raise TerrainError(
+            f"The maps cannot be written into {folder} ({reason.strerror or reason}); choose another folder."
+        ) from reason
+    return Baked(index, len(missing), len(images) - len(missing))
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """What all images of a bake have in common."""
+
+    field: HeightField
+    tiling: Tiling
+    vertical_scale: float
+    vertical_offset: float
+    threads: int
+
+    def level(self, side: int) -> float:
+        """Of the pyramid, for an image of so many texels a side: samples are as far apart as texels."""
+        lattice = self.field.lattice
+        finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
+        return round(max(math.log2(finer), 0.0) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
+
+
+def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Image:
+    coding = coding_of(EFFECTS[asked.name], form)
+    steps = plan([asked]).steps
+    content = (
+        VERSION,
+        [(step.name, EFFECTS[step.name].version, sorted(step.parameters)) for step in steps],
+        (place.field.raster_key, place.vertical_scale, place.vertical_offset),
+        (place.tiling, tile, side, place.level(side)),
+        coding,
+    )
+    key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
+    number = place.tiling.number(tile) if len(place.tiling) > 1 else None
+    return _Image(tile, asked, coding, side, file_name(asked.name, coding.form, number), key)
+
+
+def _key_in(file: Path) -> str | None:
+    """The key that a complete image carries."""
+    return png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
+
+
+def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:
+    total = sum(side * side for side in {image.tile: image.side for image in images}.values())
+    done = 0
+    on_progress(0.0)
+    with ThreadPoolExecutor(place.threads, "adaptive_terrain_maps") as pool:
+        for tile in sorted({image.tile for image in images}):
+            together = [image for image in images if image.tile == tile]
+            side = together[0].side
+            with ExitStack() as stack:
+                files = [_opened(folder, image, pool, stack) for image in together]
+                for first in range(0, side, _band(side)):
+                    with lock:
+                        values = _values(place, together, tile, side, first)
+                    for image, file in zip(together, files, strict=True):
+                        file.add(_coded(values[image.asked.name], image, place.threads))
+                    done += _band(side) * side
+                    on_progress(done / total)
+                for file in files:
+                    file.close()
+
+
+def _band(side: int) -> int:
+    """Rows that are made together: whole blocks of an EXR file."""
+    return min(max(BAND_TEXELS // side, exr.BLOCK), side)
+
+
+def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
+    writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
+    file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
+    stack.callback(file.leave)
+    return file
+
+
+def _values(place: _Place, images: list[_Image], tile: int, side: int, first: int) -> dict[str, np.ndarray]:
+    """The effects of the images at a band of a tile's texels, by name."""
+    places = texel_places(place.field, place.tiling, tile, side, first, _band(side), place)
+    steps = list(plan([image.asked for image in images]).steps)
+    values: dict[str, np.ndarray] = {}
+    while steps:
+        make = EFFECTS[steps[0].name].make
+        now = [step for step in steps if EFFECTS[step.name].make is make and set(EFFECTS[step.name].reads) <= {*values}]
+        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
+        steps = [step for step in steps if step not in now]
+    return values
+
+
+def texel_places(
+    field: HeightField, tiling: Tiling, tile: int, side: int, first: int, rows: int, place: "_Place"
+) -> Places:
+    """The ground under `rows` rows of the texels of a tile's image of `side` texels a side, from row `first`."""
+    raster, grid = kernels.Raster(), kernels.Texels()
+    lattice = field.lattice
+    raster.samples = codes.packed(field.samples, field.steps)
+    raster.columns, raster.rows = lattice.width, lattice.height
+    raster.step_x, raster.step_y = lattice.step_x, lattice.step_y
+    raster.west, raster.south, _, _ = lattice.rectangle()
+    raster.height_scale, raster.height_offset = place.vertical_scale, place.vertical_offset
+    grid.columns = side
+    grid.west, grid.north = tiling.first_texel(tile, side)
+    grid.step_x, grid.step_y = tiling.texel(side)
+    positions = np.empty((rows * side, 3), np.float32)
+    inputs = [first * side, raster, grid, shared(positions, wp.vec3f)]
+    launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
+    level = np.full(len(positions), place.level(side), np.float32)
+    return Places(field, positions, level, place.vertical_scale, place.vertical_offset, place.threads)
+
+
+def _coded(values: np.ndarray, image: _Image, threads: int) -> np.ndarray:
+    """A band as its file takes it."""
+    coding, width = image.coding, values.size // len(values)
+    rows = len(values) // image.side
+    if coding.form != PNG:
+        deep = np.zeros((len(values), coding.channels), np.float32)
+        deep[:, :width] = values.reshape(-1, width)
+        return deep.reshape(rows, image.side, coding.channels)
+    out = np.empty((rows, image.side * coding.channels * coding.depth // 8), np.uint8)
+    most = 255 if coding.depth == 8 else 65535
+    scale = most / (coding.high - coding.low)
+    numbers = flat(np.ascontiguousarray(values), wp.float32)
+    inputs = [numbers, width, coding.channels, coding.low, scale, int(most > 255), flat(out, wp.uint8)]
+    launch.spread(kernels.encode, len(values), inputs, step="coding", threads=threads)
+    return out
+
+
+def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
+    """What the folder will hold: these maps, and those of the same ground that are there and were not asked for."""
+    lattice, tiling = place.field.lattice, place.tiling
+    west, south, east, north = lattice.rectangle()
+    index = {
+        "version": VERSION,
+        "generator": "Adaptive Terrain",
+        "height_field": place.field.raster_key,
+        "place": {"west": west, "south": south, "east": east, "north": north, "unit": "m"},
+        "origin": place.field.origin.tolist(),
+        "crs": place.field.crs,
+        "vertical_scale": place.vertical_scale,
+        "vertical_offset": place.vertical_offset,
+        "columns": tiling.columns,
+        "rows": tiling.rows,
+        "margin": tiling.margin,
+    }
+    same = before is not None and all(before.get(name) == value for name, value in index.items())
+    maps = dict(before["maps"]) if same else {}
+    for name in sorted({image.asked.name for image in images}):
+        maps[name] = _entry(place, [image for image in images if image.asked.name == name])
+    return index | {"maps": {name: maps[name] for name in sorted(maps)}}
+
+
+def _entry(place: _Place, images: list[_Image]) -> dict:
+    """A map, as JSON holds it."""
+    effect, coding, tiling = EFFECTS[images[0].asked.name], images[0].coding, place.tiling
+    coded = {"channels": coding.channels, "bits": coding.depth, "zero": coding.low, "one": coding.high}
+    several = len(tiling) > 1
+    return {
+        "about": effect.about,
+        "unit": effect.unit,
+        "file": f"{effect.name}.{UDIM}.{coding.form}" if several else images[0].file,
+        "format": coding.form,
+        "coding": coded | {"numbers": effect.width},
+        "tiles": [
+            {
+                "tile": tiling.number(image.tile),
+                "file": image.file,
+                "resolution": image.side,
+                "texel_m": max(tiling.texel(image.side)),
+                "box_m": list(tiling.box(image.tile)),
+                "key": image.key,
+            }
+            for image in images
+        ],
+    }

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""OpenEXR files, written band by band: nothing of the library, which cannot live beside Blender's own.
+
+Scan lines in blocks of 16, squeezed by zlib (Technical Introduction to OpenEXR; OpenEXR File Layout).
+"""
+
+import struct
+import zlib
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+
+NAMES = {1: ("Y",), 2: ("R", "G"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+MAGIC = struct.pack("<II", 20000630, 2)
+BLOCK = 16  # lines
+LEVEL = 4
+HALF, FLOAT = 1, 2
+COMMENT = "comments"
+
+
+class ExrFile:
+    """A file of `side` x `side` texels of so many channels, of `depth` bits (16: half, 32: float), from the top.
+
+    `text`, `pool`: as of PngFile.
+    """
+
+    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
+        names = sorted(NAMES[channels])
+        self._order = [NAMES[channels].index(name) for name in names]  # channels are kept by the alphabet
+        self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []
+        kind = HALF if depth == 16 else FLOAT
+        listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
+        box = struct.pack("<iiii", 0, 0, side - 1, side - 1)
+        entries = (
+            ("channels", "chlist", listed),
+            (COMMENT, "string", text.encode("latin-1")),
+            ("compression", "compression", b"\x03"),  # zlib, 16 lines a block
+            ("dataWindow", "box2i", box),
+            ("displayWindow", "box2i", box),
+            ("lineOrder", "lineOrder", b"\0"),  # from the top
+            ("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+            ("screenWindowCenter", "v2f", struct.pack("<ff", 0.0, 0.0)),
+            ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+        )
+        self._file, self._line, self._offsets = open(path, "wb"), 0, []
+        self._file.write(MAGIC + b"".join(_entry(*entry) for entry in entries) + b"\0")
+        self._table = self._file.tell()
+        self._file.write(bytes(8 * (side // BLOCK)))
+
+    def add(self, values: np.ndarray) -> None:
+        """The next lines, float32 [lines, side, channels]; whole blocks of them."""
+        most = np.finfo(self._dtype).max
+        lines = np.clip(values, -most, most).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
+        for first in range(0, len(lines), BLOCK):
+            self._waiting.append(self._pool.submit(_squeezed, lines[first : first + BLOCK].tobytes()))
+        while len(self._waiting) > 64:
+            self._put()
+
+    def close(self) -> None:
+        while self._waiting:
+            self._put()
+        self._file.seek(self._table)
+        self._file.write(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
+        self._file.close()
+
+    def leave(self) -> None:
+        """Close it as it is."""
+        for future in self._waiting:
+            future.cancel()
+        self._file.close()
+
+    def _put(self) -> None:
+        data = self._waiting.pop(0).result()
+        self._offsets.append(self._file.tell())
+        self._file.write(struct.pack("<ii", self._line, len(data)) + data)
+        self._line += BLOCK
+
+
+def _squeezed(data: bytes) -> bytes:
+    """Even bytes, then odd ones, each as the difference from the one before; as it is where that saves nothing."""
+    raw = np.frombuffer(data, np.uint8)
+    parted = np.concatenate([raw[::2], raw[1::2]])
+    parted[1:] = parted[1:] - parted[:-1] + np.uint8(128)
+    squeezed = zlib.compress(parted.tobytes(), LEVEL)
+    return squeezed if len(squeezed) < len(data) else data
+
+
+def _entry(name: str, kind: str, value: bytes) -> bytes:
+    return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+
+
+def text_of(path: Path) -> str | None:
+    """The text in a file that an ExrFile has written to its end; None if it is no such file."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(4096)
+            start = head.find(COMMENT.encode() + b"\0string\0")
+            end = head.find(b"screenWindowWidth\0float\0")
+            if not head.startswith(MAGIC) or start < 0 or end < 0:
+                return None
+            at = start + len(COMMENT) + 8
+            (length,) = struct.unpack("<i", head[at : at + 4])
+            window = head.find(b"dataWindow\0box2i\0") + 21
+            side = struct.unpack("<iiii", head[window : window + 16])[2] + 1
+            # The table of blocks is written last: the block that it names last ends with the file.
+            file.seek(end + 33 + 8 * (side // BLOCK - 1))
+            (last,) = struct.unpack("<Q", file.read(8))
+            file.seek(last + 4)
+            (size,) = struct.unpack("<i", file.read(4))
+            whole = last > 0 and file.seek(0, 2) == last + 8 + size
+    except (OSError, struct.error):
+        return None
+    return head[at + 4 : at + 4 + length].decode("latin-1") if whole else None

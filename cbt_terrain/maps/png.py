@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""PNG files, written band by band and squeezed on several threads (PNG specification, sections 5 to 11)."""
+
+import struct
+import zlib
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+
+# Channels -> colour type.
+COLOUR = {1: 0, 3: 2, 4: 6}
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LEVEL = 1  # of zlib: twice as fast as the next, for a twentieth more bytes
+NO_FILTER, UP = 0, 2
+KEYWORD = b"Comment"
+END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
+
+
+class PngFile:
+    """A file of `side` x `side` texels of so many channels, of `depth` bits, that is written from the top.
+
+    `text`: kept in the file. `pool`: where bands are squeezed, while the next are made.
+    """
+
+    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
+        self._pool, self._waiting = pool, []
+        self._adler, self._length = 1, side * (1 + side * channels * depth // 8)
+        self._file = open(path, "wb")
+        self._file.write(SIGNATURE)
+        self._chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, depth, COLOUR[channels], 0, 0, 0))
+        self._chunk(b"tEXt", KEYWORD + b"\0" + text.encode("latin-1"))
+        self._chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
+
+    def add(self, rows: np.ndarray) -> None:
+        """The next rows, uint8 [rows, bytes of a row]: numbers of 16 bits have their higher byte first."""
+        filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
+        filtered[:, 0], filtered[0, 0] = UP, NO_FILTER  # a band knows nothing of the one before
+        filtered[0, 1:] = rows[0]
+        np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+        self._length -= filtered.size
+        self._waiting.append(self._pool.submit(_squeezed, filtered, self._length == 0))
+        while len(self._waiting) > 4:
+            self._put()
+
+    def close(self) -> None:
+        while self._waiting:
+            self._put()
+        self._chunk(b"IDAT", struct.pack(">I", self._adler))
+        self._file.write(END)
+        self._file.close()
+
+    def leave(self) -> None:
+        """Close it as it is."""
+        for future in self._waiting:
+            future.cancel()
+        self._file.close()
+
+    def _put(self) -> None:
+        data, raw = self._waiting.pop(0).result()
+        self._adler = zlib.adler32(raw, self._adler)
+        self._chunk(b"IDAT", data)
+
+    def _chunk(self, kind: bytes, data: bytes) -> None:
+        self._file.write(struct.pack(">I", len(data)) + kind)
+        self._file.write(data)
+        self._file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
+
+
+def _squeezed(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
+    squeeze = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
+    data = squeeze.compress(rows)
+    return data + squeeze.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
+
+
+def text_of(path: Path) -> str | None:
+    """The text in a file that a PngFile has written to its end; None if it is no such file."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(4096)
+            file.seek(-len(END), 2)
+            whole = file.read() == END
+    except OSError:
+        return None
+    start = head.find(b"tEXt" + KEYWORD + b"\0")
+    if not whole or not head.startswith(SIGNATURE) or start < 4:
+        return None
+    (length,) = struct.unpack(">I", head[start - 4 : start])
+    return head[start + 4 + len(KEYWORD) + 1 : start + 4 + length].decode("latin-1")

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An effect of one's own: `python examples/06_an_effect.py [FOLDER]`."""
+
+# One sees a whole effect: a function over arrays, a declaration, an example that proves it, and its value as an
+# attribute of a mesh. The normals that it reads are made because it reads them; nothing else is made.
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store
+from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.effects.effect import Asked, Effect, Parameter
+from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.effects.examples import evaluate_on
+from adaptive_terrain.cbt_terrain.effects.plan import plan
+
+
+def make(places, wanted, read):
+    """How squarely the sun at noon meets the ground."""
+    elevation = math.radians(wanted["noon_sun"]["elevation"])
+    towards = np.array([0.0, -math.cos(elevation), math.sin(elevation)], np.float32)
+    return {"noon_sun": np.maximum((read["detail_normal"] * towards).sum(1), 0.0)}
+
+
+def example(evaluate):
+    """A slope of 45 degrees to the south meets a sun at 45 degrees squarely."""
+    north = np.arange(17, dtype=np.float32)[:, None] * np.ones(17, np.float32)
+    assert abs(evaluate("noon_sun", north, step=1.0) - 1.0).max() < 1e-6
+
+
+EFFECTS["noon_sun"] = Effect(
+    name="noon_sun",
+    about="How squarely the sun at noon meets the ground: 1 is upright, 0 in the shade of itself",
+    unit="",
+    make=make,
+    example=example,
+    reads=("detail_normal",),
+    parameters=(Parameter("elevation", 45.0, 0.0, 90.0, "degrees", "of the sun above the horizon"),),
+    cost_ns=20,
+    source="Lambert 1760",
+)
+
+example(evaluate_on)
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
+import_source(ImportSettings("island", size=513), folder / "island.store")
+field = open_store(folder / "island.store")
+surface = Terrain(field).update(Criterion(error_m=2.0, error_px=0), []).surface
+evaluator = Evaluator()
+asked = plan([Asked("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
+attributes = evaluator.attributes(asked, field, surface)
+noon = attributes["noon_sun"].array
+print(f"noon_sun of {len(noon):,} vertices: {noon.min():.2f} to {noon.max():.2f}")
+print(f"made: {', '.join(evaluator.ran)}; left alone: {len(asked.skipped)}")
+del EFFECTS["noon_sun"]

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Catchment areas and wetness at places."""
+
+import warp as wp
+
+from .logarithm import exponential, natural_log
+from .pyramid import Ground, filtered_height
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def bilinear(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
+    """The value at x, y cells of a level from its first sample."""
+    columns = ground.columns[level]
+    i = wp.min(wp.int32(x), columns - 2)
+    j = wp.min(wp.int32(y), ground.rows[level] - 2)
+    u = x - wp.float64(i)
+    v = y - wp.float64(j)
+    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    above = at + wp.int64(columns)
+    a = filtered_height(ground, level, at)
+    b = filtered_height(ground, level, at + wp.int64(1))
+    c = filtered_height(ground, level, above)
+    d = filtered_height(ground, level, above + wp.int64(1))
+    low = a + (b - a) * u
+    return low + (c + (d - c) * u - low) * v
+
+
+@wp.kernel
+def flow_at(
+    offset: int,
+    ground: Ground,
+    coarser_by: wp.float32,
+    positions: wp.array(dtype=wp.vec3f),
+    levels: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """m^2 at the places `positions` and their levels, which are `coarser_by` levels finer than those of `ground`, the
+    pyramid of the areas' natural logarithms."""
+    v = offset + wp.tid()
+    p = positions[v]
+    last_x = wp.float64(ground.columns[0] - 1)
+    last_y = wp.float64(ground.rows[0] - 1)
+    x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)
+    y = wp.clamp((wp.float64(p[1]) - ground.south) / ground.step_y, wp.float64(0.0), last_y)
+    scale = wp.clamp(levels[v] - coarser_by, wp.float32(0.0), wp.float32(ground.levels - 1))
+    below = wp.int32(scale)
+    part = wp.float64(scale) - wp.float64(below)
+    per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
+    value = bilinear(ground, below, x * per, y * per)
+    if part > wp.float64(0.0):
+        per *= wp.float64(0.5)
+        value += (bilinear(ground, below + 1, x * per, y * per) - value) * part
+    out[v] = wp.float32(exponential(value))
+
+
+@wp.kernel
+def wetness_at(
+    offset: int,
+    width: wp.float64,
+    least: wp.float64,
+    flow: wp.array(dtype=wp.float32),
+    normal: wp.array(dtype=wp.vec3f),
+    out: wp.array(dtype=wp.float32),
+):
+    """ln(a / tan slope): a is the area a metre of contour, of cells so many metres wide, in metres; the tangent counts
+    as `least` at least."""
+    v = offset + wp.tid()
+    n = normal[v]
+    x = wp.float64(n[0])
+    y = wp.float64(n[1])
+    tangent = wp.sqrt(x * x + y * y) / wp.max(wp.float64(n[2]), wp.float64(1e-30))
+    out[v] = wp.float32(natural_log(wp.float64(flow[v]) / (width * wp.max(tangent, least))))

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How high the ground stands against the sky, seen from a place on it: its horizon along one azimuth.
+
+The ground is the raster's profile over the azimuth: its crossings with the lines of the raster, and straight between
+them. A horizon is the largest slope, metres of height per metre of way, from the place to a crossing. A crossing is a
+function of its line and the ray alone, so any order of visits gives the same bits, and those that cannot count may be
+left out: blocks of 2^l cells a side whose highest sample stays below the horizon so far are skipped (Tevs, Ihrke and
+Seidel 2008, "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"). A few crossings that
+are farther and farther apart are looked at first: they raise the horizon early, so that more is skipped.
+"""
+
+import warp as wp
+
+from ..field.codes import Samples, sample_at
+
+wp.set_module_options({"enable_backward": False})
+
+# The smallest blocks have 2^FINEST cells a side; inside them crossings are visited one by one.
+FINEST = 2
+
+
+@wp.struct
+class Occluder:
+    """The raster, and the highest samples of its blocks. Heights count `scale` times, metres."""
+
+    samples: Samples
+    columns: wp.int32  # samples
+    rows: wp.int32
+    west: wp.float64  # of the first sample, metres
+    south: wp.float64
+    step_x: wp.float64
+    step_y: wp.float64
+    scale: wp.float64
+    tops: wp.array(dtype=wp.float32)  # of a negative scale the lowest samples
+    first: wp.array(dtype=wp.int32)  # of level l from first[l] on
+    wide: wp.array(dtype=wp.int32)  # with wide[l] blocks in a row
+    levels: wp.int32  # l is below it; 0: no blocks, every crossing is visited
+    highest: wp.float64  # after scaling
+    margin: wp.float64  # metres, above what rounding can add to a height of the profile
+
+
+@wp.kernel
+def finest_tops(offset: int, occluder: Occluder, sign: wp.float32, tops: wp.array(dtype=wp.float32)):
+    """Row `offset + tid` of the smallest blocks: the highest of their samples, or of sign -1 the lowest."""
+    y = offset + wp.tid()
+    wide = ((occluder.columns - 2) >> FINEST) + 1
+    side = 1 << FINEST
+    for x in range(wide):
+        top = wp.float32(-wp.inf)
+        for j in range(y * side, wp.min((y + 1) * side, occluder.rows - 1) + 1):
+            for i in range(x * side, wp.min((x + 1) * side, occluder.columns - 1) + 1):
+                top = wp.max(top, sign * sample_at(occluder.samples, wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i)))
+        tops[y * wide + x] = sign * top
+
+
+@wp.func
+def surface(g: Occluder, x: wp.float64, y: wp.float64):
+    """Height, scaled, of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
+    i = wp.min(wp.int32(x), g.columns - 2)
+    j = wp.min(wp.int32(y), g.rows - 2)
+    at = wp.int64(j) * wp.int64(g.columns) + wp.int64(i)
+    north = at + wp.int64(g.columns)
+    u = x - wp.float64(i)
+    v = y - wp.float64(j)
+    a = wp.float64(sample_at(g.samples, at))
+    b = wp.float64(sample_at(g.samples, at + wp.int64(1)))
+    c = wp.float64(sample_at(g.samples, north))
+    d = wp.float64(sample_at(g.samples, north + wp.int64(1)))
+    a += (b - a) * u
+    c += (d - c) * u
+    return g.scale * (a + (c - a) * v)
+
+
+@wp.func
+def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp.int32):
+    """Cells from the first sample; beyond the rim the rim, and 0 of what is not a number."""
+    at = (metres - origin) / step
+    return wp.where(at >= wp.float64(0.0), wp.min(at, wp.float64(cells)), wp.float64(0.0))
+
+
+@wp.func
+def gradient(g: Occluder, x: wp.float64, y: wp.float64):
+    """Metres of height per metre east and north: central differences of one cell, one-sided at the rim."""
+    one = wp.float64(1.0)
+    w = wp.max(x - one, wp.float64(0.0))
+    e = wp.min(x + one, wp.float64(g.columns - 1))
+    s = wp.max(y - one, wp.float64(0.0))
+    n = wp.min(y + one, wp.float64(g.rows - 1))
+    return wp.vec2d(
+        (surface(g, e, y) - surface(g, w, y)) / ((e - w) * g.step_x),
+        (surface(g, x, n) - surface(g, x, s)) / ((n - s) * g.step_y),
+    )
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    const int FINEST = 2;
+    // The ray against the lines of one direction. It runs from line cell + behind of a cell to line cell + ahead.
+    struct Axis {
+        double from, per_metre, metres;  // cells, cells a metre, metres a cell
+        int cells, ahead, behind, on;
+        bool goes;
+        double at(int line) const { return goes ? (line - from) * metres : 1e300; }  // metres to a line
+        int start() const {
+            const int cell = (int)from - (goes && behind && (int)from == from);
+            return cell < cells ? cell : cells - 1;
+        }
+        // The cell where the ray is at `way`: the line behind it is crossed, also if it is just there and `too`.
+        int cell_at(double way, bool too) const {
+            if (!goes) return start();
+            int cell = (int)(from + way * per_metre);
+            auto crossed = [&](int line) { const double e = at(line); return e < way || (too && e == way); };
+            while (crossed(cell + ahead)) cell += on;
+            while (!crossed(cell + behind)) cell -= on;
+            return cell;
+        }
+        bool holds(int cell) const { return (unsigned)cell < (unsigned)cells; }
+    };
+    const Axis axes[2] = {{x0, dx, 1.0 / dx, g.columns - 1, dx > 0.0, !(dx > 0.0), dx > 0.0 ? 1 : -1, dx != 0.0},
+                          {y0, dy, 1.0 / dy, g.rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
+    const long long strides[2] = {1, g.columns};
+    const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
+    const int *const first = g.first.data, *const wide = g.wide.data, levels = g.levels;
+    const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;
+    double best = least;
+    auto height = [&](long long k) __attribute__((always_inline)) {
+        return scale * (g.samples.coded
+            ? (float)((double)(g.samples.numbers.data[k] + g.samples.first) * g.samples.scale + g.samples.offset)
+            : floats[k]);
+    };
+    // The crossing `way` metres off with a line of axis d, inside `cell` of the other.
+    auto meet = [&](int d, int line, int cell, double way) __attribute__((always_inline)) {
+        const Axis &other = axes[!d];
+        const long long k = line * strides[d] + cell * strides[!d];
+        const double a = height(k), b = height(k + strides[!d]);
+        const double slope = (a + (b - a) * (other.from + way * other.per_metre - cell) - z0) / way;
+        if (way > near && way <= far && slope > best) best = slope;
+    };
+    int cell[2] = {axes[0].start(), axes[1].start()};
+    if (levels) {
+        const int d = (dx < 0 ? -dx : dx) <= (dy < 0 ? -dy : dy);
+        for (int k = 0;; k += k / 2 + 1) {
+            const int line = cell[d] + axes[d].ahead + k * axes[d].on;
+            const double way = axes[d].at(line);
+            if (line < 0 || line > axes[d].cells || way > far) break;
+            const int other = axes[!d].cell_at(way, d);
+            if (!axes[!d].holds(other)) break;
+            meet(d, line, other, way);
+        }
+    }
+    int l = 0;  // 0: a cell; else a block of 2^l cells a side
+    double way = 0.0;
+    while (axes[0].holds(cell[0]) && axes[1].holds(cell[1]) && best < enough && way <= far) {
+        const int block[2] = {cell[0] >> l, cell[1] >> l};
+        const int line[2] = {(block[0] + axes[0].ahead) << l, (block[1] + axes[1].ahead) << l};
+        const double to[2] = {axes[0].at(line[0]), axes[1].at(line[1])};
+        const int d = to[0] > to[1];
+        const double out = to[d];
+        if (l) {
+            const double top = scale * tops[first[l] + block[1] * wide[l] + block[0]] - below;
+            // Of a horizon that falls the far end of the way through the block counts.
+            if (top > best * (best < 0.0 ? out : way)) {
+                l = l > FINEST ? l - 1 : 0;
+                continue;
+            }
+            if (best >= 0.0 && highest <= best * way) break;
+            cell[!d] = axes[!d].cell_at(out, d);
+        } else {
+            meet(d, line[d], cell[!d], out);
+        }
+        cell[d] = line[d] - axes[d].behind;
+        way = out;
+        const int up = l ? l + 1 : FINEST;
+        if (up < levels && ((cell[0] >> up) ^ (block[0] << l >> up) | (cell[1] >> up) ^ (block[1] << l >> up))) l = up;
+    }
+    return best < enough ? best : enough;
+""")
+def walk(
+    g: Occluder,
+    x0: wp.float64,
+    y0: wp.float64,
+    z0: wp.float64,
+    dx: wp.float64,
+    dy: wp.float64,
+    near: wp.float64,
+    far: wp.float64,
+    least: wp.float64,
+    enough: wp.float64,
+) -> wp.float64:
+    """The horizon, at least `least`, of crossings between `near` and `far` metres; the walk may stop at `enough`.
+
+    x0, y0: cells from the first sample, inside the raster; z0: metres, scaled. dx, dy: cells per metre along the ray.
+    Lines are crossed in order, of two at the same distance the one that runs north first; a skip ends in the state in
+    which a visit of every crossing would be there, so none is lost and none is made up at a corner of cells.
+    """
+    ...
+
+
+@wp.func
+def horizon(
+    g: Occluder,
+    x: wp.float64,
+    y: wp.float64,
+    z: wp.float64,
+    azimuth: wp.vec2d,
+    far: wp.float64,
+    least: wp.float64,
+    enough: wp.float64,
+):
+    """See `walk`; azimuth: unit length, in metres. What is nearer than 1/1024 of a cell is the place itself: positions
+    are float32, and a difference of heights over nothing is no slope."""
+    near = wp.min(g.step_x, g.step_y) * wp.float64(0.0009765625)
+    return walk(g, x, y, z, azimuth[0] / g.step_x, azimuth[1] / g.step_y, near, far, least, enough)
+

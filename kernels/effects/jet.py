@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values of a jet: slope, aspect, curvatures and the normal; one kernel makes all that are wanted of them."""
+
+import warp as wp
+
+from .pyramid import Ground, Jet, jet_at
+
+wp.set_module_options({"enable_backward": False})
+
+# Bits of Values.wanted.
+HEIGHT = wp.constant(1)
+SLOPE = wp.constant(2)
+ASPECT = wp.constant(4)
+MEAN_CURVATURE = wp.constant(8)
+PROFILE_CURVATURE = wp.constant(16)
+PLAN_CURVATURE = wp.constant(32)
+NORMAL = wp.constant(64)
+
+HIGHEST = wp.constant(wp.float64(3.4028234663852886e38))
+# Ground that rises less than this, metres a metre, is level: it has no direction.
+LEVEL_GROUND = wp.constant(wp.float64(1e-9))
+
+
+@wp.struct
+class Values:
+    """What is wanted, as bits, and where it goes: arrays of what is not wanted have no use."""
+
+    wanted: wp.int32
+    height: wp.array(dtype=wp.float32)
+    slope: wp.array(dtype=wp.float32)
+    aspect: wp.array(dtype=wp.vec2f)
+    mean_curvature: wp.array(dtype=wp.float32)
+    profile_curvature: wp.array(dtype=wp.float32)
+    plan_curvature: wp.array(dtype=wp.float32)
+    normal: wp.array(dtype=wp.vec3f)
+
+
+@wp.func
+def single(x: wp.float64) -> wp.float32:
+    """As float32, finite."""
+    return wp.float32(wp.clamp(x, -HIGHEST, HIGHEST))
+
+
+@wp.func
+def arc_tangent(t: wp.float64) -> wp.float64:
+    """Of t >= 0, by arithmetic alone: the C library's last bits depend on the processor (Cephes, atan.c)."""
+    x = t
+    base = wp.float64(0.0)
+    if t > wp.float64(2.414213562373095):
+        base = wp.float64(1.5707963267948966)
+        x = -wp.float64(1.0) / t
+    elif t > wp.float64(0.66):
+        base = wp.float64(0.7853981633974483)
+        x = (t - wp.float64(1.0)) / (t + wp.float64(1.0))
+    z = x * x
+    p = wp.float64(-8.750608600031904122785e-1) * z - wp.float64(1.615753718733365076637e1)
+    p = p * z - wp.float64(7.500855792314704667340e1)
+    p = p * z - wp.float64(1.228866684490136173410e2)
+    p = p * z - wp.float64(6.485021904942025371773e1)
+    q = z + wp.float64(2.485846490142306297962e1)
+    q = q * z + wp.float64(1.650270098316988542046e2)
+    q = q * z + wp.float64(4.328810604912902668951e2)
+    q = q * z + wp.float64(4.853903996359136964868e2)
+    q = q * z + wp.float64(1.945506571482613964425e2)
+    return base + (x + x * z * (p / q))
+
+
+@wp.func
+def slope_of(q: Jet) -> wp.float64:
+    """Radians."""
+    return arc_tangent(wp.sqrt(q[1] * q[1] + q[2] * q[2]))
+
+
+@wp.func
+def mean_curvature_of(q: Jet) -> wp.float64:
+    """Of the surface, 1 / metre: positive where it is convex, as on a summit."""
+    w = wp.float64(1.0) + q[1] * q[1] + q[2] * q[2]
+    one = wp.float64(1.0)
+    bend = (one + q[2] * q[2]) * q[3] - wp.float64(2.0) * q[1] * q[2] * q[4] + (one + q[1] * q[1]) * q[5]
+    return wp.float64(-0.5) * bend / (w * wp.sqrt(w))
+
+
+@wp.func
+def profile_curvature_of(q: Jet) -> wp.float64:
+    """Down the slope, 1 / metre: positive where it steepens downhill; 0 on level ground."""
+    p2 = q[1] * q[1] + q[2] * q[2]
+    k = wp.float64(0.0)
+    if p2 > LEVEL_GROUND * LEVEL_GROUND:
+        w = wp.float64(1.0) + p2
+        bend = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
+        k = -bend / (p2 * w * wp.sqrt(w))
+    return k
+
+
+@wp.func
+def plan_curvature_of(q: Jet, most: wp.float64) -> wp.float64:
+    """Of the contour line, 1 / metre, `most` at most: positive on a ridge; 0 on level ground."""
+    p2 = q[1] * q[1] + q[2] * q[2]
+    k = wp.float64(0.0)
+    if p2 > LEVEL_GROUND * LEVEL_GROUND:
+        bend = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
+        k = wp.clamp(-bend / (p2 * wp.sqrt(p2)), -most, most)
+    return k
+
+
+@wp.func
+def aspect_of(q: Jet) -> wp.vec2f:
+    """Sine and cosine of the direction downhill, clockwise from north; (0, 0) on level ground."""
+    p = wp.sqrt(q[1] * q[1] + q[2] * q[2])
+    a = wp.vec2f(0.0, 0.0)
+    if p > LEVEL_GROUND:
+        a = wp.vec2f(wp.float32(-q[1] / p), wp.float32(-q[2] / p))
+    return a
+
+
+@wp.func
+def normal_of(q: Jet) -> wp.vec3f:
+    """Upward, of length 1."""
+    n = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + q[1] * q[1] + q[2] * q[2])
+    return wp.vec3f(wp.float32(-q[1] * n), wp.float32(-q[2] * n), wp.float32(n))
+
+
+@wp.kernel
+def from_jets(
+    offset: int,
+    ground: Ground,
+    positions: wp.array(dtype=wp.vec3f),
+    levels: wp.array(dtype=wp.float32),
+    values: Values,
+):
+    """What is wanted at the places `positions`, of which x and y are read, at their levels."""
+    v = offset + wp.tid()
+    p = positions[v]
+    level = levels[v]
+    q = jet_at(ground, wp.float64(p[0]), wp.float64(p[1]), level)
+    if (values.wanted & HEIGHT) != 0:
+        values.height[v] = single(q[0])
+    if (values.wanted & SLOPE) != 0:
+        values.slope[v] = wp.float32(slope_of(q))
+    if (values.wanted & ASPECT) != 0:
+        values.aspect[v] = aspect_of(q)
+    if (values.wanted & MEAN_CURVATURE) != 0:
+        values.mean_curvature[v] = single(mean_curvature_of(q))
+    if (values.wanted & PROFILE_CURVATURE) != 0:
+        values.profile_curvature[v] = single(profile_curvature_of(q))
+    if (values.wanted & PLAN_CURVATURE) != 0:
+        # A contour that turns within a sample of the level is not resolved.
+        spacing = wp.min(ground.step_x, ground.step_y) * wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
+        values.plan_curvature[v] = single(plan_curvature_of(q, wp.float64(1.0) / spacing))
+    if (values.wanted & NORMAL) != 0:
+        values.normal[v] = normal_of(q)

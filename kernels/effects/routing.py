@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drainage of a raster: where each sample's water goes, out of depressions and over flats, and in which order.
+
+One byte a sample holds its receiver among the eight neighbours: 3 * (dy + 1) + dx + 1, and 4 for a root. `base` marks
+where water leaves: the raster's rim, so that whatever has a receiver has eight neighbours, and holes. Depressions are
+left over the lowest passes between their basins: the graph of Cordonnier, Bovy and Braun (2019), "A versatile, linear
+complexity algorithm for flow routing in topographies with depressions", section 2, here as a run of Kruskal's algorithm
+whose links turn the flow of a basin's own tree around, so that no graph is built. All steps but the sort are linear.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+ROOT = wp.constant(wp.uint8(4))
+# Added to the receiver of a flat's sample that stands in the queue of the first pass.
+WAITING = wp.constant(wp.uint8(16))
+
+
+@wp.struct
+class Grid:
+    """Samples in rows, and weights by direction: to east and west, to north and south, diagonally.
+
+    `nearness`: one over the distance, 1 / m. `share`: of flow to several neighbours, for a metre of fall.
+    """
+
+    width: wp.int32
+    height: wp.int32
+    nearness: wp.vec3f
+    share: wp.vec3d
+
+
+@wp.func
+def towards(i: wp.int32, k: wp.int32, width: wp.int32) -> wp.int32:
+    """The neighbour of sample i in direction k."""
+    return i + (k / 3 - 1) * width + (k % 3 - 1)
+
+
+@wp.func
+def axis(k: wp.int32) -> wp.int32:
+    """Which of the three weights direction k has."""
+    return wp.where(k % 2 == 0, 2, wp.where(k == 3 or k == 5, 0, 1))
+
+
+@wp.func
+def straight_first(q: wp.int32) -> wp.int32:
+    """The eight directions, the four along the axes first: q = 0 .. 7."""
+    return wp.where(q < 4, 2 * q + 1, wp.where(q < 6, 2 * (q - 4), 2 * (q - 3)))
+
+
+@wp.kernel
+def find_receivers(
+    offset: int, grid: Grid, h: wp.array(dtype=wp.float32), base: wp.array(dtype=wp.uint8), to: wp.array(dtype=wp.uint8)
+):
+    """Row `offset + tid`: each sample's steepest way down (O'Callaghan and Mark 1984), ROOT where there is none."""
+    first = (offset + wp.tid()) * grid.width
+    for i in range(first, first + grid.width):
+        best = wp.int32(4)
+        if base[i] == wp.uint8(0):
+            steepest = wp.float32(0.0)
+            for k in range(9):
+                if k != 4:
+                    fall = (h[i] - h[towards(i, k, grid.width)]) * grid.nearness[axis(k)]
+                    if fall > steepest:
+                        steepest = fall
+                        best = k
+        to[i] = wp.uint8(best)
+
+
+@wp.func
+def grow(
+    grid: Grid,
+    h: wp.array(dtype=wp.float32),
+    base: wp.array(dtype=wp.uint8),
+    queue: wp.array(dtype=wp.int32),
+    end: wp.int32,
+    to: wp.array(dtype=wp.uint8),
+):
+    """Level samples without a receiver flow towards those in the queue, each along one of the shortest ways."""
+    at = wp.int32(0)
+    while at < end:
+        i = queue[at]
+        at += 1
+        if to[i] >= WAITING:
+            to[i] = to[i] - WAITING
+        for q in range(8):
+            k = straight_first(q)
+            j = towards(i, k, grid.width)
+            if to[j] == ROOT and base[j] == wp.uint8(0) and h[j] == h[i]:
+                to[j] = wp.uint8(8 - k)
+                queue[end] = j
+                end += 1
+
+
+@wp.kernel
+def cross_flats(
+    grid: Grid,
+    h: wp.array(dtype=wp.float32),
+    base: wp.array(dtype=wp.uint8),
+    queue: wp.array(dtype=wp.int32),
+    to: wp.array(dtype=wp.uint8),
+    pits: wp.array(dtype=wp.int32),
+):
+    """Serial. A flat drains to where it has an outlet, the nearest one; without one, to its first sample, a pit.
+
+    `queue` [n] is scratch, `pits` [1] becomes the number of pits.
+    """
+    n = grid.width * grid.height
+    end = wp.int32(0)
+    for i in range(n):
+        if to[i] == ROOT and base[i] == wp.uint8(0):
+            found = wp.int32(0)
+            for q in range(8):
+                k = straight_first(q)
+                j = towards(i, k, grid.width)
+                drains = (to[j] < WAITING and to[j] != ROOT) or base[j] != wp.uint8(0)
+                if found == 0 and drains and h[j] == h[i]:
+                    found = 1
+                    to[i] = wp.uint8(k) + WAITING
+                    queue[end] = i
+                    end += 1
+    grow(grid, h, base, queue, end, to)
+    count = wp.int32(0)
+    for i in range(n):
+        # What flows to a pit has a receiver already when the scan comes to it.
+        if to[i] == ROOT and base[i] == wp.uint8(0):
+            base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
+            queue[0] = i
+            grow(grid, h, base, queue, wp.int32(1), to)
+            base[i] = wp.uint8(0)
+            count += 1
+    pits[0] = count
+
+
+@wp.kernel
+def label_basins(
+    offset: int,
+    block: int,
+    grid: Grid,
+    base: wp.array(dtype=wp.uint8),
+    to: wp.array(dtype=wp.uint8),
+    label: wp.array(dtype=wp.int32),
+):
+    """Block `offset + tid`: the root of each sample's flow, n for any of `base`. `label` is filled with -1 before.
+
+    A thread may write labels of other blocks: all write the same, since a sample has one root.
+    """
+    n = grid.width * grid.height
+    first = (offset + wp.tid()) * block
+    for i in range(first, wp.min(first + block, n)):
+        at = wp.int32(i)
+        while label[at] < 0 and to[at] != ROOT:
+            at = towards(at, wp.int32(to[at]), grid.width)
+        root = label[at]
+        if root < 0:
+            root = wp.where(base[at] != wp.uint8(0), n, at)
+        at = wp.int32(i)
+        while label[at] < 0:
+            label[at] = root
+            if to[at] != ROOT:
+                at = towards(at, wp.int32(to[at]), grid.width)
+
+
+@wp.kernel
+def find_passes(
+    offset: int,
+    emit: int,
+    grid: Grid,
+    h: wp.array(dtype=wp.float32),
+    label: wp.array(dtype=wp.int32),
+    start: wp.array(dtype=wp.int64),
+    key: wp.array(dtype=wp.float32),
+    edge: wp.array(dtype=wp.int32),
+):
+    """Row `offset + tid`: its neighbours of other basins among those ahead (directions 5 - 8): their number into
+    `start`, or, with `emit`, from `start` on the height of each pass and 4 * sample + direction - 5."""
+    y = offset + wp.tid()
+    at = wp.int64(0)
+    if emit == 1:
+        at = start[y]
+    for x in range(grid.width):
+        i = y * grid.width + x
+        for q in range(4):
+            xx = x + (5 + q) % 3 - 1
+            yy = y + (5 + q) / 3 - 1
+            if xx >= 0 and xx < grid.width and yy < grid.height:
+                j = yy * grid.width + xx
+                if label[i] != label[j]:
+                    if emit == 1:
+                        key[at] = wp.max(h[i], h[j])
+                        edge[at] = i * 4 + q
+                    at += wp.int64(1)
+    if emit == 0:
+        start[y] = at
+
+
+@wp.func
+def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
+    while up[a] != a:
+        up[a] = up[up[a]]
+        a = up[a]
+    return a
+
+
+@wp.func
+def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
+    """Sample i flows in direction k from now on, and what it flowed to, down to the root, flows to it."""
+    at = wp.int32(i)
+    new = wp.int32(k)
+    going = wp.int32(1)
+    while going == 1:
+        old = wp.int32(to[at])
+        to[at] = wp.uint8(new)
+        if old == 4:
+            going = 0
+        else:
+            at = towards(at, old, width)
+            new = 8 - old
+
+
+@wp.kernel
+def link_basins(
+    count: int,
+    pits: int,
+    grid: Grid,
+    edge: wp.array(dtype=wp.int32),
+    label: wp.array(dtype=wp.int32),
+    up: wp.array(dtype=wp.int32),
+    to: wp.array(dtype=wp.uint8),
+):
+    """Serial. From the lowest pass on: of two basins that are not linked yet one drains over it, never that of `base`.
+
+    `up` [n + 1]: the sets of basins that are linked, each its own before.
+    """
+    outside = grid.width * grid.height
+    left = wp.int32(pits)
+    e = wp.int32(0)
+    while e < count and left > 0:
+        i = edge[e] / 4
+        k = 5 + edge[e] % 4
+        j = towards(i, k, grid.width)
+        a = representative(up, label[i])
+        b = representative(up, label[j])
+        if a != b:
+            left -= 1
+            # The set of `outside` keeps its number, so that one comparison knows it.
+            if a == outside:
+                turn(to, j, 8 - k, grid.width)
+                up[b] = a
+            else:
+                turn(to, i, k, grid.width)
+                up[a] = b
+        e += 1
+
+
+@wp.kernel
+def count_donors(offset: int, grid: Grid, to: wp.array(dtype=wp.uint8), donors: wp.array(dtype=wp.uint8)):
+    """Row `offset + tid`: how many neighbours flow to each sample."""
+    y = offset + wp.tid()
+    for x in range(grid.width):
+        count = wp.int32(0)
+        for k in range(9):
+            xx = x + k % 3 - 1
+            yy = y + k / 3 - 1
+            if k != 4 and xx >= 0 and xx < grid.width and yy >= 0 and yy < grid.height:
+                if to[yy * grid.width + xx] == wp.uint8(8 - k):
+                    count += 1
+        donors[y * grid.width + x] = wp.uint8(count)
+
+
+@wp.kernel
+def order_downstream(
+    grid: Grid,
+    to: wp.array(dtype=wp.uint8),
+    donors: wp.array(dtype=wp.uint8),
+    order: wp.array(dtype=wp.int32),
+):
+    """Serial. All samples, each after those that flow to it (Zhou, Wei and Fu 2019): down from each spring as far as
+    no other branch is missing. `donors` is used up."""
+    at = wp.int32(0)
+    for spring in range(grid.width * grid.height):
+        i = wp.int32(spring)
+        while donors[i] == wp.uint8(0):
+            donors[i] = wp.uint8(255)  # done: the scan, when it comes here, starts nothing
+            order[at] = i
+            at += 1
+            if to[i] != ROOT:
+                i = towards(i, wp.int32(to[i]), grid.width)
+                donors[i] = donors[i] - wp.uint8(1)

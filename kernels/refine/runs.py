@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Runs: what lies in one row both in this frame's arrays and in the last one's."""
+
+import warp as wp
+
+
+@wp.struct
+class Run:
+    """What lies in one row in two streams, cells or points."""
+
+    first: wp.int64  # entry in the new stream
+    before: wp.int64  # ... and in the old one
+    count: wp.int64
+
+
+@wp.struct
+class Runs:
+    """Lists of runs, each in the order of the new stream."""
+
+    runs: wp.array(dtype=Run)  # list k from entry k * room on
+    counts: wp.array(dtype=wp.int64)
+    room: wp.int64
+    lists: wp.int32

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`adaptive-terrain effects`: which there are, what they take on a store, and which of them a scene reads."""
+
+from pathlib import Path
+
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.effect import GEOMETRY, Asked
+from ...cbt_terrain.effects.evaluate import Evaluator
+from ...cbt_terrain.effects.plan import plan
+from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.run import launch, stopping
+from ...cbt_terrain.terrain import Terrain
+from ..text import effect_lines
+
+MEASURED_TRIANGLES = 200_000
+FINE_M = 1e-3  # an error that the limit above holds back
+
+
+def catalogue() -> dict:
+    """Every effect with what it is, as fields."""
+    return {name: effect_lines.about(effect) for name, effect in EFFECTS.items()}
+
+
+def of_store(store: Path) -> list[str]:
+    """Lines: each effect, evaluated alone on a mesh of the whole store, with what it took and what it reads took."""
+    field = open_store(store)
+    surface = Terrain(field).update(Criterion(error_px=0, error_m=FINE_M, max_triangles=MEASURED_TRIANGLES), []).surface
+    lines = [f"a mesh of {len(surface.triangles):,} triangles, {len(surface.positions):,} vertices"]
+    for name in EFFECTS:
+        stopping.check()
+        lines.append(f"{name}: {effect_lines.figures(_alone(name, field, surface))}")
+    return lines
+
+
+def _alone(name: str, field, surface):
+    """What an effect takes with all that it reads, once kernels are compiled and what is kept of a field is there."""
+    asked = plan([Asked(name, ("this command",), GEOMETRY)])
+    for _ in range(2):
+        evaluator = Evaluator(launch.default_threads())
+        evaluator.attributes(asked, field, surface)
+    ran = evaluator.ran.values()
+    return type(evaluator.ran[name])(sum(r.ms for r in ran), sum(r.nbytes for r in ran), evaluator.ran[name].computed)
+
+
+def of_scene(blend: Path, camera: str | None = None, frame: int | None = None) -> list[str]:
+    """Lines: of each terrain of a .blend file, at a frame and the detail of the render, what it reads and what not."""
+    from ..output.frame_sources import SceneFrames
+    from ..scene import session
+
+    scene = SceneFrames(blend, camera, None)
+    lines = []
+    for piece in scene.pieces(scene.scene.frame_current if frame is None else frame):
+        record = session.record_of(piece.obj)
+        lines.append(f"{piece.name}: {len(piece.surface.triangles):,} triangles")
+        lines += [f"  {line}" for line in effect_lines.plan_lines(record.plan, record.evaluator.ran)]
+    return lines

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`adaptive-terrain maps`: effects of a store or of a scene's terrains, baked into images."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.maps.folder import JSON_NAME
+from ..effects.map_baking import MapRequest, carry_out, known, summary
+from ..output.frame_sources import SceneFrames, StoreFrames, file_name
+from ..text.console import Progress
+
+MOST_FRAMES = 100_000  # of a path whose frames nobody has named
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One terrain whose maps are baked."""
+
+    name: str
+    field: object
+    request: MapRequest
+
+
+def run(
+    subjects: list[Subject], budget_mb: float | None = None, form: str | None = None, show_progress: bool | None = None
+) -> None:
+    """Bake every subject's maps, a line each on stdout; the budget is shared evenly."""
+    bar = Progress(len(subjects), "maps", show_progress)
+    try:
+        for done, subject in enumerate(subjects):
+            changes = {} if form is None else {"form": form}
+            changes |= {} if budget_mb is None else {"budget_mb": budget_mb / len(subjects)}
+            request = replace(subject.request, **changes)
+            baked = carry_out(request, subject.field, lambda fraction, done=done: bar.to(done + fraction))
+            bar.say(summary(baked, subject.name))
+            bar.say(f"{request.folder / JSON_NAME} says what they are")
+    finally:
+        bar.close()
+
+
+def store_subjects(
+    store: Path,
+    out: Path,
+    names: Sequence[str],
+    path: Path | None,
+    frames: Sequence[int] | None,
+    resolution: tuple[int, int],
+) -> list[Subject]:
+    """The terrain of a store, seen along a camera path at `frames` (all whole ones of the path), or as a whole."""
+    views = ()
+    if path is not None:
+        flight = read_camera_path(path)
+        if not frames:
+            first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
+            frames = range(first, max(last, first) + 1)
+        if len(frames) > MOST_FRAMES:
+            raise TerrainError(f"The camera path has {len(frames):,} frames; name those that count with --frames.")
+        views = tuple(flight.view(frame, resolution) for frame in frames)
+    request = MapRequest(known(names), out, views, only_seen=bool(views))
+    return [Subject(StoreFrames.name, open_store(store), request)]
+
+
+def scene_subjects(
+    blend: Path,
+    out: Path,
+    names: Sequence[str] | None,
+    camera: str | None,
+    resolution: tuple[int, int] | None,
+    frames: Sequence[int] | None,
+) -> list[Subject]:
+    """The terrains of a .blend file, each with its own settings and in a folder of its own."""
+    source = SceneFrames(blend, camera, resolution)
+    import bpy
+
+    from ..effects.map_request import gathered
+    from ..scene import session
+
+    look = {"camera": source.camera, "resolution": resolution}
+    subjects = []
+    for obj in source.objects:
+        *_, request = gathered(obj, source.scene, names, frames, **look)
+        request = replace(request, folder=out / file_name(obj))
+        field = session.open_field(bpy.path.abspath(obj.adaptive_terrain.store))
+        subjects.append(Subject(obj.name, field, request))
+    return subjects

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drivers whose variables read data of the mesh."""
+
+import re
+
+import bpy
+
+from ...cbt_terrain.effects.effect import GEOMETRY
+from .found import ALL, Demand
+
+NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')
+
+
+def read_drivers(found: Demand, obj, objects, scene) -> None:
+    """Add what the drivers of a scene's objects, and of all shaders and node groups, read of a terrain's mesh. What an
+    expression's Python reads by itself is not seen."""
+    targets = {obj, obj.data}
+    for block in _driven(objects, scene):
+        for curve in block.animation_data.drivers:
+            paths = [t.data_path for v in curve.driver.variables for t in v.targets if t.id in targets]
+            for path in paths:
+                if "attributes" in path:
+                    name = NAMED.search(path)
+                    words = f"driver of {block.name}, {curve.data_path}"
+                    found.add(name[1] if name else ALL, words if name else f"{words} (it names none)", GEOMETRY)
+
+
+def _driven(objects, scene):
+    """Data-blocks that have drivers."""
+    shaders = [*bpy.data.materials, *bpy.data.worlds, *bpy.data.lights]
+    trees = [block.node_tree for block in shaders if block.node_tree]
+    blocks = [*objects, *{o.data for o in objects if o.data}, scene, *shaders, *trees, *bpy.data.node_groups]
+    return [block for block in blocks if block.animation_data and len(block.animation_data.drivers)]

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which inputs of a node count: those behind a factor or a weight that is the constant 0 or 1 may not."""
+
+# Of the Principled BSDF: a weight, and what counts only where it is not 0.
+WEIGHED = {
+    "Emission Strength": ("Emission Color",),
+    "Coat Weight": ("Coat Roughness", "Coat IOR", "Coat Tint", "Coat Normal"),
+    "Sheen Weight": ("Sheen Roughness", "Sheen Tint"),
+    "Subsurface Weight": ("Subsurface Radius", "Subsurface Scale", "Subsurface Anisotropy"),
+}
+
+
+def used_inputs(walk, node, context: tuple) -> list:
+    """The inputs of a node that may change its outputs."""
+    if walk.is_altered(node):
+        return list(node.inputs)
+    # A mix or a switch keeps links on the sockets of its other data types, which are not enabled.
+    inputs = [s for s in node.inputs if s.enabled and not getattr(s, "is_unavailable", False)]
+    choose = CHOOSING.get(node.bl_idname)
+    return choose(walk, node, context, inputs) if choose else inputs
+
+
+def _mix(walk, node, context, inputs):
+    if node.data_type == "ROTATION" or node.data_type == "VECTOR" and node.factor_mode == "NON_UNIFORM":
+        return inputs
+    blends = node.data_type == "RGBA" and node.blend_type != "MIX"
+    return _sides(walk, node, context, inputs, replaces=not blends, clamped=node.clamp_factor)
+
+
+def _mix_shader(walk, node, context, inputs):
+    return _sides(walk, node, context, list(node.inputs)[:3], replaces=True, clamped=True)
+
+
+def _mix_colours(walk, node, context, inputs):
+    return _sides(walk, node, context, list(node.inputs)[:3], replaces=node.blend_type == "MIX", clamped=True)
+
+
+def _sides(walk, node, context, inputs, replaces: bool, clamped: bool):
+    """Of a factor and two sides. `replaces`: at 1 the second is all there is. `clamped`: beyond 0 .. 1 is 0 or 1."""
+    if len(inputs) != 3:
+        return inputs
+    factor, first, second = inputs
+    value = walk.constant(node, factor, context)
+    if value is None:
+        return inputs
+    if value == 0 or clamped and value < 0:
+        return [first]
+    if replaces and (value == 1 or clamped and value > 1):
+        return [second]
+    return inputs
+
+
+def _switch(walk, node, context, inputs):
+    value = walk.constant(node, inputs[0], context) if len(inputs) == 3 else None
+    return inputs if value is None else [inputs[2 if value else 1]]
+
+
+def _index_switch(walk, node, context, inputs):
+    value = walk.constant(node, inputs[0], context)
+    chosen = isinstance(value, int) and 0 <= value < len(inputs) - 1
+    return [inputs[1 + value]] if chosen else inputs
+
+
+def _principled(walk, node, context, inputs):
+    unused = set()
+    for weight, parts in WEIGHED.items():
+        if weight in node.inputs and walk.constant(node, node.inputs[weight], context) == 0:
+            unused.update(parts)
+    return [socket for socket in inputs if socket.name not in unused]
+
+
+CHOOSING = {
+    "ShaderNodeMix": _mix,
+    "ShaderNodeMixRGB": _mix_colours,
+    "ShaderNodeMixShader": _mix_shader,
+    "ShaderNodeBsdfPrincipled": _principled,
+    "GeometryNodeSwitch": _switch,
+    "GeometryNodeIndexSwitch": _index_switch,
+}

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake of maps is asked for, in plain numbers, and its carrying out: nothing of Blender's."""
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.maps import sizing
+from ...cbt_terrain.maps.bake import Baked, bake
+from ...cbt_terrain.maps.coding import PNG, coding_of
+from ...cbt_terrain.maps.tiling import tiling_of
+
+READER = "Bake Maps"
+
+
+@dataclass(frozen=True, eq=False)
+class MapRequest:
+    """One bake. `views`: that the maps are to be fine enough for, none for all that the height map has; `placement`
+    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. Others as of `maps.bake.bake`."""
+
+    asked: tuple[Asked, ...]
+    folder: Path
+    views: tuple[View, ...] = ()
+    placement: np.ndarray | None = None
+    only_seen: bool = False
+    budget_mb: float | None = None
+    form: str = PNG
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+
+
+def carry_out(
+    request: MapRequest,
+    field,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+    lock: AbstractContextManager | None = None,
+) -> Baked:
+    """Bake what is asked for of a height field; touches nothing of Blender."""
+    tiling = tiling_of(field.lattice)
+    heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
+    finest = sizing.whole(tiling, field)
+    if request.views:
+        placement = np.eye(4) if request.placement is None else request.placement
+        finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
+    texel_bytes = sum(coding_of(EFFECTS[item.name], request.form).texel_bytes for item in request.asked)
+    sides = sizing.resolutions(tiling, field, finest, texel_bytes, request.budget_mb)
+    more = {"form": request.form, "on_progress": on_progress, "lock": lock}
+    return bake(field, request.asked, request.folder, sides, **heights, **more)
+
+
+def known(names: Iterable[str]) -> tuple[Asked, ...]:
+    """The effects of these names. Raises TerrainError for a name that there is not, or none at all."""
+    names = sorted(set(names))
+    unknown = [name for name in names if name not in EFFECTS]
+    if unknown or not names:
+        said = f"There is no map {unknown[0]!r}" if unknown else "No map is asked for"
+        raise TerrainError(f"{said}; expected one or more of {', '.join(sorted(EFFECTS))}.")
+    return tuple(Asked(name, (READER,)) for name in names)
+
+
+def summary(baked: Baked, name: str) -> str:
+    """One line about a bake."""
+    sides = [tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]]
+    return (
+        f"{name}: {baked.made} images baked, {baked.kept} kept, of {min(sides)} to {max(sides)} texels a side: "
+        f"{', '.join(baked.index['maps'])}"
+    )

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked maps as Blender's images, and how a material finds its place in them.
+
+    image = map_image(obj, "detail_normal")        # None where there is no such map
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image, texture.extension = image, "EXTEND"
+    tree.links.new(map_vector(tree, obj), texture.inputs["Vector"])
+
+The values are 0 .. 1; `coding_of_map` says what they stand for. A normal map goes through a Normal Map node whose space
+is Object.
+"""
+
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.maps.folder import UDIM, read_index
+from ...cbt_terrain.maps.tiling import MARGIN
+from ..mesh.writer import UV_LAYER
+from ..scene.session import open_field
+
+BESIDE = "_maps"
+GROUP = "Terrain Map UV"
+
+
+def map_folder(obj) -> Path:
+    """Where the maps of a terrain are kept: the folder that its settings name, or one beside its store."""
+    settings = obj.adaptive_terrain
+    if settings.maps.folder:
+        return Path(bpy.path.abspath(settings.maps.folder))
+    store = Path(bpy.path.abspath(settings.store))
+    return store.with_name(store.name + BESIDE) / bpy.path.clean_name(obj.name)
+
+
+def index_of(obj) -> dict | None:
+    """What maps a terrain has, as their folder's maps.json says; None where there are none of its height map."""
+    settings = obj.adaptive_terrain
+    if not settings.store:
+        return None
+    index = read_index(map_folder(obj))
+    if index is None or index["height_field"] != open_field(bpy.path.abspath(settings.store)).raster_key:
+        return None
+    return index
+
+
+def coding_of_map(obj, name: str) -> dict | None:
+    """What the numbers of a map stand for: "zero" and "one" are what 0 and 1 mean, in the map's "unit"."""
+    entry = _entry(obj, name)
+    return None if entry is None else entry["coding"] | {"unit": entry["unit"]}
+
+
+def map_image(obj, name: str) -> bpy.types.Image | None:
+    """The image of a terrain's map of the effect `name`; None where it is not baked.
+
+    It is a tiled image with the source TILED unless the terrain is one tile.
+    """
+    entry = _entry(obj, name)
+    if entry is None:
+        return None
+    folder = map_folder(obj)
+    image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(folder / entry["tiles"][0]["file"]))
+    if UDIM in entry["file"] and image.source != "TILED":
+        image.source = "TILED"
+        image.filepath = str(folder / entry["file"])
+        image.reload()
+    if obj.adaptive_terrain.store.startswith("//") and not image.filepath.startswith("//"):
+        image.filepath = bpy.path.relpath(image.filepath)
+    image.name = f"{obj.name} {name}"
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED" if entry["coding"]["channels"] == 4 else "NONE"
+    return image
+
+
+def reload(folder: Path, files: set[str]) -> None:
+    """Have Blender read images of a folder again of which files (`files`, as its index names them) are new."""
+    for image in bpy.data.images:
+        path = Path(bpy.path.abspath(image.filepath)) if image.filepath else None
+        if path is not None and path.parent == folder and path.name in files:
+            image.reload()
+
+
+def map_vector(tree, obj) -> bpy.types.NodeSocket:
+    """A node that gives the place in the maps of `obj`, for the Vector of its image textures; its output."""
+    index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = _lookup_group(index["columns"], index["rows"])
+    return node.outputs["Vector"]
+
+
+def _entry(obj, name: str) -> dict | None:
+    index = index_of(obj)
+    return None if index is None else index["maps"].get(name)
+
+
+def _loaded(path: Path) -> bpy.types.Image | None:
+    return next((i for i in bpy.data.images if i.filepath and Path(bpy.path.abspath(i.filepath)) == path), None)
+
+
+def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
+    """Nodes that reckon as `Tiling.lookup` does, from the mesh's UV."""
+    name = f"{GROUP} {columns} x {rows}"
+    group = bpy.data.node_groups.get(name)
+    if group is not None and group.nodes:
+        return group
+    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    group.interface.new_socket(name="Vector", in_out="OUTPUT", socket_type="NodeSocketVector")
+    place = group.nodes.new("ShaderNodeUVMap")
+    place.uv_map = UV_LAYER
+    vector = place.outputs["UV"]
+    if columns * rows > 1:
+        counts = (float(columns), float(rows), 1.0)
+        scaled = _vector_math(group, "MULTIPLY", vector, counts)
+        whole = _vector_math(group, "FLOOR", scaled)
+        tile = _vector_math(group, "MINIMUM", whole, (columns - 1.0, rows - 1.0, 0.0))
+        inside = _vector_math(group, "MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
+        vector = _vector_math(group, "MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
+    group.links.new(vector, group.nodes.new("NodeGroupOutput").inputs["Vector"])
+    return group
+
+
+def _vector_math(tree, operation: str, *values) -> bpy.types.NodeSocket:
+    node = tree.nodes.new("ShaderNodeVectorMath")
+    node.operation = operation
+    for socket, value in zip(node.inputs, values, strict=False):
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+    return node.outputs["Vector"]

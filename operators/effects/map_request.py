@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake of maps is asked for: a scene and its settings in, plain numbers for the engine out."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse, product
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.maps.folder import read_index
+from ..scene.map_properties import CHOSEN, FRAME, SHOT
+from ..scene.pauses import paused
+from ..scene.request import RENDER, gather
+from . import map_images
+from .map_baking import MapRequest, known
+
+
+def names_of(obj, depsgraph) -> set[str]:
+    """Effects whose maps the settings of a terrain ask for. Raises TerrainError where nothing is read."""
+    settings = obj.adaptive_terrain.maps
+    if settings.which == CHOSEN:
+        return set(settings.chosen)
+    read = read_as_images(obj)
+    if not read:
+        raise TerrainError(
+            f"No material of {obj.name!r} reads an effect or a map; choose the maps, or make a Terrain Material."
+        )
+    return read
+
+
+def read_as_images(obj) -> set[str]:
+    """Maps of a terrain that its materials show by image textures."""
+    index, folder = read_index(map_images.map_folder(obj)), map_images.map_folder(obj)
+    files = {folder / entry["file"]: name for name, entry in (index or {"maps": {}})["maps"].items()}
+    waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
+    seen, found = set(), set()
+    while waiting:
+        tree = waiting.pop()
+        if tree in seen:
+            continue
+        seen.add(tree)
+        for node in tree.nodes:
+            inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
+            waiting += [inner] if inner is not None else []
+            name = files.get(Path(bpy.path.abspath(image.filepath))) if image is not None and image.filepath else None
+            found |= {name} if name else set()
+    return found
+
+
+def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:
+    """Go through the frames that the settings of a terrain name, or `frames`: the fraction done after each, and at the
+    end the MapRequest. The scene is then at its frame again. `names`: in place of what the settings ask; `look`:
+    further arguments of `request.gather`. Raises TerrainError.
+    """
+    settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
+    asked = known(names_of(obj, depsgraph) if names is None else names)
+    first = gather(obj, depsgraph, RENDER, **look)
+    seen = {"only_seen": frames is not None or settings.frames == SHOT}
+    if frames is None:
+        frames = {FRAME: [scene.frame_current], SHOT: range(scene.frame_start, scene.frame_end + 1)}
+        frames = frames.get(settings.frames, [])
+    views, now = [], (scene.frame_current, scene.frame_subframe)
+    frames = list(frames)
+    try:
+        for number, frame in enumerate(frames):
+            if frame != now[0]:
+                with paused():
+                    scene.frame_set(frame)
+            moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
+            views += [_as_seen_from(view, moved.placement, first.placement) for view in moved.views]
+            yield number / len(frames)
+    finally:
+        if scene.frame_current != now[0]:
+            with paused():
+                scene.frame_set(now[0], subframe=now[1])
+    budget = settings.budget_mb if settings.use_budget else None
+    yield MapRequest(
+        asked=asked,
+        folder=map_images.map_folder(obj),
+        views=tuple(views),
+        placement=first.placement,
+        budget_mb=budget,
+        form=settings.form,
+        vertical_scale=first.vertical_scale,
+        vertical_offset=first.vertical_offset,
+        **seen,
+    )
+
+
+def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
+    """A view of a terrain that stands at `placement`, for one that stays where it was first."""
+    if np.array_equal(placement, first):
+        return view
+    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

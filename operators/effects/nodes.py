@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Node trees written as expressions."""
+
+import bpy
+
+
+class Nodes:
+    """Every method adds one node to the tree and returns its output."""
+
+    def __init__(self, tree):
+        self.tree = tree
+
+    def add(self, kind: str, inputs: dict | None = None, **settings):
+        """A node with settings, its inputs (by name or index) set to values or linked to sockets."""
+        node = self.tree.nodes.new(kind)
+        for name, value in settings.items():
+            setattr(node, name, value)
+        for name, value in (inputs or {}).items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[name])
+            else:
+                node.inputs[name].default_value = value
+        return node
+
+    def math(self, operation: str, *values):
+        return self.add("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
+
+    def vector(self, operation: str, *values):
+        """Of vectors; the result is a vector, or a number where the operation gives one."""
+        node = self.add("ShaderNodeVectorMath", dict(enumerate(values)), operation=operation)
+        return node.outputs["Value" if operation in ("DOT_PRODUCT", "LENGTH", "DISTANCE") else "Vector"]
+
+    def scaled(self, vector, factor):
+        return self.add("ShaderNodeVectorMath", {0: vector, "Scale": factor}, operation="SCALE").outputs[0]
+
+    def mix(self, factor, a, b):
+        """Of two colours."""
+        node = self.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
+        for socket, value in zip((node.inputs[0], node.inputs[6], node.inputs[7]), (factor, a, b), strict=True):
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, socket)
+            else:
+                socket.default_value = value
+        return node.outputs[2]
+
+    def arrange(self) -> None:
+        """Columns from left to right by what feeds what, so that a reader can follow."""
+        column: dict = {}
+        pending = list(self.tree.nodes)
+        feeds = {node: {link.from_node for link in self.tree.links if link.to_node == node} for node in pending}
+        while pending:
+            ready = [node for node in pending if feeds[node] <= column.keys()]
+            for node in ready:
+                column[node] = 1 + max((column[before] for before in feeds[node]), default=-1)
+            pending = [node for node in pending if node not in column]
+        filled: dict[int, int] = {}
+        for node, place in column.items():
+            node.location = 200.0 * place, -180.0 * filled.get(place, 0)
+            filled[place] = filled.get(place, 0) + 1

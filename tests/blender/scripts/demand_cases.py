@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cases of demand in the real program. Arguments: the folder with the cases. Prints what does not hold."""
+
+import json
+import sys
+
+import bpy
+from bl_ext.user_default.adaptive_terrain.operators.demand.demand import demand
+
+[support] = sys.argv[sys.argv.index("--") + 1 :]
+sys.path.insert(0, support)
+from demand_cases import CASES  # noqa: E402
+
+
+def demanded(obj, mode="RENDER", exports=()):
+    return demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
+
+
+held, failed = 0, []
+for case in CASES:
+    for label, found, wanted in case(demanded):
+        if set(found) == wanted:
+            held += 1
+        else:
+            failed.append([label, sorted(found), sorted(wanted)])
+print("RESULT " + json.dumps({"held": held, "failed": failed, "version": bpy.app.version_string}))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command `effects`, and exports that carry effects, read by readers of the tests' own."""
+
+import json
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.operators.cli import command_line
+
+FLIGHT = {"fov": 50, "clip": [1, 50000], "keyframes": [{"frame": 1, "eye": [0, -900, 300], "target": [0, 0, 0]}]}
+
+
+@pytest.fixture
+def export(store, tmp_path, capsys):
+    """Export a frame of the small store; returns the exit code, what was printed, and the folder."""
+    path = tmp_path / "flight.json"
+    path.write_text(json.dumps(FLIGHT))
+
+    def run(*arguments, out="out"):
+        argv = ["export", "--store", store, "--path", path, "--resolution", "640x360", "--frames", "1"]
+        code = command_line.main([str(a) for a in (*argv, "--format", "npz", "--out", tmp_path / out, *arguments)])
+        return code, capsys.readouterr(), tmp_path / out
+
+    return run
+
+
+def test_the_catalogue_names_every_effect_with_its_unit_and_cost(capsys):
+    assert command_line.main(["effects"]) == 0
+    said = capsys.readouterr().out
+    for name, effect in EFFECTS.items():
+        entry = said.split(f"\n{name}:\n" if not said.startswith(f"{name}:") else f"{name}:\n")[1].split("\n  cost:")[0]
+        assert effect.about in entry and (not effect.unit or f"unit: {effect.unit}" in entry)
+        assert all(f"{p.name}: " in entry for p in effect.parameters)
+    assert said.count("  cost: ") == len(EFFECTS)
+
+
+def test_of_a_store_each_is_measured(store, capsys):
+    assert command_line.main(["effects", "--store", str(store)]) == 0
+    lines = capsys.readouterr().out.splitlines()[-len(EFFECTS) :]
+    for name, line in zip(EFFECTS, lines, strict=True):
+        ms, _, megabytes, _ = line.removeprefix(f"{name}: ").split()
+        assert float(ms.replace(",", "")) > 0 and float(megabytes.replace(",", "")) > 0
+
+
+def test_an_export_carries_what_is_named_and_nothing_else(export, store):
+    _, _, bare = export(out="bare")
+    code, _, folder = export("--effects", "slope, aspect,slope")
+    assert code == 0
+    plain, mesh = read_npz(bare / "terrain_0001.npz"), read_npz(folder / "terrain_0001.npz")
+    assert mesh.keys() - plain.keys() == {"slope", "aspect"}
+    assert mesh["slope"].shape == (len(mesh["positions"]),) and mesh["aspect"].shape == (len(mesh["positions"]), 2)
+    assert mesh["info"]["attributes"]["slope"] == {"domain": "POINT", "unit": "rad"}
+    for name in plain.keys() - {"info"}:
+        np.testing.assert_array_equal(mesh[name], plain[name])
+    # At the samples a cubic B-spline's slope is that of central differences, smoothed across.
+    lattice, heights = open_store(store).lattice, open_store(store).heights().astype(np.float64)
+    across = (heights[:-2] + 4 * heights[1:-1] + heights[2:]) / 6
+    up = (heights[:, :-2] + 4 * heights[:, 1:-1] + heights[:, 2:]) / 6
+    east = (across[:, 2:] - across[:, :-2]) / (2 * lattice.step_x)
+    north = (up[2:] - up[:-2]) / (2 * lattice.step_y)
+    west, south, _, _ = lattice.rectangle()
+    i, j = ((mesh["positions"][:, :2] - (west, south)) / (lattice.step_x, lattice.step_y)).T
+    at_samples = (i % 1 == 0) & (j % 1 == 0) & (np.minimum(i, j) >= 1) & (np.maximum(i, j) < lattice.width - 1)
+    expected = np.arctan(np.hypot(east, north))[j[at_samples].astype(int) - 1, i[at_samples].astype(int) - 1]
+    assert at_samples.sum() > 500
+    np.testing.assert_allclose(mesh["slope"][at_samples], expected, atol=1e-5)
+
+
+def test_frames_of_other_effects_are_made_anew(export):
+    export("--effects", "slope")
+    _, again, _ = export("--effects", "slope", "--resume")
+    assert "complete before" in again.out
+    _, other, folder = export("--effects", "height", "--resume")
+    assert "complete before" not in other.out and "height" in read_npz(folder / "terrain_0001.npz")
+
+
+def test_none_and_auto_write_no_effect_of_a_store(export):
+    _, _, bare = export(out="bare")
+    for text in ("none", "auto"):
+        _, _, folder = export("--effects", text, out=text)
+        assert (folder / "terrain_0001.npz").read_bytes() == (bare / "terrain_0001.npz").read_bytes()
+
+
+def test_an_unknown_effect_is_one_line_that_lists_the_known(export):
+    code, said, folder = export("--effects", "slope,erosion")
+    assert code == 2 and not folder.exists()
+    last = said.err.splitlines()[-1]
+    assert "'erosion' is no effect; expected some of" in last and all(name in last for name in EFFECTS)

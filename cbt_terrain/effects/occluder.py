@@ -21,6 +21,7 @@ AT_ONCE = 1 << 14
 # Of the largest height: more than float64 can lose between a sample and a height of the profile.
 MARGIN = 1e-9
 
+
 def occluder_of(places: Places) -> kernels.Occluder:
     """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
@@ -71,6 +72,10 @@ def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: floa
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         where = np.ascontiguousarray(places.positions[some], np.float32)
-        values = [*inputs, wp.array(where, dtype=wp.vec3f, device=launch.DEVICE, copy=False), flat(out[some], wp.float32)]
+        values = [
+            *inputs,
+            wp.array(where, dtype=wp.vec3f, device=launch.DEVICE, copy=False),
+            flat(out[some], wp.float32),
+        ]
         launch.spread(kernel, len(where), values, step="light", threads=places.threads, cost=cost)
         yield first + len(where)

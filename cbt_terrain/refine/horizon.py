@@ -6,15 +6,15 @@ import math
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.horizon_map import fill_horizon
 from ...kernels.refine.diamond import Asked, Domain, LocalView
 from ...kernels.refine.hiding import RING_BITS, ROW
+from ...kernels.refine.horizon_map import fill_horizon
 from ..ask.criterion import LARGEST
 from ..ask.view import KINDS, ORTHOGRAPHIC
 from ..run import launch
 from ..run.buffers import Buffers
 
-BIN_COST = 400.0  # of a bin's rings, in lookups
+BIN_COST = 600.0  # of a bin's rings, in lookups
 
 
 def place_rings(domain: Domain, views: list[LocalView], factor: float) -> int:
@@ -57,7 +57,7 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
     cells = (domain.width - 1, domain.height - 1)
     unit = 1 << (domain.unit_bits - domain.levels)
     near, far = 0.0, 0.0
-    eyes = [float(x) for x in view.eye]
+    eyes = [float(e) for e in view.eye]
     sides = zip(eyes, (domain.west, domain.south), (domain.unit_x, domain.unit_y), cells, strict=False)
     for eye, low, step, count in sides:
         high = low + count * unit * step

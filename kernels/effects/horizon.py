@@ -49,7 +49,9 @@ def finest_tops(offset: int, occluder: Occluder, sign: wp.float32, tops: wp.arra
         top = wp.float32(-wp.inf)
         for j in range(y * side, wp.min((y + 1) * side, occluder.rows - 1) + 1):
             for i in range(x * side, wp.min((x + 1) * side, occluder.columns - 1) + 1):
-                top = wp.max(top, sign * sample_at(occluder.samples, wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i)))
+                top = wp.max(
+                    top, sign * sample_at(occluder.samples, wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i))
+                )
         tops[y * wide + x] = sign * top
 
 
@@ -211,4 +213,3 @@ def horizon(
     are float32, and a difference of heights over nothing is no slope."""
     near = wp.min(g.step_x, g.step_y) * wp.float64(0.0009765625)
     return walk(g, x, y, z, azimuth[0] / g.step_x, azimuth[1] / g.step_y, near, far, least, enough)
-

@@ -11,7 +11,7 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from .diamond import Asked, LocalView, range_at
+from .diamond import Asked, LocalView, larger, range_at, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, radius_of
 
@@ -35,12 +35,12 @@ def least_of_cells(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1:
                 index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
                 index += wp.where(sign > wp.float64(0.0), wp.int64(0), wp.int64(1))
                 h = domain.range_base + wp.float64(domain.ranges[index]) * domain.range_step
-                least = wp.min(least, sign * h)
+                least = smaller(least, sign * h)
     else:
         for j in range(y0 >> bits, j1 + 2):
             row = wp.int64(j) * wp.int64(domain.width)
             for i in range(x0 >> bits, i1 + 2):
-                least = wp.min(least, sign * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
+                least = smaller(least, sign * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
     return least
 
 
@@ -66,7 +66,7 @@ def least_of_ranges(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
         while beside:
             r = range_at(domain, (i << bits) + edge / 2, j << bits, depth)
             code = wp.where(sign > wp.float64(0.0), r[0], r[1])
-            least = wp.min(least, sign * (domain.range_base + wp.float64(code) * domain.range_step))
+            least = smaller(least, sign * (domain.range_base + wp.float64(code) * domain.range_step))
             beside = ((i + 1) << bits) + edge / 2 < x1 and i < last_i
             i = wp.min(i + 2, last_i)
         more = (j + 1) << bits < y1 and j < last_j
@@ -93,23 +93,31 @@ def least_over(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.
 
 
 @wp.func
-def off_at(domain: Domain, asked: Asked, view: LocalView, relaxed: wp.float64, across2: wp.float64, rise: wp.float64):
+def off_at(
+    domain: Domain,
+    asked: Asked,
+    view: LocalView,
+    reach2: wp.float64,
+    relaxed: wp.float64,
+    across2: wp.float64,
+    rise: wp.float64,
+) -> wp.float64:
     """Metres that the mesh may be off from the surface where it keeps `relaxed` times what is asked, at a place that is
-    sqrt(across2) from the eye in plan, and `rise` above it. Only errors keep a mesh near the surface.
-
-    Depths and distances of camera space are no longer than `reach` times those of the terrain's space.
-    """
-    zero = wp.float64(0.0)
-    depth = view.depth
-    weight = wp.max(wp.max(view.weight[0], view.weight[1]), view.weight[2])
-    reach2 = wp.max(depth[0] * depth[0] + depth[1] * depth[1] + depth[2] * depth[2], weight)
-    metres = wp.float64(wp.inf)
+    sqrt(across2) from the eye in plan, and `rise` above it. Only errors keep a mesh near the surface."""
+    part2 = relaxed * relaxed * asked.error_px2 * view.pixel2
+    metres2 = relaxed * relaxed * asked.metres2
     # A pixel must not grow as fast as the way to it: else higher ground might have a lower mesh.
-    if relaxed * relaxed * asked.error_px2 * view.pixel2 * reach2 < wp.float64(0.5):
-        far2 = wp.max(reach2 * (across2 + rise * rise), view.near2)
-        metres = wp.sqrt(asked.error_px2 * view.pixel2 * far2)
-    metres = relaxed * wp.min(metres, wp.sqrt(asked.metres2))
-    return wp.max(metres, domain.enough) + domain.rounding + wp.max(domain.most_lean, zero)
+    if part2 * reach2 < wp.float64(0.5):
+        metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
+    return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.most_lean
+
+
+@wp.func
+def reach2_of(view: LocalView) -> wp.float64:
+    """Squared: depths and distances of camera space are at most so many times those of the terrain's space."""
+    depth = view.depth
+    weight = larger(larger(view.weight[0], view.weight[1]), view.weight[2])
+    return larger(depth[0] * depth[0] + depth[1] * depth[1] + depth[2] * depth[2], weight)
 
 
 @wp.func
@@ -153,6 +161,7 @@ def fill_horizon(
     k = offset + wp.tid()
     view = asked.views[number]
     rings = view.rings
+    reach2 = reach2_of(view)
     side = k / BINS
     t0 = wp.float64(k - side * BINS) / wp.float64(BINS / 2) - one
     t1 = t0 + one / wp.float64(BINS / 2)
@@ -169,16 +178,22 @@ def fill_horizon(
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
-        off = off_at(domain, asked, view, relaxed, wp.float64(2.0) * start * start, rise)
+        off = off_at(domain, asked, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
         floor = (rise + off) / start
+    # Lattice units of an arc's ends from the eye, per metre of radius.
+    ahead = wp.where(side < 2, one, -one)
+    per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
+    per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
+    if (side & 1) == 1:
+        per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
+        per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
     best = NOTHING
     for ring in range(rings.count):
         radius = radius_of(rings.first + ring)
-        ahead = wp.where(side < 2, radius, -radius)
-        u0 = x + wp.where((side & 1) == 0, ahead, radius * t0) / domain.unit_x
-        u1 = x + wp.where((side & 1) == 0, ahead, radius * t1) / domain.unit_x
-        v0 = y + wp.where((side & 1) == 0, radius * t0, ahead) / domain.unit_y
-        v1 = y + wp.where((side & 1) == 0, radius * t1, ahead) / domain.unit_y
+        u0 = x + radius * per0[0]
+        v0 = y + radius * per0[1]
+        u1 = x + radius * per1[0]
+        v1 = y + radius * per1[1]
         inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
         if inside and begun < 2:
             x0 = wp.int32(u0) - 1 - grown
@@ -191,9 +206,9 @@ def fill_horizon(
             if begun == 0:  # the eye is beyond the rim: rays must come in above the ground
                 begun = 1
                 rise = -least_over(domain, x0, y0, x1, y1, -one) - view.eye[2]
-                floor = (rise + off_at(domain, asked, view, relaxed, across2, rise)) / radius
+                floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
             rise = least_over(domain, x0, y0, x1, y1, one) - view.eye[2]
-            best = wp.max(best, (rise - off_at(domain, asked, view, relaxed, across2, rise)) / radius)
+            best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
         elif begun == 1 and best > NOTHING:
             begun = 2
         asked.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)

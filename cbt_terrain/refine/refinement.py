@@ -35,8 +35,8 @@ SLACK = 0.05
 TAKEN_COST = 0.1
 # A count and a walk agree but where errors are not nested, except on step 0, which need not be counted.
 MOST_SEARCHES = 2
-# How far a triangle limit may relax what is asked while horizons hold that were made for it: higher ones first. The last
-# hides nothing. Of a mesh that nobody limits, and where somebody does.
+# How far a triangle limit may relax what is asked while the horizons hold that were made for it: the first that do are
+# taken, the last hide nothing. Of a mesh that nobody limits, and where somebody does.
 RELAXED = (1.0, math.inf), (4.0, 64.0, math.inf)
 # What a walk writes that the next one may copy.
 WRITTEN = ("code", "point", "kept", "kept_counts")

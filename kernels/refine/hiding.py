@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether a diamond's box is hidden by nearer ground, by a polar map of horizons about the eye.
 
-The map is in squares, not circles: a point is at the distance max(|dx|, |dy|), in one of four sides of the eye, and in
-one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and no sine and no logarithm is needed, which
-differ from machine to machine. Slopes are heights above the eye by that distance: they order the rays of one azimuth.
-Radii of the rings are the numbers with three bits behind their first: 7 - 12 % apart. (Of the demo's island it hides
-as much, to half a per cent, as with four times as many rings.)
+The map is in squares, not circles: a point is at the distance max(|dx|, |dy|), in one of four sides of the eye, and
+in one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and no sine and no logarithm is needed,
+which differ from machine to machine. Slopes are heights above the eye by that distance: they order the rays of one
+azimuth. Radii of the rings are the numbers with three bits behind their first: 7 - 12 % apart. (Of the demo's island
+four times as many rings hide half a per cent more.)
 
 kernels/refine/horizon_map.py fills the map. Each entry has the slope below which all rays of its bin are behind ground
 that is no farther than the ring, whatever mesh keeps what is asked; so entries rise with the ring. A box is hidden if
@@ -20,9 +20,9 @@ ground in front. It needs no further lowering. Take a ray to a hidden box, in th
 is above it the nearest. There the ray is lower than the surface less what the mesh may be off. The triangle that has
 this place cannot be hidden: the ray would meet its box or pass below it, so be below a nearer ring's entry. If it is
 outside the frame, its box does not hold the ray, which is in the frame; nor is the ray above the box, for it is below
-the surface there: so it passes below the box, and below the triangle in it. If neither, the mesh keeps what is asked. In
-all cases the ray is below the mesh, having been above it where it began. So the mesh hides the box (and the same of the
-surface itself: what the true heights show is never called hidden).
+the surface there: so it passes below the box, and below the triangle in it. If neither, the mesh keeps what is asked.
+In all cases the ray is below the mesh, having been above it where it began. So the mesh hides the box. (So does the
+surface itself: what true heights show is never called hidden.)
 """
 
 import warp as wp

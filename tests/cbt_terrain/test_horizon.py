@@ -24,7 +24,7 @@ SHAPES = (129, 129), (129, 257), (200, 90), (100, 300), (65, 65)
 def a_field(rng):
     """Rough, or boxes on a plain; padded or not; floats or 16-bit numbers; bilinear or bicubic."""
     height, width = SHAPES[rng.integers(len(SHAPES))]
-    relief = float(rng.choice([20.0, 100.0, 400.0]))
+    relief = float(rng.choice([50.0, 300.0, 800.0]))
     if rng.random() < 0.7:
         field = rough(height, width, int(rng.integers(1 << 30)), relief=relief)
     else:
@@ -38,34 +38,33 @@ def a_view(rng, field, scale: float, offset: float) -> tuple[View, np.ndarray]:
     turned, stretched and sheared."""
     size = extent(field) * [1, 1, abs(scale)]
     eye = rng.uniform(-0.5, 0.5, 3) * size
-    if rng.random() < 0.3:
+    if rng.random() < 0.2:
         eye *= [2.5, 2.5, 1.0]
     ground = reference_heights(field, eye[None, :2])[0] * scale + offset
-    eye[2] = ground + size[2] * (10.0 ** rng.uniform(-2.5, 0.5)) * (1 if rng.random() < 0.9 else -0.3)
-    target = rng.uniform(-0.5, 0.5, 3) * size
-    target[2] = eye[2] - rng.uniform(-0.2, 0.5) * size[2]
+    eye[2] = ground + size[2] * 10.0 ** rng.uniform(-2.5, -0.3) * (1 if rng.random() < 0.9 else -0.3)
+    target = rng.uniform(-0.2, 0.2, 3) * size
+    target[2] = eye[2] - rng.uniform(-0.1, 0.2) * size[2]
     placement = np.eye(4)
     if rng.random() < 0.5:
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        placement[:3, :3] = (
-            turn @ np.diag(10.0 ** rng.uniform(-0.4, 0.4, 3)) @ (np.eye(3) + 0.2 * rng.normal(size=(3, 3)))
-        )
+        shear = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
+        placement[:3, :3] = turn @ np.diag(10.0 ** rng.uniform(-0.4, 0.4, 3)) @ shear
         placement[:3, 3] = rng.normal(size=3) * 1000
     ends = [placement[:3, :3] @ p + placement[:3, 3] for p in (eye, target)]
     kind = PANORAMIC if rng.random() < 0.2 else PERSPECTIVE
-    clip = (float(rng.choice([0.1, 5.0, 60.0])), 1e6)
+    clip = (float(rng.choice([0.1, 0.1, 5.0, 60.0])), 1e6)
     fov = 360.0 if kind == PANORAMIC else float(rng.uniform(20, 100))
-    return View.look(*ends, fov_deg=fov, resolution=(960, 540), kind=kind, clip=clip), placement
+    return View.look(*ends, fov_deg=fov, resolution=(640, 360), kind=kind, clip=clip), placement
 
 
 def a_criterion(rng) -> Criterion:
     return Criterion(
-        error_px=float(rng.choice([2.0, 4.0, 8.0])),
-        edge_px=float(rng.choice([0.0, 0.0, 0.0, 60.0])),
+        error_px=float(rng.choice([1.0, 2.0, 4.0])),
+        edge_px=float(rng.choice([0.0] * 7 + [60.0])),
         error_m=float(rng.choice([0.0, 0.0, 2.0])),
-        off_screen_factor=float(rng.choice([1.0, 16.0, 1e6])),
+        off_screen_factor=float(rng.choice([1.0, 1.0, 16.0, 1e6])),
         guard_deg=float(rng.choice([0.0, 5.0])),
-        max_depth=(9, 13, None, None)[rng.integers(4)],
+        max_depth=(11, 15, 16, 16)[rng.integers(4)],
         meshlet=int(rng.choice([0, 0, 0, 1])),
     )
 
@@ -73,8 +72,9 @@ def a_criterion(rng) -> Criterion:
 def scenes(seed: int, count: int, views: int = 1):
     """Random fields, criteria, views, places and heights."""
     rng = np.random.default_rng(seed)
+    fields = [a_field(rng) for _ in range((count + 4) // 5)]
     for k in range(count):
-        field = a_field(rng) if k % 5 == 0 else field
+        field = fields[k // 5]
         scale, offset = float(rng.choice([1.0, 1.0, -1.5])), float(rng.choice([0.0, 250.0]))
         seen = [a_view(rng, field, scale, offset) for _ in range(views)]
         yield field, a_criterion(rng), [view for view, _ in seen], seen[0][1], (scale, offset)
@@ -103,7 +103,7 @@ def test_nothing_that_a_view_sees_is_hidden():
     rim, of terrains that are turned, stretched and sheared."""
     counts = [check_what_is_seen(scene) for scene in scenes(71, 200)]
     fewer = [a < 0.9 * b for a, b in counts]
-    assert sum(fewer) > 40 and min(a / b for a, b in counts) < 0.4, (sum(fewer), counts)
+    assert sum(fewer) > 20 and min(a / b for a, b in counts) < 0.4, (sum(fewer), counts)
 
 
 def test_what_one_of_several_views_sees_is_not_hidden():

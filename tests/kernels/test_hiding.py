@@ -57,7 +57,7 @@ def veils(kernel, rings: Rings, slopes: np.ndarray, boxes: np.ndarray) -> np.nda
 def test_what_is_hidden_is_nested(kernel):
     rng = np.random.default_rng(0)
     hidden_below = bare_below = 0
-    for _ in range(20):
+    for _ in range(5):
         rings, slopes = a_map(rng)
         found = veils(kernel, rings, slopes, nested_boxes(rng, 5000))
         hidden, bare = found[..., 0], found[..., 1]
@@ -67,7 +67,7 @@ def test_what_is_hidden_is_nested(kernel):
             assert not (bare[:, parents] & child_hidden).any()
         assert not (hidden & bare).any()
         hidden_below, bare_below = hidden_below + (~hidden[:, 0] & hidden[:, 3]).sum(), bare_below + bare[:, 0].sum()
-    assert hidden_below > 1000 and bare_below > 1000, (hidden_below, bare_below)
+    assert hidden_below > 300 and bare_below > 300, (hidden_below, bare_below)
 
 
 def test_a_hidden_box_is_below_every_ray_that_is_drawn_through_it(kernel):

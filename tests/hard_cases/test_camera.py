@@ -237,8 +237,9 @@ def test_case_46_bounds_hold_for_random_views():
 
 
 def test_case_71_nothing_visible_is_called_hidden():
-    """From one view or two, panoramic too, inside and below the ground: what is in front is as fine as without culling; an
-    orthographic view hides nothing."""
+    """From one view or two, panoramic too, on and below the ground: what is in front is as fine as without culling.
+
+    An orthographic view hides nothing."""
     for kinds in ([PERSPECTIVE], [PANORAMIC], [PERSPECTIVE, PANORAMIC], [ORTHOGRAPHIC]):
         for height in (250.0, 60.0, 0.0, -40.0):
             field = rough(129, 129, 4, relief=200.0)

@@ -22,9 +22,9 @@ from .diamond import (
     LocalView,
     detail_missed,
     diamond_at,
-    finest_in,
     is_beyond,
     larger,
+    nearest_pixel2,
     raster_error_at,
     rest_of,
     sizes,
@@ -175,7 +175,7 @@ def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
     if stand_of(view, d.low, d.high) != OUTSIDE:
-        pixel2 = finest_in(view, d, 1)
+        pixel2 = nearest_pixel2(view, d)
         if view.kind == PERSPECTIVE:
             ahead = least_depth(view, d)
             if ahead > wp.float64(0.0):

@@ -128,6 +128,9 @@ def gather(
     if criterion.needs_view:
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
+    cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
+    if cleanup.active:  # where ground is cut away one sees what it would hide
+        criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=bpy.path.abspath(settings.store),
         interpolation=interpolation,
@@ -138,7 +141,7 @@ def gather(
         vertical_scale=settings.vertical_scale,
         vertical_offset=settings.vertical_offset,
         smooth=settings.smooth,
-        cleanup=cleanup_from(settings.cleanup, evaluated, depsgraph),
+        cleanup=cleanup,
         overlay=settings.overlay,
         max_ms=max_ms,
         note=note,
@@ -166,6 +169,7 @@ def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
         error_m=detail.error_m,
         guard_deg=detail.guard_deg,
         off_screen_factor=detail.off_screen_factor,
+        hidden_factor=detail.hidden_factor,
         shading_floor=detail.shading_floor if overrides.shading_floor is None else overrides.shading_floor,
         max_depth=detail.max_depth if detail.limit_depth else None,
         max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,

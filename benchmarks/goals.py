@@ -42,6 +42,7 @@ GOALS: dict[tuple[str, int], float] = {
     ("budget_level", ANY_SIZE): 3.0,
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
+    ("maps_normal", ANY_SIZE): 1.0,
     ("import_reopen", ANY_SIZE): 1.0,
     ("scale_refine", ANY_SIZE): 1.05,
     ("scale_surface", ANY_SIZE): 1.05,
@@ -55,12 +56,22 @@ GOALS: dict[tuple[str, int], float] = {
 # Rows known to fall short of their goal: the ratio that was measured, and what holds it, for docs/performance.md. Those
 # that are at SLACK times their goal or beyond may not become worse than SLACK times that ratio.
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
+    ("demand_large", ANY_SIZE): (
+        0.18,
+        "on a machine busy with other work; of processor time alone 0.12. Some 20 microseconds a node, all of it "
+        "Python that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
+    ),
     ("surface", 1_000_000): (
         0.55,
         "from minute to minute 0.33 to 0.55: half of it is the refinement for an error, on two threads: nine leaves "
         "in ten are taken from the last frame, most of the rest measures diamonds of the others and reads their "
         "errors. The other half is welding and displacement, with normals and uv, most of that the latency of reading "
         "samples.",
+    ),
+    ("light_rays", ANY_SIZE): (
+        0.05,
+        "rays skip 97 of 100 crossings, but a skip reads what no cache holds and costs as much as a crossing: 20 to 30 "
+        "ns. Other sizes of the smallest blocks and other distances of the first crossings are within a tenth.",
     ),
     ("effects_cut", 1_000_000): (
         2.0,

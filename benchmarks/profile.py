@@ -51,7 +51,7 @@ LAPS = 75  # frames of a flight, as in the benchmark; then it starts again
 LEAST_SHARE = 0.01  # smaller parts are added up as OTHER
 # The walk's functions, each to its part; what they call is theirs where it is not named. The loop itself is DESCENT.
 PARTS = {
-    **dict.fromkeys(("error_at", "fetch_children", "fetch_ahead"), ERRORS),
+    **dict.fromkeys(("error_at", "raster_error_at", "detail_missed", "fetch_children", "fetch_ahead"), ERRORS),
     "judge": BAND_TEST,
     "diamond_at": BOX,
     **dict.fromkeys(("measured_at", "finest", "too_coarse"), PIXEL),

@@ -49,9 +49,11 @@ MEANING = {
     "jets that their rules read; one thread.",
     "flow": "Catchment areas of 1025² samples, depressions cut through, several directions; beside the errors and "
     "ranges that an import makes of them, all threads; flow runs on one.",
-    "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, one "
-    "thread: the same bits as with every crossing.",
+    "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, "
+    "one thread: the same bits as with every crossing.",
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
+    "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
+    "beside numpy's differences of the same raster, squeezed alike, on one thread.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

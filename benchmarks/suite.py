@@ -24,6 +24,7 @@ from . import (
     in_program,
     layer_rows,
     light_rows,
+    maps_rows,
     performance_page,
     report,
     scale,
@@ -127,6 +128,7 @@ def everything(
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
+    yield partial(maps_rows.maps_row)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

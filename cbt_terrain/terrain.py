@@ -18,8 +18,9 @@ from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
-from .refine.domain import depth_limit, make_domain, pack
-from .refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
+from .refine.domain import depth_limit, make_domain, pack, usual_depth
+from .refine.horizon import place_rings
+from .refine.refinement import MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
 from .run import launch
@@ -204,6 +205,8 @@ class Terrain:
             localise(view, placement, box, criterion, scale, unsure)
             for view, scale in zip(spans.views, spans.scales, strict=True)
         ]
+        if criterion.hides and self.field.valid is None:  # through holes one sees what ground beside them hides
+            place_rings(domain, local, criterion.hidden_factor)
         asked = pack(criterion, local, spans, domain.source)
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
@@ -243,10 +246,9 @@ class Terrain:
 
     def _max_depth(self, criterion: Criterion) -> int:
         """Deepest bisection of a leaf, its meshlet's own bisections taken off."""
-        limit = depth_limit(self.field)
-        depth = min(limit, self.field.lattice.cell_depth + DEPTH_BELOW_CELLS)
+        depth = usual_depth(self.field)
         if criterion.max_depth is not None:
-            depth = min(limit, criterion.max_depth)
+            depth = min(depth_limit(self.field), criterion.max_depth)
         return max(1, depth - 2 * criterion.meshlet)
 
 

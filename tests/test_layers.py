@@ -20,7 +20,18 @@ MAY_IMPORT = {
 }
 # The rooms of each house, and modules that stand beside them: each may import from those before it.
 ROOMS = {
-    "kernels": ["unchecked", "field", "refine", "budget", "bicubic", "mesh", "effects", "fitting", "accuracy"],
+    "kernels": [
+        "unchecked",
+        "field",
+        "refine",
+        "budget",
+        "bicubic",
+        "mesh",
+        "detail",
+        "effects",
+        "fitting",
+        "accuracy",
+    ],
     "cbt_terrain": [
         *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
         *("importing", "fit", "accuracy"),

@@ -84,6 +84,7 @@ CASES = {
     67: "A terrain 32 km wide in a fresh scene",
     68: "A background render whose mesh is stale",
     69: "A source 7 samples wide and 1,024 long",
+    71: "What nearer ground hides",
     72: "What a scene reads: mutes, groups used twice, constant factors, drivers, computed names",
 }
 

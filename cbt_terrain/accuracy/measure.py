@@ -3,8 +3,8 @@
 
 What is measured is what Blender is given: the float32 arrays of a Surface, also after expansion to meshlets and where
 a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as the
-field says. Of the bicubic one the measurement has its own evaluation, and takes the largest of many places for the
-maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
+field says, and its detail. Of a bicubic one and of a detail the measurement has its own evaluation, and takes the
+largest of many places for the maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
 """
 
 from collections.abc import Sequence

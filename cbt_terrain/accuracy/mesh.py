@@ -13,9 +13,9 @@ from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
 from ..field import codes
-from ..field.heightfield import HeightField
+from ..field.detail import highest
+from ..field.heightfield import PLANE_BITS, HeightField
 from ..mesh.surface import Surface
-from ..refine.domain import PLANE_BITS
 from ..run import launch
 from ..run.buffers import shared
 
@@ -72,6 +72,9 @@ class Ground:
         g = self.packed = kernels.Ground()
         g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
         g.bicubic = int(field.interpolation == "bicubic")
+        g.curved, g.detail_most = int(g.bicubic or bool(field.waves)), highest(field.waves)
+        if field.detail:
+            g.detail = field.detail.packed(field.finest_edge)
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y
@@ -146,12 +149,12 @@ class MeasuredMesh:
 
         Returns float64 [T], what float32 has moved each by. Over a cell a bilinear reference is a saddle, so mesh less
         reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
-        maximum is exact. Of a bicubic reference it is the largest at the samples, at 8 places of each edge in each cell
-        and at 4 x 4 places of each cell, or of the box of a triangle that is smaller.
+        maximum is exact. Of a bicubic reference, or one with detail, it is the largest at the samples, at 8 places of
+        each edge in each cell and at 4 x 4 places of each cell, or of the box of a triangle that is smaller.
         """
         rounding = np.zeros(self.triangles)
         self.walk(edge_kernels.edge_extremes, [shared(worst, wp.float64), shared(rounding, wp.float64)])
-        if self.ground.packed.bicubic:
+        if self.ground.packed.curved:
             self.walk(grid_kernels.grid_extremes, [shared(worst, wp.float64)])
         return rounding
 

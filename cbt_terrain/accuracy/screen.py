@@ -44,6 +44,10 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
         more = 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
+    more = ground.packed.detail_most
+    if more:
+        low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
+        high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
     lows, highs, widths, bases = [], [], [0], [0]
     while True:
         bases.append(sum(a.size for a in lows))

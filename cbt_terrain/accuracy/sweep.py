@@ -98,7 +98,7 @@ def sweep(
     base: Criterion | None = None,
     threads: int | None = None,
     write: Callable[[Surface], float] | None = None,
-    effects: Plan = Plan(),
+    effects: Plan | None = None,
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
@@ -127,7 +127,9 @@ def sweep(
         if setting.fitted:
             row = _fitted_row(reference, setting, frames[0], threads, on_part)
         else:
-            row = _row(reference, setting, frames, base or Criterion(), threads, sight, write, effects, on_part)
+            row = _row(
+                reference, setting, frames, base or Criterion(), threads, sight, write, effects or Plan(), on_part
+            )
         rows.append(row)
         on_row(row)
     on_progress(1.0)

@@ -45,7 +45,7 @@ class Setting:
 
 def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
     """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
-    every other error with the other interpolation. A fit has a bilinear surface under it."""
+    every other error with the other interpolation. A fit has a bilinear surface without detail under it."""
     own = {"interpolation": heights.interpolation}
     other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []
@@ -58,7 +58,7 @@ def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
     settings += [Setting("m", error, **own) for error in metres]
     settings += [Setting("m", error, **other) for error in metres[::2]]
-    return settings + [Setting("m", error, fitted=True) for error in metres]
+    return settings + [Setting("m", error, fitted=True) for error in metres if not heights.detail]
 
 
 def metre_steps(relief_m: float) -> list[float]:

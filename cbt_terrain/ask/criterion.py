@@ -25,6 +25,8 @@ class Criterion:
     `error_px`: screen-space geometric error, pixels. `edge_px`: longest edge, pixels. `area_px`: triangle area, square
     pixels. `error_m`: vertical error, metres, independent of any view. `guard_deg`: how far outside the frame still
     counts as seen, degrees. `off_screen_factor`: how much coarser the rest may be; 1 switches culling off.
+    `hidden_factor`: the same of ground in the frame that nearer ground hides. It needs an error, an eye (an
+    orthographic view has none) and ground without holes; mirrors, shadows and lenses wider than a point see more.
     `shading_floor`: from above, errors of height move no pixel but show in shading and shadows; an error counts as if
     seen from so far beside it that this part of it shows, 0 .. 1.
     `max_depth`: bisections of a root square (None: to what float32 holds). `max_triangles`: None is no limit.
@@ -37,6 +39,7 @@ class Criterion:
     error_m: float = 0.0
     guard_deg: float = 5.0
     off_screen_factor: float = 16.0
+    hidden_factor: float = 1.0
     shading_floor: float = SHADING_FLOOR
     max_depth: int | None = None
     max_triangles: int | None = None
@@ -50,8 +53,9 @@ class Criterion:
         for name in ("error_px", "edge_px", "area_px", "error_m"):
             if value := getattr(self, name):  # squares of what lies outside are no numbers any more
                 object.__setattr__(self, name, min(max(value, SMALLEST), LARGEST))
-        if not self.off_screen_factor >= 1:
-            raise TerrainError(f"The off-screen factor is {self.off_screen_factor}; expected 1 (no culling) or more.")
+        for name, label in (("off_screen_factor", "off-screen factor"), ("hidden_factor", "hidden factor")):
+            if not getattr(self, name) >= 1:
+                raise TerrainError(f"The {label} is {getattr(self, name)}; expected 1 (no culling) or more.")
         if not 0 <= self.shading_floor <= 1:
             raise TerrainError(f"The shading floor is {self.shading_floor}; expected a number from 0 to 1.")
         if self.meshlet not in range(5):
@@ -62,6 +66,11 @@ class Criterion:
             raise TerrainError(f"The triangle limit is {self.max_triangles}; expected 0 or more.")
         if not (self.error_px or self.edge_px or self.area_px or self.error_m):
             raise TerrainError("Every criterion is 0; ask for an error, an edge length or an area.")
+
+    @property
+    def hides(self) -> bool:
+        """Whether hidden ground may be coarser; without an error asked, nothing says how low the ground in front is."""
+        return self.hidden_factor > 1 and bool(self.error_px or self.error_m)
 
     @property
     def needs_view(self) -> bool:

@@ -38,6 +38,6 @@ OCCLUSION = Effect(
     parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a place ground counts"),),
     scaled=False,
     halo="the radius",
-    cost_ns=4000,
+    cost_ns=11000,
     source="Bavoil, Sainz and Dimitrov 2008 (horizons); Tevs, Ihrke and Seidel 2008 (max mipmap)",
 )

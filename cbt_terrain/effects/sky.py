@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sky: how much of the sky a place sees."""
+"""Sky: how much of the sky a place sees.
+
+Of a raster of up to 2^25 samples the sky over every sample is found once, by sweeps, and places take it from there, so
+that a flight, another camera or a map costs next to nothing. Of a larger one rays start from the places themselves. The
+raster's size alone decides.
+"""
 
 import math
 from collections.abc import Mapping
@@ -75,11 +80,9 @@ SKY = Effect(
     span=(0.0, 1.0),
     make=make,
     example=example,
-    parameters=(
-        Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),
-    ),
+    parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
     scaled=False,
     halo="the whole raster",
-    cost_ns=35000,
+    cost_ns=41000,
     source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",
 )

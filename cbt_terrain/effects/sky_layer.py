@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sky over a raster by sweeps: of every sample, where the raster is small; of a coarser one, as a preview.
 
-Kept with the field when it is made. Who is stopped in between goes on from the last whole azimuth.
+Kept with the field when it is made, under the last MOST_SCALES vertical scales. Who is stopped in between goes on from
+the last whole azimuth.
 """
 
 import threading
@@ -18,8 +19,12 @@ from .pyramid import level_of, shapes
 
 # Of a larger raster rays from the places that are asked for take less time and memory.
 MOST_SAMPLES = 1 << 25
+MOST_SCALES = 2
 # A preview: from samples at multiples of 2^3 or more, this many at most, and half of the azimuths.
 PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
+
+# Kinds of what is kept, and what is there of one that was not begun.
+LAYER, PREVIEW, NOTHING = "sky", "coarse horizons", {"azimuths": 0}
 
 _making = threading.Lock()
 
@@ -31,20 +36,26 @@ def has_layer(field: HeightField) -> bool:
 
 def is_known(field: HeightField, scale: float) -> bool:
     """Whether the layer is complete, so that values from it take no time."""
-    return _state(field, scale)["azimuths"] == AZIMUTHS
+    return field.light.get((LAYER, scale), NOTHING)["azimuths"] == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The sky over every sample under a vertical scale; made first, if it is not known."""
-    while not advance(field, scale, threads):
-        pass
-    return _layer(field, _state(field, scale)["sky"], 0)
+    state = NOTHING
+    while state["azimuths"] < AZIMUTHS:
+        state = _advanced(field, scale, threads)
+    return _layer(field, state["sky"], 0)
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
     """One azimuth more of the layer, if one is missing; returns whether it is complete."""
+    return _advanced(field, scale, threads)["azimuths"] == AZIMUTHS
+
+
+def _advanced(field: HeightField, scale: float, threads: int) -> dict:
+    """What there is of the layer then: `sky`, float32 [rows, columns], of so many `azimuths`."""
     with _making:
-        state = _state(field, scale)
+        state = _kept(field, LAYER, scale)
         if state["azimuths"] < AZIMUTHS:
             heights, lattice = np.ascontiguousarray(field.heights()), field.lattice
             rows, columns = heights.shape
@@ -57,22 +68,22 @@ def advance(field: HeightField, scale: float, threads: int) -> bool:
             inputs = [flat(heights, wp.float32), *numbers, *arrays]
             launch.spread(kernels.add_sky, rows, inputs, step="light", threads=threads, cost=columns)
             state["azimuths"] += 1
-        return state["azimuths"] == AZIMUTHS
+        return state
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
     level = preview_level(field)
-    key = "coarse horizons", scale
     with _making:
-        if key not in field.light:
+        state = _kept(field, PREVIEW, scale)
+        if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             found = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
             for azimuth, out in zip(azimuths(), found, strict=False):
                 sweep(heights, steps, azimuth, scale, threads, out)
-            field.light[key] = found
-    return _layer(field, field.light[key], level)
+            state["horizons"] = found
+    return _layer(field, state["horizons"], level)
 
 
 def preview_level(field: HeightField) -> int:
@@ -109,9 +120,14 @@ def sweep(
     launch.spread(kernels.sweep, items, [*inputs, flat(out, wp.float32)], step="light", threads=threads, cost=cost)
 
 
-def _state(field: HeightField, scale: float) -> dict:
-    """What is there of the layer: `sky`, float32 [rows, columns], of so many `azimuths`."""
-    return field.light.setdefault(("sky", scale), {"azimuths": 0})
+def _kept(field: HeightField, kind: str, scale: float) -> dict:
+    """What is kept of a kind under a vertical scale; that of scales before the last MOST_SCALES is dropped."""
+    if (kind, scale) not in field.light:
+        others = [key for key in field.light if key[0] == kind]
+        for key in others[: len(others) + 1 - MOST_SCALES]:
+            del field.light[key]
+        field.light[kind, scale] = dict(NOTHING)
+    return field.light[kind, scale]
 
 
 def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.Layer:

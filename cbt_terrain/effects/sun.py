@@ -57,6 +57,6 @@ SUN = Effect(
     ),
     scaled=False,
     halo="the whole raster",
-    cost_ns=4000,
+    cost_ns=2400,
     source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",
 )

@@ -36,7 +36,7 @@ from ..run import launch
 from ..run.buffers import flat
 from . import codes, hierarchy, store
 from .codes import LEAST_EXPONENT, MOST_EXPONENT
-from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField
+from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField, with_detail
 from .hierarchy import items, ranges_at, stored_at, upward
 
 # Indices of Warp's arrays are int32.
@@ -57,6 +57,8 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         raise TerrainError(f"The interpolation is {name!r}; expected {known}.")
     if name == field.interpolation:
         return field
+    if field.detail:
+        return with_detail(interpolated(with_detail(field, None), name), field.detail)
     if name not in field.surfaces:
         field.surfaces[name] = bicubic(field)
     return field.surfaces[name]
@@ -88,6 +90,7 @@ def bicubic(field: HeightField) -> HeightField:
         key=field.key + BICUBIC_KEY,
         expanded={},
         surfaces={"bilinear": field},
+        detailed={},
     )
 
 

@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The height field: a terrain's samples on their lattice, with the error hierarchy and the height ranges."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import TerrainError
 from . import codes
+from .detail import Detail, highest
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
+# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
+PLANE_BITS = 23
 # What the key of a bicubic surface has more than that of its samples.
 BICUBIC_KEY = "-bicubic"
+# ... and what that of a surface with detail begins its own with.
+DETAIL_KEY = "-detail-"
+# Surfaces with detail that a field keeps: several objects of a scene may share its raster.
+MOST_DETAILED = 8
 
 
 @dataclass(eq=False)
@@ -21,6 +28,7 @@ class HeightField:
 
     samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
     interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
+    detail: None or what is added to that surface (detail.py); `error`, `ranges` and slopes are without it.
     error: uint8 [lattice.node_count], a code of the saturated error of each diamond (see hierarchy.py; the order is
     that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
     exponents: by which the table of codes is multiplied for each group of depths (codes.py).
@@ -59,15 +67,29 @@ class HeightField:
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
     interpolation: str = "bilinear"
+    detail: Detail | None = None
     expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
+    detailed: dict[Detail, "HeightField"] = field(default_factory=dict, repr=False)
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
     light: dict[tuple, object] = field(default_factory=dict, repr=False)
 
     @property
     def raster_key(self) -> str:
         """The key of the samples, whatever surface lies between them."""
-        return self.key.removesuffix(BICUBIC_KEY)
+        return self.key.partition(DETAIL_KEY)[0].removesuffix(BICUBIC_KEY)
+
+    @property
+    def finest_edge(self) -> float:
+        """Metres of the shortest edge that float32 plane coordinates of the mesh can hold."""
+        lattice = self.lattice
+        bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
+        return min(lattice.step_x, lattice.step_y) * 2.0**-bits
+
+    @property
+    def waves(self) -> list[tuple[float, float]]:
+        """Amplitude and wavelength, metres, of the octaves of the detail; none without one."""
+        return self.detail.waves(self.finest_edge) if self.detail else []
 
     @property
     def table(self) -> np.ndarray:
@@ -89,3 +111,29 @@ class HeightField:
         finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
         if self.steps is None and not all(finite):
             raise self.damage("it has heights that are not finite")
+
+
+def with_detail(field: HeightField, detail: Detail | None) -> HeightField:
+    """The same surface with another detail on it, or with none. Arrays are shared, nothing is read.
+
+    Without amplitude there is no detail. The last few that were asked for are the same objects again.
+    """
+    plain = field.surfaces["plain"] if field.detail else field
+    if detail is None or not detail.amplitude:
+        return plain
+    kept = plain.detailed.pop(detail, None)
+    if kept is None:
+        more = highest(detail.waves(plain.finest_edge))
+        kept = replace(
+            plain,
+            detail=detail,
+            min_height=plain.min_height - more,
+            max_height=plain.max_height + more,
+            key=plain.key + DETAIL_KEY + detail.key,
+            surfaces={"plain": plain},
+            detailed={},
+        )
+    plain.detailed[detail] = kept
+    while len(plain.detailed) > MOST_DETAILED:
+        del plain.detailed[next(iter(plain.detailed))]
+    return kept

@@ -54,6 +54,8 @@ def fit(
     Raises TerrainError if a number cannot be used.
     """
     check_interpolation(field.interpolation)
+    if field.detail:
+        raise TerrainError("A fit is of the raster's own surface; set the amplitude of the terrain's detail to 0.")
     threads = launch.default_threads() if threads is None else max(1, threads)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
     error_m = criterion.error_m

@@ -29,8 +29,8 @@ from ..field.heightfield import HeightField
 from ..mesh import borders
 from ..mesh.builder import SurfaceBuilder
 from ..mesh.surface import Surface
-from ..refine.domain import depth_limit, make_domain
-from ..refine.refinement import DEPTH_BELOW_CELLS, MAX_TRIANGLES, Refinement
+from ..refine.domain import DEPTH_BELOW_CELLS, make_domain, usual_depth
+from ..refine.refinement import MAX_TRIANGLES, Refinement
 from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
@@ -85,7 +85,7 @@ class Fitter:
         self.placement = (float(vertical_scale), float(vertical_offset))
         self.scale = abs(self.placement[0])
         self.source = field.source_max * self.scale
-        self.depth = max(1, min(depth_limit(field), field.lattice.cell_depth + DEPTH_BELOW_CELLS))
+        self.depth = max(1, usual_depth(field))
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> Mesh | None:

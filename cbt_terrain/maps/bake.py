@@ -179,7 +179,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 def _values(place: _Place, images: list[_Image], tile: int, side: int, first: int) -> dict[str, np.ndarray]:
     """The effects of the images at a band of a tile's texels, by name."""
-    places = texel_places(place.field, place.tiling, tile, side, first, _band(side), place)
+    places = _texel_places(place, tile, side, first, _band(side))
     steps = list(plan([image.asked for image in images]).steps)
     values: dict[str, np.ndarray] = {}
     while steps:
@@ -194,11 +194,9 @@ def _reads(step: Asked) -> set[str]:
     return set(EFFECTS[step.name].reads_with(step.parameters))
 
 
-def texel_places(
-    field: HeightField, tiling: Tiling, tile: int, side: int, first: int, rows: int, place: "_Place"
-) -> Places:
+def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
     """The ground under `rows` rows of the texels of a tile's image of `side` texels a side, from row `first`."""
-    raster, grid = kernels.Raster(), kernels.Texels()
+    raster, grid, field, tiling = kernels.Raster(), kernels.Texels(), place.field, place.tiling
     lattice = field.lattice
     raster.samples = codes.packed(field.samples, field.steps)
     raster.columns, raster.rows = lattice.width, lattice.height

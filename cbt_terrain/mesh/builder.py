@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from ...kernels.detail import displace as detail_kernels
 from ...kernels.mesh import displace as displace_kernels
 from ...kernels.mesh import join as join_kernels
 from ...kernels.mesh import meshlet as meshlet_kernels
@@ -60,6 +61,7 @@ class SurfaceBuilder:
         self._weld = weld_state.Weld()
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
+        self._detail = field.detail and field.detail.packed(field.finest_edge)
         self._recorded: dict = {}
         self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
         self._swapped: list[np.ndarray] = []  # ... once these have changed places again
@@ -263,7 +265,10 @@ class SurfaceBuilder:
             first += n
         not_finite = self._buffers.numpy("not_finite")
         not_finite[0] = 0
-        launch.slices(displace_kernels.displace, inputs, step="displace", recorded=self._recorded)
+        if self._detail:
+            inputs = [[*values, self._detail] for values in inputs]
+        kernel = detail_kernels.displace_detail if self._detail else displace_kernels.displace
+        launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
         if not_finite[0]:
             raise self._field.damage("it has heights that are not finite or too large for a mesh")
 

@@ -11,16 +11,18 @@ from ...kernels.refine.diamond import Asked, LocalView
 from ..ask.criterion import Criterion
 from ..ask.spans import Spans
 from ..field import codes
-from ..field.heightfield import HeightField
+from ..field.detail import EDGES_A_WAVE, highest, radius_at, tables
+from ..field.heightfield import PLANE_BITS, HeightField
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run.buffers import shared
 from .terms import MARGIN, Rounding, weighed_as
 
-# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
-PLANE_BITS = 23
-# Depth of the tree, root squares included: half a gigabyte of address space, of which only what is used is committed.
-MAX_TREE_DEPTH = curve.DEEPEST
+# Depth of the tree, root squares included: 8 MB of address space; with detail half a gigabyte. Only what is used is
+# committed.
+MAX_TREE_DEPTH, MAX_DETAIL_DEPTH = 34, curve.DEEPEST
+# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
+DEPTH_BELOW_CELLS = 8
 # An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
 # a bound a fifth smaller.
 ENOUGH = 0.25
@@ -33,7 +35,18 @@ def depth_limit(field: HeightField) -> int:
     """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
     lattice = field.lattice
     side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
-    return max(1, min(2 * (PLANE_BITS - side_bits), MAX_TREE_DEPTH - lattice.square_bits))
+    most = MAX_DETAIL_DEPTH if field.detail else MAX_TREE_DEPTH
+    return max(1, min(2 * (PLANE_BITS - side_bits), most - lattice.square_bits))
+
+
+def usual_depth(field: HeightField) -> int:
+    """The depth at which refinement stops where nothing else is asked: with detail, where its shortest wave is seen."""
+    lattice, depth = field.lattice, field.lattice.cell_depth + DEPTH_BELOW_CELLS
+    edge = min((length for _, length in field.waves), default=0.0) / EDGES_A_WAVE
+    if edge:
+        longest = 2 * radius_at((lattice.step_x, lattice.step_y), lattice.levels, depth)
+        depth += max(0, math.ceil(2 * math.log2(longest / edge)))
+    return min(depth, depth_limit(field))
 
 
 def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
@@ -64,6 +77,10 @@ def make_domain(
     domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
     domain.source = field.source_max * abs(height_scale)
     domain.enough = ENOUGH * (domain.rounding + domain.source)
+    waves, steps = field.waves, (lattice.step_x, lattice.step_y)
+    domain.detailed, domain.detail_most = int(bool(waves)), highest(waves)
+    domain.detail = shared(tables(waves, steps, lattice.levels, meshlet), wp.vec2f)
+    domain.detail_rim = 2 * (lattice.levels - meshlet)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)

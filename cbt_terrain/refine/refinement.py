@@ -22,9 +22,8 @@ from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
 from .block_tables import blocks
 from .budget import Budget, Found, limit_of
 from .drift import MOST_DRIFT, Walked, move
+from .horizon import fill, has_rings
 
-# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
-DEPTH_BELOW_CELLS = 8
 # Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
 MAX_TRIANGLES = 1 << 26
 # By which part spans of a pixel may change before what is kept of the last frame has to be walked anew.
@@ -34,6 +33,9 @@ SLACK = 0.05
 TAKEN_COST = 0.1
 # A count and a walk agree but where errors are not nested, except on step 0, which need not be counted.
 MOST_SEARCHES = 2
+# How far a triangle limit may relax what is asked while the horizons hold that were made for it: the first that do are
+# taken, the last hide nothing. Of a mesh that nobody limits, and where somebody does.
+RELAXED = (1.0, math.inf), (4.0, 64.0, math.inf)
 # What a walk writes that the next one may copy.
 WRITTEN = ("code", "point", "kept", "kept_counts")
 
@@ -92,23 +94,14 @@ class Refinement:
         asked for so few leaves, so they may well be too few; it only says what is tried first.
         """
         self._need_tree(max(max_depth, MIN_DEPTH))
-        asked.limit, walks = 1.0, None
-        most = max(max_leaves, 2 * self.lattice.squares)
-        start, self._found = self._found, Found(0)
-        # Where the last refinement kept to the limit as asked, this one may, too.
-        plain = not limited or (start is not None and start.step == 0)
-        if plain:
-            walks, counts = self._walk(domain, asked, max_depth, most)
-        low, too_many = int(plain), 0
-        while walks is None:
-            near = start if start and start.step else None
-            self._found = self._budget.search(domain, asked, max_depth, most, near, low)
-            asked.limit, low = limit_of(self._found.step), self._found.step + 1
-            leaves = self._found.splits + 2 * self.lattice.squares
-            walks, counts = self._walk(domain, asked, max_depth, most, leaves)
-            too_many += walks is None
-            if too_many > MOST_SEARCHES:
-                raise self.field.damage("there are more leaves than its errors allow")
+        most, walks = max(max_leaves, 2 * self.lattice.squares), None
+        hides = has_rings(asked)
+        for relaxed in RELAXED[limited] if hides else (math.inf,):
+            if hides:
+                fill(domain, asked, max_depth, relaxed, self.buffers, self.threads)
+            walks, counts = self._limited(domain, asked, max_depth, most, limited, relaxed)
+            if walks is not None:
+                break
         leaves = self._leaves(walks, counts)
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed()
@@ -119,6 +112,29 @@ class Refinement:
         if self._last:
             self._last.leaves = leaves
         return leaves, math.sqrt(asked.limit)
+
+    def _limited(self, domain: Domain, asked: Asked, max_depth: int, most: int, limited: bool, relaxed: float):
+        """The finest walk with at most `most` leaves; (None, None) if what is asked has to be coarsened by more than
+        `relaxed`."""
+        asked.limit, walks, counts = 1.0, None, None
+        start, self._found = self._found, Found(0)
+        # Where the last refinement kept to the limit as asked, this one may, too.
+        plain = not limited or (start is not None and start.step == 0)
+        if plain:
+            walks, counts = self._walk(domain, asked, max_depth, most)
+        low, too_many = int(plain), 0
+        while walks is None:
+            near = start if start and start.step else None
+            self._found = self._budget.search(domain, asked, max_depth, most, near, low)
+            asked.limit, low = limit_of(self._found.step), self._found.step + 1
+            if asked.limit > relaxed**2:
+                break
+            leaves = self._found.splits + 2 * self.lattice.squares
+            walks, counts = self._walk(domain, asked, max_depth, most, leaves)
+            too_many += walks is None
+            if too_many > MOST_SEARCHES:
+                raise self.field.damage("there are more leaves than its errors allow")
+        return walks, counts
 
     def replay(self, domain: Domain, depths: np.ndarray, cell_bits: int) -> tuple[Leaves, float]:
         """The leaves of a saved tree, as the walk that found them gave them, and marked again.

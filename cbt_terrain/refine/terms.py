@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..field.detail import steepest
 from ..field.heightfield import HeightField
 
 # Significant bits of float32: whole multiples of a power of two up to 2^24 times that power are exact.
@@ -77,7 +78,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     apart or more, or it lies in one cell, where a bilinear surface climbs by no more than the cell's corners differ
     (a bicubic one: see above). So half steps of u and v cells along x and y move it by (u + v) R; and by no more
     than (u + v) times the steepest climbs of all along x and y, added up. Where a rim cuts edges, a new vertex lies
-    between two that are rounded, and is rounded again.
+    between two that are rounded, and is rounded again. A detail climbs by what it does, wherever it is.
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
@@ -85,7 +86,11 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
-    return Rounding(z * OUTWARD, lean, cells * climb * abs(vertical_scale))
+    # ... and its places, of which float64 holds no more, move it as little.
+    spare = DISPLACEMENT_ERROR * sum(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
+    along = steepest(field.waves) * abs(vertical_scale)
+    detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
+    return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale))
 
 
 def position_rounding(

@@ -19,6 +19,7 @@ from types import ModuleType
 import warp as wp
 
 from ...kernels import accuracy, budget, field, mesh, refine
+from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
 
@@ -126,8 +127,10 @@ def wait(overlay: bool = False) -> None:
 
 
 def kernel_modules() -> list[ModuleType]:
-    """Every module that has kernels for an import or a frame; other rooms' are for what is asked now and then."""
-    return [module for room in (field, refine, budget, mesh) for module in _modules_of(room)]
+    """Every module that has kernels for an import or a frame; other rooms' are for what is asked now and then, and so
+    is the map of what ground hides."""
+    found = [module for room in (field, refine, budget, mesh) for module in _modules_of(room)]
+    return [module for module in found if module is not horizon_map]
 
 
 def overlay_modules() -> list[ModuleType]:

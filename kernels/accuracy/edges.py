@@ -3,7 +3,8 @@
 
 Over one cell the reference is a saddle, so against a plane it has extrema only on the border of what a triangle covers
 of the cell. Along cell borders both are straight; along a triangle's edge the difference is a parabola in each cell.
-Against a bicubic reference it is a polynomial of degree six there: it is looked at in PLACES places.
+Against a bicubic reference it is a polynomial of degree six there, and a detail is no polynomial: then it is looked at
+in PLACES places.
 """
 
 import warp as wp
@@ -141,7 +142,7 @@ def edge_extremes(
                 e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    if ground.bicubic == 1:
+                    if ground.curved == 1:
                         for q in range(1, PLACES + 1):
                             u, v = on_edge(ground, f, k, place_in(s, q))
                             most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))

@@ -12,7 +12,9 @@ the same maximum: a fault in one of the two shows in the other.
 import warp as wp
 
 from ..field.codes import Samples, sample_at
+from ..field.detail import Detail
 from .cubic import cubic_at
+from .detail import detail_height
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,6 +27,9 @@ class Ground:
     rows: wp.int32
     bits: wp.int32  # 2**bits lattice units a cell
     bicubic: wp.int32  # 1, or 0: bilinear
+    curved: wp.int32  # 0: bilinear without detail, so that extrema have a closed form
+    detail: Detail
+    detail_most: wp.float64  # metres before scaling that it rises or falls, at most
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64
@@ -120,6 +125,15 @@ def plane_at(f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
+def detail_in(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Metres before scaling of the detail, u cells east and v cells north."""
+    z = wp.float64(0.0)
+    if ground.detail.octaves > 0:
+        z = detail_height(ground.detail, ground.west + u * ground.step_x, ground.south + v * ground.step_y)
+    return z
+
+
+@wp.func
 def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface in cell (i, j), metres."""
     at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
@@ -135,6 +149,7 @@ def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float
     z = low + (high - low) * t
     if ground.bicubic == 1:
         z = cubic_at(ground.samples, ground.columns, ground.rows, i, j, s, t)
+    z += detail_in(ground, u, v)
     return z * ground.scale + ground.offset
 
 
@@ -150,7 +165,8 @@ def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
 def reference_sample(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
     """Height of the reference surface at a sample, metres."""
     h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i))
-    return wp.float64(h) * ground.scale + ground.offset
+    z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
+    return z * ground.scale + ground.offset
 
 
 @wp.func

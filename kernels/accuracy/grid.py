@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh less a bicubic reference inside triangles: no closed form says where that is largest."""
+"""A mesh less a bicubic reference, or one with detail, inside triangles: no closed form says where that is largest."""
 
 import warp as wp
 

@@ -4,17 +4,17 @@
 Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest height; a ray climbs
 to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps;
 here with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and
-what is found is exact. Of a bicubic surface it is looked at in PLACES + 1 places of the ray in the cell, and a change
-of sides between two of them is halved down: a ray that dips into the surface and out again between two places is not
-seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
-is a crossing, so that no ray slips through. All arithmetic is float64.
+what is found is exact. Of a bicubic surface, and of one with detail, it is looked at in PLACES + 1 places of the ray in
+the cell, and a change of sides between two of them is halved down: a ray that dips into the surface and out again
+between two places is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change
+of sides between two cells is a crossing, so that no ray slips through. All arithmetic is float64.
 """
 
 import warp as wp
 
 from ..field.codes import sample_at
-from .cubic import cubic_at, heights_about
-from .facets import Ground
+from .cubic import heights_about
+from .facets import Ground, in_cell
 
 wp.set_module_options({"enable_backward": False})
 
@@ -143,11 +143,8 @@ def in_one_cell(
 
 @wp.func
 def above_patch(ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
-    """Metres of the ray above the bicubic surface in cell (i, j)."""
-    s = ray.u + t * ray.du - wp.float64(i)
-    r = ray.v + t * ray.dv - wp.float64(j)
-    z = cubic_at(ground.samples, ground.columns, ground.rows, i, j, s, r)
-    return ray.z + t * ray.dz - (z * ground.scale + ground.offset)
+    """Metres of the ray above the surface in cell (i, j)."""
+    return ray.z + t * ray.dz - in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
 @wp.func
@@ -184,11 +181,11 @@ def in_one_patch(
     side: wp.float64,
     tolerance: wp.float64,
 ):
-    """As `in_one_cell`, of a bicubic surface: to what its places show."""
+    """As `in_one_cell`, of a curved surface: to what its places show."""
     hit = NOWHERE
     a, b = heights_about(ground.samples, ground.columns, ground.rows, i, j)
-    a = a * ground.scale + ground.offset
-    b = b * ground.scale + ground.offset
+    a = (a - ground.detail_most) * ground.scale + ground.offset
+    b = (b + ground.detail_most) * ground.scale + ground.offset
     z0 = ray.z + first * ray.dz
     z1 = ray.z + last * ray.dz
     above = wp.min(z0, z1) - wp.max(a, b)
@@ -258,7 +255,7 @@ def first_crossing(
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
         if level == 0:
-            if ground.bicubic == 1:
+            if ground.curved == 1:
                 hit, side = in_one_patch(ground, ray, i, j, t, out, side, tolerance)
             else:
                 hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)

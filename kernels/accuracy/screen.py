@@ -284,7 +284,7 @@ def triangle_px(
                 e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    if ground.bicubic == 1:
+                    if ground.curved == 1:
                         for q in range(1, PLACES + 1):
                             u, v = on_edge(ground, f, k, place_in(s, q))
                             most = wp.max(most, seen_px(ground, eye, f, u, v))

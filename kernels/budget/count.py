@@ -111,7 +111,7 @@ def add_alike(
     alike = doubtful < 2
     last = w.coarsest
     if doubtful == 1:
-        coarse2, _inside = coarsest(asked, m.diamond, band.clear)
+        coarse2, _told = coarsest(asked, m.diamond, band.known)
         last = last_of_edges(asked, limits, w, t.step, domain.unit_bits, split_depth, m.climb2, m.pixel2 * limits.finer)
         climb2 = wp.float64(0.0)
         alike = last == last_of_edges(
@@ -148,13 +148,13 @@ def judge(
         looks = p.number >= 0
     # What is certain to be split is measured for what can be said below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
-        m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.clear)
+        m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.known)
         t = note(w, t, p.code, cell.halves)
         looks = wp.bool(False)
         if too_coarse(asked, asked.limit, m):
             last = last_split(asked, limits, w, t.step, m)
             if p.number >= 0:
-                band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.clear)
+                band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.known)
                 w.stack[top].band = band
                 looks = wp.bool(True)
                 if own <= band.leaf_up_to:

@@ -34,6 +34,10 @@ class Domain:
     most_lean: wp.float64  # ... metres, at most
     source: wp.float64  # metres: what the source's own heights may be off
     enough: wp.float64  # metres of own error from which on nothing is gained
+    detailed: wp.int32  # 1: a detail is added to the surface, see cbt_terrain/field/detail.py
+    detail_most: wp.float64  # metres that it rises or falls, at most
+    detail: wp.array(dtype=wp.vec2f)  # ... and for each depth: what a leaf misses of it, and what its edges climb
+    detail_rim: wp.int32  # deepest leaves whose triangles may reach over the raster's rim
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths, the cells and the bends: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row

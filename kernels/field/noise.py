@@ -15,7 +15,7 @@ def scramble(value: wp.uint32):
     """Integer hash (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
     x = value
     x = (x ^ (x >> wp.uint32(16))) * wp.uint32(0x7FEB352D)
-    x = (x ^ (x >> wp.uint32(15))) * wp.uint32(0x846CA68B)
+    x = (x ^ (x >> wp.uint32(15))) * wp.uint32(-0x7B935975)  # 0x846CA68B: literals are int32
     return x ^ (x >> wp.uint32(16))
 
 

@@ -153,6 +153,41 @@ def take_run(
     return begin, stop
 
 
+@wp.func
+def fetch_samples(domain: Domain, q: wp.vec2i):
+    """Bring the samples about a lattice point into the cache; nothing is read."""
+    bits = domain.unit_bits - domain.levels
+    near = wp.int64(q[1] >> bits) * wp.int64(domain.width) + wp.int64(q[0] >> bits)
+    prefetch_sample(domain.samples, near)
+    prefetch_sample(domain.samples, near - wp.int64(domain.width))
+    prefetch_sample(domain.samples, near + wp.int64(domain.width))
+
+
+@wp.func
+def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
+    """Height and gradient (metres a cell) of the surface at a lattice point."""
+    bits = domain.unit_bits - domain.levels
+    cell = wp.int32(1) << bits
+    columns = domain.width
+    rows = domain.height
+    x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
+    y = wp.min(p[1], domain.north)
+    g = wp.vec3d()
+    if ((x | y) & (cell - 1)) == 0:
+        g = on_sample(domain.samples, columns, rows, x >> bits, y >> bits)
+    else:
+        part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
+        i = wp.min(x >> bits, columns - 2)
+        j = wp.min(y >> bits, rows - 2)
+        s = wp.float64(x - (i << bits)) * part
+        t = wp.float64(y - (j << bits)) * part
+        if domain.bicubic == 1:
+            g = in_patch(domain.samples, columns, rows, i, j, s, t)
+        else:
+            g = in_cell(domain.samples, columns, rows, i, j, s, t)
+    return g
+
+
 @wp.kernel
 def displace(
     first: wp.int32,
@@ -167,13 +202,7 @@ def displace(
 
     `slot`: the list of points that were taken from the last frame.
     """
-    bits = domain.unit_bits - domain.levels
-    cell = wp.int32(1) << bits
-    columns = domain.width
-    rows = domain.height
-    samples = domain.samples
-    part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
-    last = wp.int64(end - 1)
+    last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
@@ -181,25 +210,7 @@ def displace(
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)
-            q = pair_at(points.point, wp.min(k + wp.int64(AHEAD), point_base + last))
-            near = wp.int64(q[1] >> bits) * wp.int64(columns) + wp.int64(q[0] >> bits)
-            prefetch_sample(samples, near)
-            prefetch_sample(samples, near - wp.int64(columns))
-            prefetch_sample(samples, near + wp.int64(columns))
+            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             p = pair_at(points.point, k)
-            x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
-            y = wp.min(p[1], domain.north)
-            g = wp.vec3d()
-            if ((x | y) & (cell - 1)) == 0:
-                g = on_sample(samples, columns, rows, x >> bits, y >> bits)
-            else:
-                i = wp.min(x >> bits, columns - 2)
-                j = wp.min(y >> bits, rows - 2)
-                s = wp.float64(x - (i << bits)) * part
-                t = wp.float64(y - (j << bits)) * part
-                if domain.bicubic == 1:
-                    g = in_patch(samples, columns, rows, i, j, s, t)
-                else:
-                    g = in_cell(samples, columns, rows, i, j, s, t)
-            put_vertex(points, vertex_base + u, domain, p, g)
+            put_vertex(points, vertex_base + u, domain, p, surface_at(domain, p))
         v = stop

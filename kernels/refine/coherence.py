@@ -9,7 +9,21 @@ a walk without memory gives.
 
 import warp as wp
 
-from .diamond import CLEAR, ORTHOGRAPHIC, OUTSIDE, PERSPECTIVE, Asked, LocalView, larger, smaller, stand_of
+from .diamond import (
+    BARE,
+    CLEAR,
+    HIDDEN,
+    IN_FRAME,
+    ORTHOGRAPHIC,
+    OUTSIDE,
+    PERSPECTIVE,
+    Asked,
+    LocalView,
+    larger,
+    smaller,
+    stand_of,
+    veil_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +38,7 @@ class Subtree:
     cell: wp.uint64  # first deepest cell, all squares in a row
     depth: wp.int32
     stands: wp.int32  # in the frustum or outside: CLEAR or OUTSIDE
+    veil: wp.int32  # BARE, or HIDDEN by nearer ground
     leaves: wp.int32
     vertices: wp.int32  # new ones
     edges: wp.int32
@@ -104,6 +119,15 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
+def veil_in(asked: Asked, low: wp.vec3d, high: wp.vec3d, stands: wp.int32, known: wp.int32) -> wp.int32:
+    """As `veil_of`, of the first view; BARE also where a box is as coarse outside the frustum as if it were hidden."""
+    veil = wp.int32(BARE)
+    if stands != OUTSIDE or asked.view.off_screen2 < asked.view.hidden2:
+        veil = veil_of(asked.view, asked.slopes, low, high, known)
+    return veil
+
+
+@wp.func
 def span_change(view: LocalView, motion: Motion, kept: Subtree):
     """By how much, least and most, spans have grown in any box of the subtree, metres; and whether that is known."""
     least = wp.float64(0.0)
@@ -111,9 +135,12 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     known = wp.int32(1)
     if view.kind != ORTHOGRAPHIC:
         least, most, known = change_of(view, motion, kept.low, kept.high)
-    span = wp.sqrt(view.pixel2)
+    coarser2 = wp.float64(1.0)
     if kept.stands == OUTSIDE:
-        span = span * wp.sqrt(view.off_screen2)
+        coarser2 = view.off_screen2
+    if kept.veil == HIDDEN:
+        coarser2 = larger(coarser2, view.hidden2)
+    span = wp.sqrt(view.pixel2) * wp.sqrt(coarser2)
     growth = motion.ratio - wp.float64(1.0)
     # Spans drift, and so do those at which diamonds are decided otherwise.
     rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
@@ -123,10 +150,10 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
 
 
 @wp.func
-def carried(asked: Asked, motion: Motion, kept: Subtree, clear: wp.int32):
+def carried(asked: Asked, motion: Motion, kept: Subtree, known: wp.int32):
     """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
 
-    `clear`: the frustum is known to hold it.
+    known: what is known of it, see diamond.py.
     """
     least, most, holds = span_change(asked.view, motion, kept)
     kept.fall = kept.fall + least
@@ -136,9 +163,11 @@ def carried(asked: Asked, motion: Motion, kept: Subtree, clear: wp.int32):
         holds = 0
     if holds == 1:
         stands = CLEAR
-        if clear == 0:
+        if (known & IN_FRAME) == 0:
             stands = stand_of(asked.view, kept.low, kept.high)
         holds = wp.where(stands == kept.stands, 1, 0)
+    if holds == 1 and veil_in(asked, kept.low, kept.high, kept.stands, known) != kept.veil:
+        holds = 0
     if holds == 1:
         kept.fine = kept.fine + least
         kept.coarse = kept.coarse + most

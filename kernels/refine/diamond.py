@@ -12,6 +12,7 @@ from ..field.codes import error_of, sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..unchecked import code_at, entry_at, number_at, prefetch_byte
+from .hiding import Rings, is_bare, is_hidden
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,6 +22,11 @@ PANORAMIC = wp.constant(2)
 CLEAR = wp.constant(1)
 OUTSIDE = wp.constant(0)
 CROSSED = wp.constant(-1)
+UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
+# What is known of a box, and so of those inside it, by all views: bits.
+IN_FRAME = wp.constant(1)  # the frustum holds it
+BARE = wp.constant(2)  # nearer ground hides none of it
+HIDDEN = wp.constant(4)  # ... all of it
 MAX_PLANES = wp.constant(6)
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
@@ -38,6 +44,8 @@ class LocalView:
     cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
+    hidden2: wp.float64  # ... of what nearer ground hides
+    rings: Rings
     planes: planes_type  # positive towards the frustum
 
 
@@ -56,6 +64,7 @@ class Asked:
     axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
     view: LocalView  # the first view
     views: wp.array(dtype=LocalView)  # all of them
+    slopes: wp.array(dtype=wp.float32)  # their horizons, see hiding.py
 
 
 @wp.func
@@ -154,8 +163,8 @@ def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.b
 
 
 @wp.func
-def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
     if is_beyond(domain, x, y, depth):
@@ -178,6 +187,29 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
         # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
         halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
         error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
+    return error
+
+
+@wp.func
+def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """What leaves at `leaf_depth` in the diamond split at (x, y) miss of a detail, at most: metres, before scaling.
+
+    Beyond the rim the surface goes on level, so a triangle that reaches over it may miss all.
+    """
+    at = leaf_depth
+    if leaf_depth <= domain.detail_rim:
+        reach = reach_of(domain.unit_bits, depth)
+        if x + reach > domain.east or y + reach > domain.north:
+            at = 0
+    return domain.detail[at][0]
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+    error = raster_error_at(domain, x, y, depth)
+    if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
+        error = (error + detail_missed(domain, x, y, depth, depth)) * UP
     return error
 
 
@@ -325,6 +357,11 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
+    if domain.detailed == 1 and d.rim < 2:
+        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.detail_most * domain.error_scale)
+        d.low = d.low - more
+        d.high = d.high + more
+        d.rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
     return d
 
 
@@ -385,11 +422,8 @@ def pixel2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, d
 
 
 @wp.func
-def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
-    """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum.
-
-    `clear`: the frustum is known to hold the box.
-    """
+def nearest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
+    """Squared metres that a pixel spans at least, wherever in the box."""
     zero = wp.float64(0.0)
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
@@ -398,62 +432,100 @@ def finest_in(view: LocalView, d: Diamond, clear: wp.int32) -> wp.float64:
         dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
         dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
         pixel2 = pixel2_at(view, dx, dy, dz, least_of(view.depth, d.low, d.high))
-    if clear == 0:
-        for p in range(view.plane_count):
-            if most_of(view.planes[p], d.low, d.high) < zero:
-                pixel2 = pixel2 * view.off_screen2
-                break
     return pixel2
 
 
 @wp.func
-def coarsest_in(view: LocalView, d: Diamond, clear: wp.int32):
-    """Squared metres that a pixel spans at most, in whatever box inside this one; and whether the frustum holds it."""
-    zero = wp.float64(0.0)
+def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
+    """Squared metres that a pixel spans at most, in whatever box inside this one."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
         dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
         dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
         dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
         pixel2 = pixel2_at(view, dx, dy, dz, most_of(view.depth, d.low, d.high))
-    inside = wp.int32(1)
-    if clear == 0:
-        for p in range(view.plane_count):
-            if least_of(view.planes[p], d.low, d.high) < zero:
-                pixel2 = pixel2 * view.off_screen2
-                inside = 0
-                break
-    return pixel2, inside
-
-
-@wp.func
-def finest(asked: Asked, d: Diamond, clear: wp.int32) -> wp.float64:
-    """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
-    pixel2 = wp.float64(wp.inf)
-    if asked.view_count > 0 and d.rim < 2:
-        pixel2 = finest_in(asked.view, d, clear)
-        for v in range(1, asked.view_count):
-            pixel2 = smaller(pixel2, finest_in(asked.views[v], d, clear))
     return pixel2
 
 
 @wp.func
-def coarsest(asked: Asked, d: Diamond, clear: wp.int32):
-    """As `coarsest_in`, of the view that has the finest pixels there; inside if all frustums hold the box.
+def veil_of(
+    view: LocalView, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d, known: wp.int32
+) -> wp.int32:
+    """Whether nearer ground hides all of a box (HIDDEN), none of it (BARE), or perhaps some of it (0)."""
+    veil = known & (BARE | HIDDEN)
+    if view.rings.count == 0:
+        veil = BARE
+    elif veil == 0:
+        if is_hidden(view.rings, slopes, low - view.eye, high - view.eye):
+            veil = HIDDEN
+        elif is_bare(view.rings, slopes, low - view.eye, high - view.eye):
+            veil = BARE
+    return veil
+
+
+@wp.func
+def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32) -> wp.float64:
+    """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum and
+    where nearer ground hides it."""
+    zero = wp.float64(0.0)
+    coarser2 = wp.float64(1.0)
+    if (known & IN_FRAME) == 0:
+        for p in range(view.plane_count):
+            if most_of(view.planes[p], d.low, d.high) < zero:
+                coarser2 = view.off_screen2
+                break
+    if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
+        if (known & HIDDEN) != 0 or is_hidden(view.rings, slopes, d.low - view.eye, d.high - view.eye):
+            coarser2 = view.hidden2
+    return nearest_pixel2(view, d) * coarser2
+
+
+@wp.func
+def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32):
+    """Squared metres that a pixel spans at most, in whatever box inside this one; and what is known of it."""
+    zero = wp.float64(0.0)
+    coarser2 = wp.float64(1.0)
+    inside = wp.int32(IN_FRAME)
+    if (known & IN_FRAME) == 0:
+        for p in range(view.plane_count):
+            if least_of(view.planes[p], d.low, d.high) < zero:
+                coarser2 = view.off_screen2
+                inside = 0
+                break
+    veil = veil_of(view, slopes, d.low, d.high, known)
+    if veil != BARE:
+        coarser2 = larger(coarser2, view.hidden2)
+    return farthest_pixel2(view, d) * coarser2, inside | veil
+
+
+@wp.func
+def finest(asked: Asked, d: Diamond, known: wp.int32) -> wp.float64:
+    """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
+    pixel2 = wp.float64(wp.inf)
+    if asked.view_count > 0 and d.rim < 2:
+        pixel2 = finest_in(asked.view, asked.slopes, d, known)
+        for v in range(1, asked.view_count):
+            pixel2 = smaller(pixel2, finest_in(asked.views[v], asked.slopes, d, known))
+    return pixel2
+
+
+@wp.func
+def coarsest(asked: Asked, d: Diamond, known: wp.int32):
+    """As `coarsest_in`, of the view that has the finest pixels there; known is what holds for all views.
 
     Some of the boxes inside one that reaches beyond the rim are wholly beyond it: none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
-    inside = wp.int32(1)
+    told = wp.int32(IN_FRAME)
     if asked.view_count > 0:
-        pixel2, inside = coarsest_in(asked.view, d, clear)
+        pixel2, told = coarsest_in(asked.view, asked.slopes, d, known)
         for v in range(1, asked.view_count):
-            p2, i = coarsest_in(asked.views[v], d, clear)
+            p2, t = coarsest_in(asked.views[v], asked.slopes, d, known)
             pixel2 = smaller(pixel2, p2)
-            inside = inside & i
+            told = told & t
     if d.rim > 0:
         pixel2 = wp.float64(wp.inf)
-    return pixel2, inside
+    return pixel2, told
 
 
 @wp.func

@@ -20,10 +20,12 @@ from .diamond import (
     Diamond,
     Domain,
     LocalView,
+    detail_missed,
     diamond_at,
-    error_at,
-    finest_in,
+    is_beyond,
     larger,
+    nearest_pixel2,
+    raster_error_at,
     rest_of,
     sizes,
     smaller,
@@ -125,6 +127,8 @@ def box_between(
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
         least, most = heights_between(domain, x0, y0, x1, y1)
+        least -= domain.detail_most
+        most += domain.detail_most
         z0 = least * domain.height_scale + domain.height_offset
         z1 = most * domain.height_scale + domain.height_offset
         # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
@@ -171,7 +175,7 @@ def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
     if stand_of(view, d.low, d.high) != OUTSIDE:
-        pixel2 = finest_in(view, d, 1)
+        pixel2 = nearest_pixel2(view, d)
         if view.kind == PERSPECTIVE:
             ahead = least_depth(view, d)
             if ahead > wp.float64(0.0):
@@ -207,13 +211,15 @@ def error_below(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, deepe
 
     Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection; but where
     the diamond has no side of the cell, those below it that have one take the error of the next cell: at most four
-    times, of a bicubic surface twice, the cell's own.
+    times, of a bicubic surface twice, the cell's own. What is missed of a detail depends on their depth alone.
     """
-    error = wp.float64(error_at(domain, x, y, depth)) * domain.error_scale
+    error = wp.float64(raster_error_at(domain, x, y, depth)) * domain.error_scale
     if depth > 2 * domain.levels and depth < deepest:
         beside = wp.where((depth & 1) == 0, 0, wp.where(domain.bicubic == 0, 2, 1))
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, depth) - beside, 0)
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
+    if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
+        error += wp.float64(detail_missed(domain, x, y, depth, deepest)) * domain.error_scale
     return error
 
 

@@ -6,7 +6,7 @@ import warp as wp
 from ..unchecked import copy_cells, copy_codes, copy_points
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
-from .coherence import Subtree, carried
+from .coherence import Subtree, carried, veil_in
 from .diamond import CROSSED, Asked, coarsest, smaller, stand_of
 from .emit import stands_alone
 from .steps import size_of
@@ -96,7 +96,7 @@ def take(asked: Asked, w: Walk, q: Square, c: Cursor, n: Written) -> wp.int32:
         while w.keeper[k].cell < at or (w.keeper[k].cell == at and w.keeper[k].depth < c.depth):
             seek(w, w.keeper[k].next)
         if w.keeper[k].cell == at and w.keeper[k].depth == c.depth:
-            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].clear)
+            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].known)
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = TAKEN
                 copy_taken(w, subtree, n)
@@ -133,17 +133,20 @@ def open_subtree(asked: Asked, w: Walk, q: Square, c: Cursor, m: Measured, band:
     few = m.own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
     few = few or w.max_depth - c.depth <= LAST_LEVELS
     if few and w.keeper[k].end == NOWHERE and w.keeper[k].count < w.room:
-        if stands_alone(w, q, c):
+        stands = stand_of(asked.view, m.diamond.low, m.diamond.high)
+        veil = veil_in(asked, m.diamond.low, m.diamond.high, stands, band.known)
+        if veil != 0 and stands_alone(w, q, c):
             w.keeper[k].end = q.base + c.cell + size_of(w, c.depth)
             w.keeper[k].before = n
             w.keeper[k].stopped_before = w.keeper[k].stopped
             w.keeper[k].stopped = 0
             entry = wp.int64(k) * w.room + w.keeper[k].count
-            coarse2, _inside = coarsest(asked, m.diamond, 0)
+            coarse2, _told = coarsest(asked, m.diamond, 0)
             span = wp.sqrt(m.pixel2)
             w.kept[entry].cell = q.base + c.cell
             w.kept[entry].depth = c.depth
-            w.kept[entry].stands = stand_of(asked.view, m.diamond.low, m.diamond.high)
+            w.kept[entry].stands = stands
+            w.kept[entry].veil = veil
             w.kept[entry].low = m.diamond.low
             w.kept[entry].high = m.diamond.high
             w.kept[entry].fine = span

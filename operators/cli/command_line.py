@@ -19,7 +19,7 @@ from .argument_types import MAX_INT, argument, count, pair, parse_effects, part,
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
-MAX_ERROR_PX, MAX_ERROR_M = 1e6, 1e9
+MAX_ERROR_PX, MAX_ERROR_M, MAX_DETAIL_M = 1e6, 1e9, 1e6
 MAX_BUDGET_MB = 1e9
 FRAMES = "A,B-C,D-E:STEP"
 AT_MOST = "triangles at most, but not fewer than two for each root square"
@@ -107,6 +107,9 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST + "; the error reached is reported")
     between = {"choices": INTERPOLATIONS, "help": "of the surface between samples"}
     verb.add_argument("--interpolation", default=INTERPOLATIONS[0], **between)
+    detail = {"type": pair(",", float, MAX_DETAIL_M), "metavar": "AMPLITUDE,WAVELENGTH"}
+    detail["help"] = "metres of height and length of detail below the raster's cells"
+    verb.add_argument("--detail", **detail)
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
     verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
@@ -126,6 +129,7 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
     verb.add_argument("--interpolation", **between)
+    verb.add_argument("--detail", **detail)
     verb.add_argument(
         "--effects",
         type=argument(parse_effects),

@@ -116,6 +116,7 @@ def run_bake(arguments) -> None:
             arguments.budget,
             needs_blender([form]),
             arguments.interpolation,
+            _detail(arguments),
             arguments.fit,
             bar.to,
         )
@@ -125,6 +126,13 @@ def run_bake(arguments) -> None:
     print(summary_line(arguments.out.name, [figures(piece)]))
     if arguments.fit and not piece.update.rounds:
         print("the fit saved no triangles: this is the mesh without it")
+
+
+def _detail(arguments):
+    """What --detail asks for, if it was given."""
+    from ...cbt_terrain.field.detail import Detail
+
+    return Detail(*arguments.detail) if arguments.detail else None
 
 
 def run_export(arguments) -> None:
@@ -167,6 +175,7 @@ def _export_source(arguments):
             arguments.interpolation,
             arguments.shading_floor,
             arguments.effects,
+            _detail(arguments),
         )
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
@@ -179,9 +188,8 @@ def _export_source(arguments):
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]
     in_blender = needs_blender(arguments.format)
-    return StoreFrames(
-        arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, arguments.effects or ()
-    )
+    more = arguments.effects or (), _detail(arguments)
+    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, *more)
 
 
 def run_effects(arguments) -> None:

@@ -17,7 +17,8 @@ from ...cbt_terrain.effects.evaluate import Evaluator
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.field.detail import Detail
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
@@ -61,11 +62,12 @@ class StoreFrames:
         in_blender: bool,
         interpolation: str = INTERPOLATIONS[0],
         effects: Sequence[str] = (),
+        detail: Detail | None = None,
     ):
         """`effects`: names of those whose attributes the mesh gets, at one scale: the raster's."""
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
-        self.field = interpolated(open_store(store), interpolation)
+        self.field = with_detail(interpolated(open_store(store), interpolation), detail)
         self.terrain = Terrain(self.field)
         self.effects = plan(Asked(name, ("the export",), GEOMETRY) for name in effects)
         self.evaluator = Evaluator(launch.default_threads())
@@ -96,7 +98,7 @@ class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
     `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
-    `shading_floor` and `effects` (names) replace what the objects say; None keeps it.
+    `shading_floor`, `effects` (names) and `detail` replace what the objects say; None keeps it.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class SceneFrames:
         interpolation: str | None = None,
         shading_floor: float | None = None,
         effects: tuple[str, ...] | None = None,
+        detail: Detail | None = None,
     ):
         bpy = import_bpy("A .blend file")
         from ..scene import session
@@ -124,7 +127,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, effects)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, effects, detail)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(
@@ -179,6 +182,7 @@ def baked_piece(
     budget: int | None,
     in_blender: bool,
     interpolation: str,
+    detail: Detail | None,
     fitted: bool,
     on_progress: Callable[[float], None],
 ) -> Piece:
@@ -192,7 +196,7 @@ def baked_piece(
 
     if fitted:
         check_interpolation(interpolation)
-    field = interpolated(open_store(store), interpolation)
+    field = with_detail(interpolated(open_store(store), interpolation), detail)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
     more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
@@ -219,6 +223,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "crs": field.crs,
         "height_field": field.key,
         "interpolation": field.interpolation,
+        "detail": asdict(field.detail) if field.detail else None,
     }
 
 

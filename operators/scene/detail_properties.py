@@ -66,6 +66,12 @@ class DetailSettings:
         description="How many times coarser the terrain may be outside the frame; 1 keeps full detail everywhere",
         default=16.0, min=1.0, soft_max=1000.0, precision=1, update=changed,
     )  # fmt: skip
+    hidden_factor: FloatProperty(
+        name="Hidden Factor",
+        description="How many times coarser the terrain may be where nearer ground hides it from the camera; 1 keeps "
+        "full detail. Shadows, mirrors and a wide aperture can show hidden ground: keep 1 where they matter",
+        default=1.0, min=1.0, soft_max=64.0, precision=1, update=changed,
+    )  # fmt: skip
     shading_floor: FloatProperty(
         name="Shading Floor",
         description="From above, errors of height move no pixel but show in shading and shadows: this part of them "

@@ -21,6 +21,7 @@ from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from . import effect_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
+from .ground_properties import GroundDetail
 from .layer_properties import LayerSettings
 from .map_properties import MapSettings
 
@@ -144,6 +145,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Added to every imported height, in metres; acts at once",
         unit="LENGTH", update=changed,
     )  # fmt: skip
+    ground: PointerProperty(type=GroundDetail)
     viewport: PointerProperty(type=ViewportDetail)
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
@@ -203,7 +205,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 CLASSES = (
     *(*effect_properties.CLASSES, *layer_properties.CLASSES),
-    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
+    *(ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 
 

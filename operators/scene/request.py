@@ -15,10 +15,12 @@ from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
+from .ground_properties import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
@@ -38,13 +40,14 @@ class Overrides:
     interpolation: str | None = None
     shading_floor: float | None = None
     effects: tuple[str, ...] | None = None
+    ground: Detail | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
     """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
 
-    `interpolation`: of the height field, by its name in heightfield.py.
+    `interpolation`: of the height field, by its name in heightfield.py. `ground`: the detail on it, or None.
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
@@ -53,6 +56,7 @@ class Request:
 
     store: str
     interpolation: str
+    ground: Detail | None
     criterion: Criterion
     views: list[View]
     placement: np.ndarray
@@ -69,7 +73,7 @@ class Request:
     def key(self) -> tuple:
         """Equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects
-        return self.store, self.interpolation, *self._shape(), *shown
+        return self.store, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -124,16 +128,20 @@ def gather(
     if criterion.needs_view:
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
+    cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
+    if cleanup.active:  # where ground is cut away one sees what it would hide
+        criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=bpy.path.abspath(settings.store),
         interpolation=interpolation,
+        ground=overrides.ground or ground_of(settings.ground, obj.name),
         criterion=criterion,
         views=views,
         placement=placement,
         vertical_scale=settings.vertical_scale,
         vertical_offset=settings.vertical_offset,
         smooth=settings.smooth,
-        cleanup=cleanup_from(settings.cleanup, evaluated, depsgraph),
+        cleanup=cleanup,
         overlay=settings.overlay,
         max_ms=max_ms,
         note=note,
@@ -161,6 +169,7 @@ def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
         error_m=detail.error_m,
         guard_deg=detail.guard_deg,
         off_screen_factor=detail.off_screen_factor,
+        hidden_factor=detail.hidden_factor,
         shading_floor=detail.shading_floor if overrides.shading_floor is None else overrides.shading_floor,
         max_depth=detail.max_depth if detail.limit_depth else None,
         max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,

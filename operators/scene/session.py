@@ -16,6 +16,7 @@ from ...cbt_terrain.effects.evaluate import Evaluator
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
+from ...cbt_terrain.field.heightfield import with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
@@ -209,8 +210,8 @@ def paint(record: Record, request: Request, update) -> None:
 
 
 def field_of(request: Request):
-    """The height field that a request refines, with its interpolation."""
-    return interpolated(open_field(request.store), request.interpolation)
+    """The height field that a request refines, with its interpolation and its detail."""
+    return with_detail(interpolated(open_field(request.store), request.interpolation), request.ground)
 
 
 def open_field(store: str):

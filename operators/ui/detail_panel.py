@@ -22,6 +22,7 @@ def _draw_detail(column, detail) -> None:
     column.separator()
     column.prop(detail, "guard_deg", text="Guard (°)")
     column.prop(detail, "off_screen_factor", text="Off-Screen ×")
+    column.prop(detail, "hidden_factor", text="Hidden ×")
     column.prop(detail, "shading_floor")
     column.prop(detail, "meshlet")
     column.separator()

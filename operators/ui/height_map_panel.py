@@ -94,4 +94,23 @@ class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
         column.prop(settings, "interpolation")
 
 
-CLASSES = (SourcePanel, ImportedPanel, SurfacePanel)
+class GroundDetailPanel(TerrainSubpanel, bpy.types.Panel):
+    """What the height map is too coarse for."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
+    bl_label = "Detail"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_surface"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        ground = context.object.adaptive_terrain.ground
+        column.prop(ground, "amplitude")
+        column = column.column()
+        column.active = ground.amplitude > 0.0
+        column.prop(ground, "wavelength")
+        column.prop(ground, "roughness")
+        column.prop(ground, "seed")
+
+
+CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, GroundDetailPanel)

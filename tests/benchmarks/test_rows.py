@@ -18,8 +18,10 @@ from adaptive_terrain.benchmarks import (
     fit_row,
     goals,
     in_blender,
-    light_rows,
     in_program,
+    layer_rows,
+    light_rows,
+    maps_rows,
     measure,
     report,
     scale,
@@ -200,7 +202,9 @@ def small_suite(monkeypatch):
         engine: {"REFINE_SIZES": {1: (2_000,), 2: (2_000,)}, "MILLION": 8_000, "MESHLET": 1},
         in_blender: {"MILLION": 8_000, "FRAME_SIZES": (8_000, 16_000)},
         measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
+        layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
+        maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
@@ -212,7 +216,8 @@ def small_suite(monkeypatch):
 
 
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
-ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "light_rays", "light_preview", "cold_start"]
+ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
+ENGINE_ROWS += ["maps_normal", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -2,22 +2,25 @@
 """Hard cases 21 to 31 and 33, 34: cameras and transforms, as the engine sees them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from edited_tree import EditedTree
 from fields import (
     random_view,
+    reference_heights,
     rough,
     sample_position,
     scattered,
     screen_error,
 )
+from first_hits import first_hits
 from invariants import arrays, assert_invariants
 
 ONE_PIXEL = Criterion(error_px=1.0, max_triangles=20_000)
@@ -231,3 +234,33 @@ def test_case_46_bounds_hold_for_random_views():
         )
         update = update_and_check(field, [view], criterion)
         assert_bound(field, view, update)
+
+
+def test_case_71_nothing_visible_is_called_hidden():
+    """From one view or two, panoramic too, on and below the ground: what is in front is as fine as without culling.
+
+    An orthographic view hides nothing."""
+    for kinds in ([PERSPECTIVE], [PANORAMIC], [PERSPECTIVE, PANORAMIC], [ORTHOGRAPHIC]):
+        for height in (250.0, 60.0, 0.0, -40.0):
+            field = rough(129, 129, 4, relief=200.0)
+            eye = np.array([-250.0, -300.0, 0.0])
+            eye[2] = reference_heights(field, eye[None, :2])[0] + height
+            wide = {PANORAMIC: 360.0}
+            views = [
+                View.look(
+                    eye + 40.0 * k, (200, 100, eye[2]), kind=kind, fov_deg=wide.get(kind, 60.0), ortho_width=500.0
+                )
+                for k, kind in enumerate(kinds)
+            ]
+            asked = Criterion(error_px=1.5, max_depth=16)
+            whole = Terrain(field, 1).update(asked, views)
+            culled = Terrain(field, 1).update(replace(asked, hidden_factor=50.0), views)
+            assert culled.bound_px <= whole.bound_px
+            if kinds == [ORTHOGRAPHIC] or (height < 0.0 and len(kinds) == 1):
+                assert culled.triangles == whole.triangles
+                continue
+            for view in views:
+                seen, alone = first_hits(culled.surface, view, np.eye(4)), Terrain(field, 1)
+                levels = alone.update(asked, [view]).surface.level
+                middles = culled.surface.positions[culled.surface.triangles[seen]].astype(np.float64).mean(axis=1)
+                assert (culled.surface.level[seen] >= levels[alone.triangles_at(middles[:, :2])]).all()

@@ -4,7 +4,7 @@
 import warp as wp
 
 from .coherence import Motion, Subtree, span_change
-from .diamond import Asked, Diamond, LocalView, finest_in
+from .diamond import Asked, Diamond, LocalView, nearest_pixel2
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,8 +26,8 @@ def spans_of_boxes(
         d = Diamond()
         d.low = boxes[2 * k]
         d.high = boxes[2 * k + 1]
-        spans[k, 0] = wp.sqrt(finest_in(before, d, 1))
-        spans[k, 1] = wp.sqrt(finest_in(asked.view, d, 1))
+        spans[k, 0] = wp.sqrt(nearest_pixel2(before, d))
+        spans[k, 1] = wp.sqrt(nearest_pixel2(asked.view, d))
         subtree.fine = wp.min(subtree.fine, spans[k, 0])
         subtree.coarse = wp.max(subtree.coarse, spans[k, 0])
     least, most, valid = span_change(asked.view, motion, subtree)

@@ -78,6 +78,7 @@ def a_criterion(rng) -> Criterion:
         max_depth=(13, 17, 17, None)[rng.integers(4)],
         max_triangles=rng.choice([None, None, None, 3000]),
         meshlet=int(rng.choice([0, 0, 1])),
+        hidden_factor=float(rng.choice([1.0, 8.0, 30.0])),
     )
 
 

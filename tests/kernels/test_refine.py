@@ -51,7 +51,11 @@ def a_criterion(asks: str, rng) -> Criterion:
     budget = int(rng.choice([300, 20_000, 50_000]))
     depth = [None, None, 5, 12][rng.integers(4)]
     return Criterion(
-        **asked, max_triangles=budget, max_depth=depth, off_screen_factor=float(rng.choice([1.0, 16.0, 1e6]))
+        **asked,
+        max_triangles=budget,
+        max_depth=depth,
+        off_screen_factor=float(rng.choice([1.0, 16.0, 1e6])),
+        hidden_factor=8.0 if px < 6.0 else 1.0,
     )
 
 

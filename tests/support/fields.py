@@ -8,10 +8,11 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import decode
-from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, with_detail
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from detail_surface import detail_heights
 from diamond_entries import range_index
 from matplotlib.tri import Triangulation
 
@@ -103,13 +104,16 @@ def sample_position(field: HeightField, i: int, j: int) -> np.ndarray:
 
 def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
     """The reference surface at points [n, 2] of the terrain's own space."""
+    if field.detail:
+        plain = with_detail(field, None)
+        return reference_heights(plain, plane) + detail_heights(field.detail, len(field.waves), plane)
     if field.interpolation == "bicubic":
         return bezier(field, plane)[0]
     lattice = field.lattice
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
     i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
-    s, t, h = s - i, t - j, np.asarray(field.samples, np.float64)
+    s, t, h = s - i, t - j, np.asarray(field.heights(), np.float64)
     low = h[j, i] * (1 - s) + h[j, i + 1] * s
     return low * (1 - t) + (h[j + 1, i] * (1 - s) + h[j + 1, i + 1] * s) * t
 
@@ -127,7 +131,7 @@ def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
     place = np.clip(plane / steps + cells / 2, 0, cells)
     at = np.minimum(place.astype(int), cells - 1) if cell is None else cell
-    h = np.asarray(field.samples, np.float64)
+    h = np.asarray(field.heights(), np.float64)
     h = np.concatenate([2 * h[:1] - h[1:2], h, 2 * h[-1:] - h[-2:-1]])
     h = np.concatenate([2 * h[:, :1] - h[:, 1:2], h, 2 * h[:, -1:] - h[:, -2:-1]], axis=1)
     near = np.arange(4)

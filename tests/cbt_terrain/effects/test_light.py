@@ -273,3 +273,13 @@ def test_holes_and_hostile_heights_give_numbers_from_0_to_1():
             for quality in ({"quality": sky.FULL}, {"quality": sky.PREVIEW}) if name == "sky" else ({},):
                 found = made(name, every_sample(field), **quality)
                 assert np.isfinite(found).all() and found.min() >= 0.0 and found.max() <= 1.0
+
+
+def test_the_sky_is_kept_under_the_last_two_vertical_scales():
+    field = from_array(raster(70, 60), 3.0)
+    for scale in (1.0, 1.1, 1.2, 1.3):
+        places = every_sample(field, scale)
+        whole, preview = made("sky", places), made("sky", places, quality=sky.PREVIEW)
+    assert [sky.is_quick(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
+    assert sum(key[0] != "tops" for key in field.light) == 4
+    assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)

@@ -11,8 +11,8 @@ from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.maps import exr, png, tiling
 from adaptive_terrain.cbt_terrain.maps import bake as baking
+from adaptive_terrain.cbt_terrain.maps import exr, png, tiling
 from adaptive_terrain.cbt_terrain.maps.bake import bake
 from adaptive_terrain.cbt_terrain.maps.folder import JSON_NAME, read_index
 from adaptive_terrain.cbt_terrain.maps.tiling import tiling_of
@@ -43,8 +43,10 @@ def values(folder, name: str, tile: int) -> np.ndarray:
 
 def waves(x, y):
     """Heights in metres, and their derivatives to the east and the north."""
-    return 9 * np.sin(x / 40) * np.cos(y / 30), 9 / 40 * np.cos(x / 40) * np.cos(y / 30), -0.3 * np.sin(x / 40) * np.sin(
-        y / 30
+    return (
+        9 * np.sin(x / 40) * np.cos(y / 30),
+        9 / 40 * np.cos(x / 40) * np.cos(y / 30),
+        -0.3 * np.sin(x / 40) * np.sin(y / 30),
     )
 
 

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The polar maps of what nearer ground hides from each view; kernels/refine/hiding.py has the method and its proof."""
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ...kernels.refine.diamond import Asked, Domain, LocalView
+from ...kernels.refine.hiding import RING_BITS, ROW
+from ...kernels.refine.horizon_map import fill_horizon
+from ..ask.criterion import LARGEST
+from ..ask.view import KINDS, ORTHOGRAPHIC
+from ..run import launch
+from ..run.buffers import Buffers
+
+BIN_COST = 600.0  # of a bin's rings, in lookups
+
+
+def place_rings(domain: Domain, views: list[LocalView], factor: float) -> int:
+    """Give each view its rings, for ground that may be `factor` times coarser where it is hidden; returns how many
+    entries all maps have. Orthographic views have no eye, and no map: nothing is hidden from them."""
+    entries = 0
+    for view in views:
+        view.hidden2 = min(factor, LARGEST) ** 2
+        first, count = _rings_of(domain, view)
+        if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
+            view.rings.first, view.rings.count, view.rings.at = first, count, entries
+            entries += (count + 1) * int(ROW)
+    return entries
+
+
+def has_rings(asked: Asked) -> bool:
+    """Whether something may be hidden from a view."""
+    return bool(asked.view_count and asked.views.numpy()["rings"]["count"].any())
+
+
+def fill(domain: Domain, asked: Asked, max_depth: int, relaxed: float, buffers: Buffers, threads: int) -> None:
+    """Fill the maps for meshes that keep `relaxed` times what is asked, and leaves down to `max_depth`; of an infinite
+    factor nothing is hidden."""
+    views = [(k, view) for k, view in enumerate(asked.views.numpy()) if view["rings"]["count"]]
+    entries = sum(int(view["rings"]["count"]) + 1 for _, view in views) * int(ROW)
+    asked.slopes = buffers.get("horizons", entries, wp.float32)
+    if relaxed == math.inf:
+        buffers.numpy("horizons")[:entries] = -math.inf
+        return
+    grown = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
+    for k, view in views:
+        start = _start(domain, view["near2"], view["cosine2"], view["weight"])
+        inputs = [domain, asked, k, start, grown, relaxed]
+        launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
+
+
+def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
+    """Number of the first ring of a view, and how many there are: from a raster's cell, or from the raster, to its far
+    corner; none where the view begins."""
+    cells = (domain.width - 1, domain.height - 1)
+    unit = 1 << (domain.unit_bits - domain.levels)
+    near, far = 0.0, 0.0
+    eyes = [float(e) for e in view.eye]
+    sides = zip(eyes, (domain.west, domain.south), (domain.unit_x, domain.unit_y), cells, strict=False)
+    for eye, low, step, count in sides:
+        high = low + count * unit * step
+        near, far = max(near, low - eye, eye - high), max(far, eye - low, high - eye)
+    start = _start(domain, view.near2, view.cosine2, view.weight)
+    first = max(ring_of(max(near, unit * min(domain.unit_x, domain.unit_y))), ring_of(start) + 1)
+    return first, ring_of(far) + 1 - first
+
+
+def _start(domain: Domain, near2: float, cosine2: float, weight) -> float:
+    """Metres of the terrain's space from the eye, along x or y, beyond which all in the frame is drawn.
+
+    Half the clip range's start is in `near2`; so far along the view is that far in camera space over the cosine.
+    """
+    nearest = 2.0 * math.sqrt(float(near2) / (float(cosine2) * min(float(weight[0]), float(weight[1]))))
+    return max(nearest, domain.unit_x, domain.unit_y)
+
+
+def ring_of(distance: float) -> int:
+    """As in kernels/refine/hiding.py."""
+    return int(np.float64(distance).view(np.int64)) >> int(RING_BITS)

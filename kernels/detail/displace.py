@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Displacement of a surface with detail."""
+
+import warp as wp
+
+from ..field.detail import Detail, detail_at
+from ..mesh.displace import AHEAD, Points, fetch_samples, put_vertex, runs_of, surface_at, take_run
+from ..refine.diamond import Domain
+from ..unchecked import pair_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def with_detail(domain: Domain, detail: Detail, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
+    """Height and gradient (metres a cell) at a lattice point, that of the detail added to `g`."""
+    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # beyond the rim it goes on level
+    level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
+    x = domain.west + wp.float64(wp.min(p[0], domain.east)) * domain.unit_x
+    y = domain.south + wp.float64(wp.min(p[1], domain.north)) * domain.unit_y
+    d = detail_at(detail, x, y)
+    return g + wp.vec3d(d[0], d[1] * level_x * domain.unit_x * units, d[2] * level_y * domain.unit_y * units)
+
+
+@wp.kernel
+def displace_detail(
+    first: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+    slot: wp.int32,
+    domain: Domain,
+    points: Points,
+    detail: Detail,
+):
+    """As `displace` in kernels/mesh/displace.py, on the surface with detail; normals are those of all octaves."""
+    last = point_base + wp.int64(end - 1)
+    run, run_end = runs_of(points, slot)
+    v = first
+    while v < end:
+        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        run += wp.int64(1)
+        for u in range(v, begin):
+            k = point_base + wp.int64(u)
+            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            p = pair_at(points.point, k)
+            put_vertex(points, vertex_base + u, domain, p, with_detail(domain, detail, p, surface_at(domain, p)))
+        v = stop

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The polar map of horizons about an eye, from least heights; kernels/refine/hiding.py has the map and what it proves.
+
+An entry's arc is straight: x or y is the ring's radius. A mesh over it is no lower than the least height about it less
+what the mesh may be off, and no ray of the bin passes beside it. Raster and mesh have no gap, so a ray that was above
+the mesh on a nearer arc, and is below it on this one, has met it in between. Beyond the raster nothing hides.
+"""
+
+import warp as wp
+
+from ..field.codes import sample_at
+from ..field.domain import Domain
+from ..field.layout import tile_index
+from .diamond import Asked, LocalView, larger, range_at, smaller
+from .excess import heights_between
+from .hiding import BINS, ROW, radius_of
+
+wp.set_module_options({"enable_backward": False})
+
+FEW_CELLS = wp.constant(4)  # along a rectangle: up to here samples are read, beyond it stored ranges
+NOTHING = wp.constant(wp.float64(-1e30))
+OUTWARD = wp.constant(wp.float64(2e-7))  # what float32 may round off, and more
+
+
+@wp.func
+def least_of_cells(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
+    """Least of sign * height over the raster's cells that a rectangle of the lattice meets, before scaling."""
+    bits = domain.unit_bits - domain.levels
+    i1 = wp.min(x1 >> bits, domain.width - 2)
+    j1 = wp.min(y1 >> bits, domain.height - 2)
+    least = wp.float64(wp.inf)
+    if domain.bicubic == 1:
+        for j in range(y0 >> bits, j1 + 1):
+            for i in range(x0 >> bits, i1 + 1):
+                index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
+                index += wp.where(sign > wp.float64(0.0), wp.int64(0), wp.int64(1))
+                h = domain.range_base + wp.float64(domain.ranges[index]) * domain.range_step
+                least = smaller(least, sign * h)
+    else:
+        for j in range(y0 >> bits, j1 + 2):
+            row = wp.int64(j) * wp.int64(domain.width)
+            for i in range(x0 >> bits, i1 + 2):
+                least = smaller(least, sign * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
+    return least
+
+
+@wp.func
+def least_of_ranges(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
+    """The same from the stored ranges of diamonds about middles of level edges, 2 x 2 edges large: two or three cover
+    the rectangle along its longer side."""
+    bits = domain.unit_bits - domain.levels + 2
+    depth = 2 * domain.levels - 2
+    longer = wp.max(x1 - x0, y1 - y0)
+    while depth > 2 and (wp.int32(3) << bits) < longer:
+        bits += 1
+        depth -= 2
+    edge = wp.int32(1) << bits
+    last_i = (domain.columns << (domain.unit_bits - bits)) - 1
+    last_j = domain.rows << (domain.unit_bits - bits)
+    least = wp.float64(wp.inf)
+    j = wp.min((y0 >> bits) + 1, last_j)
+    more = wp.bool(True)
+    while more:
+        i = wp.min((x0 + edge / 2) >> bits, last_i)
+        beside = wp.bool(True)
+        while beside:
+            r = range_at(domain, (i << bits) + edge / 2, j << bits, depth)
+            code = wp.where(sign > wp.float64(0.0), r[0], r[1])
+            least = smaller(least, sign * (domain.range_base + wp.float64(code) * domain.range_step))
+            beside = ((i + 1) << bits) + edge / 2 < x1 and i < last_i
+            i = wp.min(i + 2, last_i)
+        more = (j + 1) << bits < y1 and j < last_j
+        j = wp.min(j + 2, last_j)
+    return least
+
+
+@wp.func
+def least_over(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
+    """Least of sign * height, metres as they are placed, over a rectangle of the lattice; what is beyond the raster
+    does not count. sign 1: how low the ground is; -1: how high, negated."""
+    bits = domain.unit_bits - domain.levels
+    x0 = wp.max(x0, 0)
+    y0 = wp.max(y0, 0)
+    x1 = wp.min(x1, (domain.width - 1) << bits)
+    y1 = wp.min(y1, (domain.height - 1) << bits)
+    up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
+    least = wp.float64(0.0)
+    if wp.max(x1 - x0, y1 - y0) <= FEW_CELLS << bits or domain.levels < 2:
+        least = least_of_cells(domain, x0, y0, x1, y1, up)
+    else:
+        least = least_of_ranges(domain, x0, y0, x1, y1, up)
+    if domain.detailed == 1:
+        least -= domain.detail_most
+    return least * domain.error_scale + sign * domain.height_offset
+
+
+@wp.func
+def off_at(
+    domain: Domain,
+    asked: Asked,
+    view: LocalView,
+    reach2: wp.float64,
+    relaxed: wp.float64,
+    across2: wp.float64,
+    rise: wp.float64,
+) -> wp.float64:
+    """Metres that the mesh may be off from the surface where it keeps `relaxed` times what is asked, at a place that is
+    sqrt(across2) from the eye in plan, and `rise` above it. Only errors keep a mesh near the surface."""
+    part2 = relaxed * relaxed * asked.error_px2 * view.pixel2
+    metres2 = relaxed * relaxed * asked.metres2
+    # A pixel must not grow as fast as the way to it: else higher ground might have a lower mesh.
+    if part2 * reach2 < wp.float64(0.5):
+        metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
+    return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.most_lean
+
+
+@wp.func
+def reach2_of(view: LocalView) -> wp.float64:
+    """Squared: depths and distances of camera space are at most so many times those of the terrain's space."""
+    depth = view.depth
+    weight = larger(larger(view.weight[0], view.weight[1]), view.weight[2])
+    return larger(depth[0] * depth[0] + depth[1] * depth[1] + depth[2] * depth[2], weight)
+
+
+@wp.func
+def ground_near(domain: Domain, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
+    """The highest ground within `reach` lattice units of (x, y), metres; infinity where that is not all raster."""
+    bits = domain.unit_bits - domain.levels
+    east = wp.float64((domain.width - 1) << bits)
+    north = wp.float64((domain.height - 1) << bits)
+    high = wp.float64(wp.inf)
+    if x - reach > wp.float64(1.0) and y - reach > wp.float64(1.0):
+        if x + reach < east - wp.float64(1.0) and y + reach < north - wp.float64(1.0):
+            x0 = wp.max(wp.int32(x - reach) - 1 - grown, 0)
+            y0 = wp.max(wp.int32(y - reach) - 1 - grown, 0)
+            x1 = wp.int32(wp.min(x + reach + wp.float64(2 + grown), east))
+            y1 = wp.int32(wp.min(y + reach + wp.float64(2 + grown), north))
+            if domain.bicubic == 0 and wp.max(x1 - x0, y1 - y0) <= FEW_CELLS << bits:
+                low_h, high_h = heights_between(domain, x0, y0, x1, y1)
+                z = wp.max(low_h * domain.height_scale, high_h * domain.height_scale)
+                if domain.detailed == 1:
+                    z += domain.detail_most * domain.error_scale
+                high = z + domain.height_offset
+            else:
+                high = -least_over(domain, x0, y0, x1, y1, wp.float64(-1.0))
+    return high
+
+
+@wp.kernel
+def fill_horizon(
+    offset: int,
+    domain: Domain,
+    asked: Asked,
+    number: wp.int32,
+    start: wp.float64,
+    grown: wp.int32,
+    relaxed: wp.float64,
+):
+    """Bin `offset + tid` of view `number`'s map: its floor, and its slope on every ring.
+
+    start: metres, a distance within which nothing may be drawn. grown: lattice units that a leaf at the depth limit
+    reaches, which may be coarser than is asked, but has its corners on the surface. relaxed: see `off_at`.
+    """
+    one = wp.float64(1.0)
+    k = offset + wp.tid()
+    view = asked.views[number]
+    rings = view.rings
+    reach2 = reach2_of(view)
+    side = k / BINS
+    t0 = wp.float64(k - side * BINS) / wp.float64(BINS / 2) - one
+    t1 = t0 + one / wp.float64(BINS / 2)
+    most_t = wp.max(wp.abs(t0), wp.abs(t1))
+    slant2 = one + most_t * most_t
+    bits = domain.unit_bits - domain.levels
+    east = wp.float64((domain.width - 1) << bits)
+    north = wp.float64((domain.height - 1) << bits)
+    x = (view.eye[0] - domain.west) / domain.unit_x
+    y = (view.eye[1] - domain.south) / domain.unit_y
+    floor = wp.float64(wp.inf)
+    begun = wp.int32(0)
+    high = ground_near(domain, x, y, start / wp.min(domain.unit_x, domain.unit_y), grown)
+    if high < wp.float64(wp.inf):
+        begun = 1
+        rise = high - view.eye[2]
+        off = off_at(domain, asked, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
+        floor = (rise + off) / start
+    # Lattice units of an arc's ends from the eye, per metre of radius.
+    ahead = wp.where(side < 2, one, -one)
+    per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
+    per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
+    if (side & 1) == 1:
+        per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
+        per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
+    best = NOTHING
+    for ring in range(rings.count):
+        radius = radius_of(rings.first + ring)
+        u0 = x + radius * per0[0]
+        v0 = y + radius * per0[1]
+        u1 = x + radius * per1[0]
+        v1 = y + radius * per1[1]
+        inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
+        if inside and begun < 2:
+            x0 = wp.int32(u0) - 1 - grown
+            y0 = wp.int32(v0) - 1 - grown
+            x1 = wp.int32(u1) + 2
+            y1 = wp.int32(v1) + 2
+            x1 = x1 + wp.min(grown, wp.int32(east) - x1)
+            y1 = y1 + wp.min(grown, wp.int32(north) - y1)
+            across2 = radius * radius * slant2
+            if begun == 0:  # the eye is beyond the rim: rays must come in above the ground
+                begun = 1
+                rise = -least_over(domain, x0, y0, x1, y1, -one) - view.eye[2]
+                floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
+            rise = least_over(domain, x0, y0, x1, y1, one) - view.eye[2]
+            best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
+        elif begun == 1 and best > NOTHING:
+            begun = 2
+        asked.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)
+    asked.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Horizon culling: hidden ground is coarser, what any view sees is not, and nothing depends on history or threads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.refine.refinement import Refinement
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from fields import extent, reference_heights, rough
+from first_hits import as_keys, first_hits
+from invariants import arrays
+
+SHAPES = (129, 129), (129, 257), (200, 90), (100, 300), (65, 65)
+
+
+def a_field(rng):
+    """Rough, or boxes on a plain; padded or not; floats or 16-bit numbers; bilinear or bicubic."""
+    height, width = SHAPES[rng.integers(len(SHAPES))]
+    relief = float(rng.choice([100.0, 500.0, 1000.0]))
+    if rng.random() < 0.7:
+        field = rough(height, width, int(rng.integers(1 << 30)), relief=relief)
+    else:
+        blocks = (rng.random((height // 8 + 1, width // 8 + 1)) > 0.8).repeat(8, 0).repeat(8, 1)[:height, :width]
+        field = from_array(blocks.astype(np.float32) * relief, 10.0, 8.0)
+    return interpolated(field, INTERPOLATIONS[rng.integers(2)])
+
+
+def a_place(rng) -> np.ndarray:
+    """Half of them turned, stretched and sheared."""
+    placement = np.eye(4)
+    if rng.random() < 0.5:
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        shear = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
+        placement[:3, :3] = turn @ np.diag(10.0 ** rng.uniform(-0.4, 0.4, 3)) @ shear
+        placement[:3, 3] = rng.normal(size=3) * 1000
+    return placement
+
+
+def a_view(rng, field, placement: np.ndarray, scale: float, offset: float) -> View:
+    """From low over the ground, mostly; also from below it and from beyond the rim."""
+    size = extent(field) * [1, 1, abs(scale)]
+    eye = rng.uniform(-0.5, 0.5, 3) * size
+    if rng.random() < 0.2:
+        eye *= [2.5, 2.5, 1.0]
+    ground = reference_heights(field, eye[None, :2])[0] * scale + offset
+    eye[2] = ground + size[2] * 10.0 ** rng.uniform(-2.5, -0.3) * (1 if rng.random() < 0.9 else -0.3)
+    target = rng.uniform(-0.2, 0.2, 3) * size
+    target[2] = eye[2] - rng.uniform(-0.1, 0.2) * size[2]
+    ends = [placement[:3, :3] @ p + placement[:3, 3] for p in (eye, target)]
+    kind = PANORAMIC if rng.random() < 0.2 else PERSPECTIVE
+    clip = (float(rng.choice([0.1, 0.1, 5.0, 60.0])), 1e6)
+    fov = 360.0 if kind == PANORAMIC else float(rng.uniform(20, 100))
+    return View.look(*ends, fov_deg=fov, resolution=(640, 360), kind=kind, clip=clip)
+
+
+def a_criterion(rng) -> Criterion:
+    return Criterion(
+        error_px=float(rng.choice([0.7, 1.5, 3.0])),
+        edge_px=float(rng.choice([0.0] * 7 + [60.0])),
+        error_m=float(rng.choice([0.0, 0.0, 2.0])),
+        off_screen_factor=float(rng.choice([1.0, 1.0, 16.0, 1e6])),
+        guard_deg=float(rng.choice([0.0, 5.0])),
+        max_depth=(11, 15, 16, 16)[rng.integers(4)],
+        meshlet=int(rng.choice([0, 0, 0, 1])),
+    )
+
+
+def scenes(seed: int, count: int, views: int = 1):
+    """Random fields, criteria, views, places and heights."""
+    rng = np.random.default_rng(seed)
+    fields = [a_field(rng) for _ in range((count + 4) // 5)]
+    for k in range(count):
+        field = fields[k // 5]
+        scale, offset = float(rng.choice([1.0, 1.0, -1.5])), float(rng.choice([0.0, 250.0]))
+        placement = a_place(rng)
+        seen = [a_view(rng, field, placement, scale, offset) for _ in range(views)]
+        yield field, a_criterion(rng), seen, placement, (scale, offset)
+
+
+def updated(terrain: Terrain, criterion: Criterion, views, placement, heights):
+    return terrain.update(criterion, views, placement, vertical_scale=heights[0], vertical_offset=heights[1])
+
+
+def check_what_is_seen(scene) -> tuple[int, int]:
+    """Whatever is in front in the mesh with hidden ground 50 times coarser is a triangle of the mesh without, corner by
+    corner; of several views at least as fine as for its view alone. Returns how many triangles the two meshes have."""
+    field, criterion, *rest = scene
+    whole = updated(Terrain(field, 1), criterion, *rest)
+    culled = updated(Terrain(field, 1), replace(criterion, hidden_factor=50.0), *rest)
+    known = as_keys(whole.surface, np.arange(whole.triangles))
+    for view in rest[0]:
+        seen = first_hits(culled.surface, view, rest[1])
+        if len(rest[0]) == 1:
+            assert as_keys(culled.surface, seen) <= known, criterion
+        alone = Terrain(field, 1)
+        levels = updated(alone, criterion, [view], *rest[1:]).surface.level
+        middles = culled.surface.positions[culled.surface.triangles[seen]].astype(np.float64).mean(axis=1)
+        assert (culled.surface.level[seen] >= levels[alone.triangles_at(middles[:, :2])]).all(), criterion
+    assert culled.triangles <= whole.triangles and culled.bound_px <= whole.bound_px
+    return culled.triangles, whole.triangles
+
+
+def test_nothing_that_a_view_sees_is_hidden():
+    """Case 71. 200 random views, perspective and panoramic, also from inside and below the ground and from beyond the
+    rim, of terrains that are turned, stretched and sheared."""
+    counts = [check_what_is_seen(scene) for scene in scenes(71, 200)]
+    fewer = [a < 0.9 * b for a, b in counts]
+    assert sum(fewer) > 10 and min(a / b for a, b in counts) < 0.7, (sum(fewer), counts)
+
+
+def test_what_one_of_several_views_sees_is_not_hidden():
+    """Case 71, with two and three views."""
+    counts = [check_what_is_seen(scene) for views in (2, 3) for scene in scenes(views, 15, views)]
+    assert sum(a < b for a, b in counts) > 5
+
+
+def test_orthographic_views_hide_nothing():
+    """Case 71: they have no eye."""
+    field = rough(129, 129, 3, relief=200.0)
+    view = View.look((0, -900, 300), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=900)
+    plain, hiding = (Terrain(field, 1).update(Criterion(hidden_factor=f), [view]) for f in (1.0, 50.0))
+    assert arrays(plain.surface) == arrays(hiding.surface)
+
+
+def behind_a_ridge(side: int = 257) -> tuple:
+    """Rough ground with a wall across it, and a view from before the wall."""
+    rng = np.random.default_rng(1)
+    z = np.cumsum(rng.standard_normal((side, side)), axis=0).astype(np.float32)
+    z[side // 3 : side // 3 + 6] += 200.0
+    return z, View.look((0, -8.0 * side / 2, 60.0), (0, 0, 60.0), resolution=(960, 540))
+
+
+def test_ground_behind_a_ridge_is_coarser_by_the_factor_and_no_more():
+    z, view = behind_a_ridge()
+    field = from_array(z, 8.0)
+    found = [Terrain(field, 1).update(Criterion(error_px=1.0, hidden_factor=f), [view]) for f in (1, 2, 8, 1e30)]
+    assert [u.triangles for u in found] == sorted((u.triangles for u in found), reverse=True)
+    assert found[2].triangles < 0.8 * found[0].triangles
+    assert {u.bound_px for u in found} == {1.0}
+
+
+def test_without_an_error_or_with_holes_nothing_is_hidden():
+    """Edges alone do not say how low the mesh in front is; through holes one sees what is behind them."""
+    z, view = behind_a_ridge(129)
+    holes = z.copy()
+    holes[60:64, 60:64] = np.nan
+    for field, asked in (
+        (from_array(z, 8.0), {"error_px": 0.0, "edge_px": 20.0}),
+        (from_array(holes, 8.0, holes=True), {"error_px": 1.0}),
+    ):
+        plain, hiding = (Terrain(field, 1).update(Criterion(**asked, hidden_factor=f), [view]) for f in (1.0, 50.0))
+        assert arrays(plain.surface) == arrays(hiding.surface)
+
+
+def test_a_hidden_mesh_is_a_function_of_the_view_alone(monkeypatch):
+    """There and back, from one thread and from three: the same bytes; with a triangle limit, too."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    for number, (field, criterion, views, placement, heights) in enumerate(scenes(5, 24, 2)):
+        asked = replace(criterion, hidden_factor=8.0, max_triangles=(None, 2000, 300)[number % 3])
+        first, second = [views[0]], [views[1]]
+        flown, fresh = Terrain(field, 3), Terrain(field, 1)
+        before = arrays(updated(flown, asked, first, placement, heights).surface)
+        updated(flown, asked, second, placement, heights)
+        assert arrays(updated(flown, asked, first, placement, heights).surface) == before
+        assert arrays(updated(fresh, asked, first, placement, heights).surface) == before
+
+
+def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
+    """What the search has counted is what the walk makes, however much the limit relaxes what is asked."""
+    counted = []
+    walk = Refinement._walk
+
+    def noted(self, domain, asked, max_depth, most, expected=0):
+        walks, counts = walk(self, domain, asked, max_depth, most, expected)
+        if expected and walks is not None:  # step 0 need not be counted
+            counted.append((expected, int(counts[:, 0].sum()), asked.limit))
+        return walks, counts
+
+    monkeypatch.setattr(Refinement, "_walk", noted)
+    for limit in (100, 1000, 5000):
+        for field, criterion, *rest in scenes(limit, 15):
+            found = updated(
+                Terrain(field, 1), replace(criterion, meshlet=0, hidden_factor=8.0, max_triangles=limit), *rest
+            )
+            assert found.triangles <= max(limit, 4 * field.lattice.squares)
+    assert all(expected == leaves for expected, leaves, limit in counted if limit > 1)
+    relaxed = [limit**0.5 for *_, limit in counted]
+    assert 1 <= min(relaxed) < 4 and max(relaxed) > 64, relaxed
+
+
+def test_a_factor_below_one_is_an_error():
+    with pytest.raises(TerrainError, match="hidden factor is 0.5; expected 1"):
+        Criterion(hidden_factor=0.5)

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A kernel for test_hiding.py: which boxes are hidden, and which are said to have nothing hidden in them."""
+
+import warp as wp
+
+from .hiding import Rings, is_bare, is_hidden
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def veils_of_boxes(
+    rings: Rings, slopes: wp.array(dtype=wp.float32), boxes: wp.array(dtype=wp.vec3d), found: wp.array(dtype=wp.vec2i)
+):
+    """boxes: lowest and highest corner in turns, metres from the eye. found: hidden, bare."""
+    for k in range(found.shape[0]):
+        low = boxes[2 * k]
+        high = boxes[2 * k + 1]
+        hidden = wp.int32(is_hidden(rings, slopes, low, high))
+        bare = wp.int32(is_bare(rings, slopes, low, high))
+        found[k] = wp.vec2i(hidden, bare)

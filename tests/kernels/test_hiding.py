@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is hidden is nested: a box inside a hidden box is hidden, and none inside a bare one is, to the last bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from adaptive_terrain.cbt_terrain.refine.horizon import ring_of
+from adaptive_terrain.cbt_terrain.run.buffers import shared
+from adaptive_terrain.kernels.refine.hiding import BINS, RING_BITS, ROW, Rings
+from twins import load
+
+RINGS = 60
+FLOOR, NONE = -0.3, 1e30
+
+
+@pytest.fixture(scope="module")
+def kernel():
+    return load("refine.hidden_boxes", Path(__file__).with_name("hidden_boxes.py")).veils_of_boxes
+
+
+def a_map(rng) -> tuple[Rings, np.ndarray]:
+    """Rings from a metre on; slopes that rise with the ring, smoothly along most of it."""
+    rings = Rings()
+    rings.first, rings.count, rings.at = ring_of(1.0), RINGS, 0
+    steps = rng.exponential(0.02, (RINGS, int(ROW))) * (rng.random((RINGS, int(ROW))) < 0.2)
+    slopes = np.cumsum(np.vstack([rng.normal(-0.2, 0.05, int(ROW)), steps[1:]]), axis=0)
+    floors = np.where(rng.random(int(ROW)) < 0.02, NONE, FLOOR)
+    return rings, np.concatenate([floors, slopes.reshape(-1)]).astype(np.float32)
+
+
+def nested_boxes(rng, count: int) -> np.ndarray:
+    """float64 [count, 4 generations, 2, 3]: each in the one before, some of their faces are the same."""
+    size = 10.0 ** rng.uniform(0.3, 2, (count, 1))
+    centre = rng.normal(size=(count, 3)) * size * [1, 1, 0.1]
+    half = size * 10.0 ** rng.uniform(-2.5, -0.5, (count, 1)) * rng.random((count, 3)) * [1, 1, 0.2]
+    boxes = [np.stack([centre - half, centre + half], axis=1)]
+    for _ in range(3):
+        low, high = boxes[-1][:, 0], boxes[-1][:, 1]
+        a, b = np.sort(np.where(rng.random((2, count, 3)) < 0.3, [[[0.0]], [[1.0]]], rng.random((2, count, 3))), axis=0)
+        boxes.append(
+            np.stack([np.clip(low + a * (high - low), low, high), np.clip(low + b * (high - low), low, high)], 1)
+        )
+    return np.stack(boxes, axis=1)
+
+
+def veils(kernel, rings: Rings, slopes: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """bool [..., 2]: hidden, bare."""
+    corners = np.ascontiguousarray(boxes.reshape(-1, 3))
+    found = np.empty((len(corners) // 2, 2), np.int32)
+    arrays = shared(slopes, wp.float32), shared(corners, wp.vec3d), shared(found, wp.vec2i)
+    wp.launch(kernel, 1, inputs=[rings, *arrays], device="cpu")
+    return found.reshape(*boxes.shape[:-2], 2) > 0
+
+
+def test_what_is_hidden_is_nested(kernel):
+    rng = np.random.default_rng(0)
+    hidden_below = bare_below = 0
+    for _ in range(5):
+        rings, slopes = a_map(rng)
+        found = veils(kernel, rings, slopes, nested_boxes(rng, 5000))
+        hidden, bare = found[..., 0], found[..., 1]
+        for child in range(1, 4):
+            parents, child_hidden = slice(None, child), hidden[:, child, None]
+            assert not (hidden[:, parents] & ~child_hidden).any()
+            assert not (bare[:, parents] & child_hidden).any()
+        assert not (hidden & bare).any()
+        hidden_below, bare_below = hidden_below + (~hidden[:, 0] & hidden[:, 3]).sum(), bare_below + bare[:, 0].sum()
+    assert hidden_below > 300 and bare_below > 300, (hidden_below, bare_below)
+
+
+def test_a_hidden_box_is_below_every_ray_that_is_drawn_through_it(kernel):
+    """By angles and circles nothing is shared: of random points of a box each is below its own bin's entry."""
+    rng = np.random.default_rng(1)
+    rings, slopes = a_map(rng)
+    boxes = nested_boxes(rng, 5000)[:, 0]
+    hidden = np.flatnonzero(veils(kernel, rings, slopes, boxes)[:, 0])
+    assert len(hidden) > 100
+    radii = (np.arange(rings.first, rings.first + RINGS).astype(np.int64) << int(RING_BITS)).view(np.float64)
+    table = slopes.reshape(RINGS + 1, 4, int(BINS))
+    for low, high in boxes[hidden]:
+        x, y, z = rng.uniform(low, high, (200, 3)).T
+        quarter = np.round(np.degrees(np.arctan2(y, x)) / 90).astype(int) % 4
+        far = np.maximum(np.abs(x), np.abs(y))
+        t = np.where(quarter % 2 == 0, y, x) / far
+        bins = np.minimum(((t + 1) * int(BINS) / 2).astype(int), int(BINS) - 1)
+        nearest = np.max([low[0], -high[0], low[1], -high[1]])
+        ring = np.searchsorted(radii, nearest, side="right") - 1
+        assert ring >= 0 and (z / far < table[ring + 1, quarter, bins]).all()
+        assert (z / far >= table[0, quarter, bins]).all()

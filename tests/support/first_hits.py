@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a camera sees of a mesh, by rays of Warp's own mesh queries: nothing of it is shared with the engine."""
+
+import numpy as np
+import warp as wp
+from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def cast_rays(
+    mesh: wp.uint64, origins: wp.array(dtype=wp.vec3f), rays: wp.array(dtype=wp.vec3f), face: wp.array(dtype=wp.int32)
+):
+    i = wp.tid()
+    found = wp.mesh_query_ray(mesh, origins[i], rays[i], 1.0e9)
+    face[i] = -1
+    if found.result:
+        face[i] = found.face
+
+
+def rays_of(view: View, placement: np.ndarray, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """float64 [n, 3] each: where rays through an even grid of the frame begin, at the clip start, and their directions,
+    in the terrain's own space."""
+    if view.kind == PANORAMIC:
+        lon, lat = np.meshgrid(np.linspace(-np.pi, np.pi, columns), np.linspace(-1.5, 1.5, rows))
+        rays = np.stack([np.sin(lon) * np.cos(lat), np.sin(lat), -np.cos(lon) * np.cos(lat)], -1).reshape(-1, 3)
+        begin = rays * view.clip[0]
+    else:
+        x, y = np.meshgrid(np.linspace(-0.999, 0.999, columns), np.linspace(-0.999, 0.999, rows))
+        p = view.projection
+        rays = np.stack([(x + p[0, 2]) / p[0, 0], (y + p[1, 2]) / p[1, 1], -np.ones_like(x)], -1).reshape(-1, 3)
+        begin = rays * view.clip[0]
+    back = np.linalg.inv(view.world_to_camera @ placement)
+    rays = rays @ back[:3, :3].T
+    return begin @ back[:3, :3].T + back[:3, 3], rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def first_hits(surface, view: View, placement: np.ndarray, columns: int = 160, rows: int = 90) -> np.ndarray:
+    """int: the triangles of a surface that are in front somewhere in the frame."""
+    origins, rays = rays_of(view, placement, columns, rows)
+    # Near the eye float32 is finest.
+    centre = origins[0]
+    points = wp.array((surface.positions - centre).astype(np.float32), dtype=wp.vec3f, device="cpu")
+    mesh = wp.Mesh(points, wp.array(surface.triangles.reshape(-1), dtype=wp.int32, device="cpu"))
+    face = wp.empty(len(rays), dtype=wp.int32, device="cpu")
+    starts = wp.array((origins - centre).astype(np.float32), dtype=wp.vec3f, device="cpu")
+    inputs = [mesh.id, starts, wp.array(rays.astype(np.float32), dtype=wp.vec3f, device="cpu"), face]
+    wp.launch(cast_rays, len(rays), inputs=inputs, device="cpu")
+    found = face.numpy()
+    return np.unique(found[found >= 0])
+
+
+def as_keys(surface, faces: np.ndarray) -> set[bytes]:
+    """Triangles by their corners' positions."""
+    corners = surface.positions[surface.triangles[faces]]
+    order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=1)
+    return {row.tobytes() for row in np.take_along_axis(corners, order[..., None], axis=1)}

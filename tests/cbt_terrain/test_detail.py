@@ -14,6 +14,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail as details
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.fit.fit import fit
@@ -202,12 +203,25 @@ def test_no_error_is_above_its_bound(kind, interpolation):
             check(found, field, views, placement, scale, offset)
 
 
-def test_numbers_of_a_source_and_holes(tmp_path):
-    """Heights kept as uint16, and ground that is cut out."""
+@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
+def test_numbers_of_a_source_give_the_mesh_of_their_heights(interpolation):
+    steps = Steps(-300, 0.25, 10.0)
+    numbers = np.cumsum(np.random.default_rng(3).integers(-6, 7, (27, 40)), 1).astype(np.uint16) + np.uint16(500)
+    floats = from_array(steps.heights(numbers), 2.0, 3.0)
+    coded = replace(floats, samples=numbers, steps=steps, surfaces={}, detailed={})
+    one, two = (with_detail(interpolated(field, interpolation), DETAILS["rough"]) for field in (floats, coded))
+    view = ground_view(one)
+    found = [Terrain(field, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view]) for field in (one, two)]
+    assert two.samples.dtype == np.uint16 and arrays(found[0].surface) == arrays(found[1].surface)
+    assert found[0].bound_px == found[1].bound_px
+    check(found[1], two, [view])
+
+
+def test_ground_may_be_cut_out():
     field = field_of("padded", None)
     valid = np.ones(field.samples.shape, np.uint8)
     valid[8:12, 20:30] = 0
-    holed = with_detail(replace(field, valid=valid), DETAILS["rough"])
+    holed = with_detail(replace(field, valid=valid, surfaces={}, detailed={}), DETAILS["rough"])
     view = ground_view(holed)
     found = Terrain(holed, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view])
     check(found, holed, [view])

@@ -121,7 +121,7 @@ def test_nothing_of_a_detail_that_a_view_sees_is_hidden():
     """Case 71, with detail below the raster's cells, which rises above its heights and falls below them."""
     counts = []
     for field, *rest in scenes(1, 30):
-        detail = Detail(0.05 * extent(field)[2], 25.0 * field.lattice.step_x, seed=len(counts))
+        detail = Detail(0.01 * extent(field)[2], 25.0 * field.lattice.step_x, seed=len(counts))
         counts.append(check_what_is_seen((with_detail(field, detail), *rest)))
     assert sum(a < 0.9 * b for a, b in counts) > 2, counts
 

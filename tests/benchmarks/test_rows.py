@@ -13,6 +13,7 @@ import pytest
 from adaptive_terrain.benchmarks import (
     baselines,
     demand_rows,
+    detail_rows,
     engine,
     files,
     fit_row,
@@ -205,6 +206,7 @@ def small_suite(monkeypatch):
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
+        detail_rows: {"SAMPLES": SAMPLES},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
@@ -217,7 +219,7 @@ def small_suite(monkeypatch):
 
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["maps_normal", "cold_start"]
+ENGINE_ROWS += ["maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -79,7 +79,7 @@ def least_over(
     j1 = wp.min(y1 >> bits, domain.height - 2)
     up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
     least = wp.float64(wp.inf)
-    if wp.max(i1 - i0, j1 - j0) < MOST_BLOCKS:
+    if wp.max(i1 - i0, j1 - j0) < 3:
         least = least_of_cells(domain, i0, j0, i1, j1, up)
     else:
         level = wp.int32(FINEST)

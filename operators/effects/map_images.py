@@ -34,7 +34,7 @@ def map_folder(obj) -> Path:
 def own_folder(obj) -> None:
     """See that no other terrain keeps its maps where this one does: one of its name, in this file or another."""
     others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
-    while obj.is_editable and (not obj.adaptive_terrain.maps.mark or str(map_folder(obj)).casefold() in others):
+    while obj.library is None and (not obj.adaptive_terrain.maps.mark or str(map_folder(obj)).casefold() in others):
         obj.adaptive_terrain.maps.mark = secrets.token_hex(4)
 
 

@@ -20,6 +20,7 @@ from . import (
     files,
     fit_row,
     goals,
+    hidden_row,
     in_blender,
     in_program,
     layer_rows,
@@ -128,6 +129,7 @@ def everything(
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
+    yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)

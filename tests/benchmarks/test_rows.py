@@ -17,6 +17,7 @@ from adaptive_terrain.benchmarks import (
     files,
     fit_row,
     goals,
+    hidden_row,
     in_blender,
     in_program,
     layer_rows,
@@ -204,6 +205,7 @@ def small_suite(monkeypatch):
         measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
+        hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
@@ -217,7 +219,7 @@ def small_suite(monkeypatch):
 
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["maps_normal", "cold_start"]
+ENGINE_ROWS += ["hidden", "maps_normal", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

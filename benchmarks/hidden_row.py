@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What horizon culling saves of the built-in island, in the demo's flight and low over the ground, and what it costs."""
+"""What horizon culling saves of the built-in island, in the demo's flight and low over the ground; what it costs."""
 
 import json
 import math

@@ -4,8 +4,8 @@
 The map is in squares, not circles: a point is at the distance max(|dx|, |dy|), in one of four sides of the eye, and
 in one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and no sine and no logarithm is needed,
 which differ from machine to machine. Slopes are heights above the eye by that distance: they order the rays of one
-azimuth. Radii of the rings are the numbers with three bits behind their first: 7 - 12 % apart. (Of the demo's island
-four times as many rings hide half a per cent more.)
+azimuth. Radii of the rings are the numbers with five bits behind their first: 2 - 3 % apart. (Of the demo's flight
+twice as many rings save 1 % more triangles, four times as many bins 1 %.)
 
 kernels/refine/horizon_map.py fills the map. Each entry has the slope below which all rays of its bin are behind ground
 that is no farther than the ring, whatever mesh keeps what is asked; so entries rise with the ring. A box is hidden if

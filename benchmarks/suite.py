@@ -15,6 +15,7 @@ from . import (
     cycles,
     cycles_likeness,
     demand_rows,
+    detail_rows,
     effects,
     engine,
     files,
@@ -131,6 +132,7 @@ def everything(
     yield partial(light_rows.light_rows)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
+    yield detail_rows.detail_rows
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

@@ -109,7 +109,9 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
 def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == RELIEF:
-        limits, edge = lowest + limits * (highest - lowest), edge * (highest - lowest)
+        # Level ground is all at its lowest place.
+        relief = highest - lowest or max(abs(lowest), 1.0)
+        limits, edge = lowest + limits * relief, edge * relief
     elif rule.of == FLOW:
         with np.errstate(divide="ignore"):
             limits = np.log10(np.maximum(limits, 0.0))

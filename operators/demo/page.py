@@ -86,8 +86,8 @@ def write_page(
         ),
         Heading("What the material reads"),
         Text(
-            "The colours are layers by rules of height, slope and flowing water. Normals and the sky that each place "
-            "sees are baked maps, as fine as the flight shows them, so shading does not depend on the triangles. What "
+            "The colours are layers by rules of height and slope. Normals and the sky that each place sees are "
+            "baked maps, as fine as the flight shows them, so shading does not depend on the triangles. What "
             f"nothing reads is not computed: {', '.join(_skipped(effects))}."
         ),
         _effects_table(effects),

@@ -78,7 +78,11 @@ def bake_island_maps(obj) -> None:
 def wear_material(obj) -> None:
     """The preset *Alpine* above a beach, and what the button *Terrain Material* makes of these layers, in haze."""
     runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
-    beach = obj.adaptive_terrain.layers.add()
+    layers = obj.adaptive_terrain.layers
+    layers.remove(layers.find("Stream"))  # the island's pits are no lakes
+    layers["Meadow"].color, layers["Forest"].color = (0.11, 0.145, 0.04), (0.04, 0.072, 0.02)
+    layers["Forest"].strength = 0.6
+    beach = layers.add()
     beach.name, beach.color, beach.noise_size = "Beach", (0.46, 0.38, 0.25), 120.0
     beach.height.use, beach.height.high, beach.height.edge = True, BEACH_M, BEACH_M
     put_haze(dress(obj, sources_of(obj, ())))

@@ -59,6 +59,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     further arguments of `request.gather`. Raises TerrainError.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
+    map_images.own_folder(obj)
     names = known(names_of(obj, depsgraph) if names is None else names)
     first = gather(obj, depsgraph, RENDER, overrides=Overrides(effects=names), **look)
     seen = {"only_seen": frames is not None or settings.frames == SHOT}

@@ -6,7 +6,8 @@ else the attribute. It reads nothing else, so nothing else is computed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain, count
 
 import bpy
 
@@ -17,7 +18,7 @@ PLAIN = (0.2, 0.19, 0.17)  # without any layer
 MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
 FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
 A_GROUP = 4  # layers in one attribute or map
-NORMAL, SKY, SUN = "detail_normal", "sky", "sun"
+COLORS, NORMAL, SKY, SUN = "color", "detail_normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
 COLOUR = "Color"
 # How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
@@ -32,9 +33,9 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 @dataclass(frozen=True)
 class Sources:
-    """What the group reads. `layers`: name and colour (linear RGB) of each. `light`: which of SKY and SUN darken the
-    colours. `maps`: baked images by effect; what has none is read as an attribute. `place`: adds nodes to a tree that
-    give the place in them; returns their output."""
+    """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
+    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
+    attribute. `place`: adds nodes to a tree that give the place in them; returns their output."""
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
     light: Sequence[str] = ()
@@ -50,8 +51,14 @@ def reads(sources: Sources) -> tuple[str, ...]:
 
 
 def dress(obj, sources: Sources) -> bpy.types.Material:
-    """Give the object a material with the group, or build the group of the one that it has again."""
+    """Give the object a material with the group, or build the group of the one that it has again.
+
+    What another object wears too, or another file has, stays as it is: the object gets a copy.
+    """
     material, node = _found(obj) or _made(obj)
+    names = _socket_names([name for name, _ in sources.layers])
+    layers = [(name, colour) for name, (_, colour) in zip(names, sources.layers, strict=True)]
+    sources = replace(sources, layers=layers)
     low, high = obj.bound_box[0], obj.bound_box[6]
     side = max(high[0] - low[0], high[1] - low[1])
     had = set(node.inputs.keys())
@@ -70,11 +77,27 @@ def dress(obj, sources: Sources) -> bpy.types.Material:
 
 def _found(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
     """The first material of the object that has the group, and its node."""
-    for material in filter(None, obj.data.materials):
-        for node in material.node_tree.nodes if material.node_tree else ():
-            if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
-                return material, node
+    for slot in obj.material_slots:
+        node = _group_node(slot.material)
+        if node is not None:
+            if slot.material.library is not None or _is_worn_by_others(slot.material, obj):
+                slot.material = slot.material.copy()
+                node = _group_node(slot.material)
+                node.node_tree = node.node_tree.copy()
+            return slot.material, node
     return None
+
+
+def _group_node(material) -> bpy.types.Node | None:
+    for node in material.node_tree.nodes if material is not None and material.node_tree else ():
+        if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
+            return node
+    return None
+
+
+def _is_worn_by_others(material, obj) -> bool:
+    others = (other for other in bpy.data.objects if other.data != obj.data)
+    return any(slot.material == material for other in others for slot in other.material_slots)
 
 
 def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
@@ -92,11 +115,20 @@ def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
     n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
     n.arrange()
     node.width = 200.0
-    if obj.data.materials:
-        obj.data.materials[0] = material
+    if obj.material_slots:
+        obj.material_slots[0].material = material  # of the object or of its mesh, as the slot has it
     else:
         obj.data.materials.append(material)
     return material, node
+
+
+def _socket_names(names: Sequence[str]) -> list[str]:
+    """Of layers: each once, and none that the group has for something else."""
+    taken = [VARIATION, SIZE, OCCLUSION, SHADOW]
+    for name in names:
+        numbered = (f"{name or 'Layer'} {number}" for number in count(2))
+        taken.append(next(free for free in chain([name or "Layer"], numbered) if free not in taken))
+    return taken[4:]
 
 
 def build_group(tree, sources: Sources, size: float) -> None:
@@ -115,6 +147,8 @@ def build_group(tree, sources: Sources, size: float) -> None:
     given = n.add("NodeGroupInput").outputs
     noise = _noise(n, given[SIZE])
     colour = _mixed(n, sources, [given[name] for name in names], noise) if names else PLAIN
+    if COLORS in sources.maps:
+        colour = _texture(n, sources, COLORS)["Color"]
     colour = _varied(n, colour, noise, given[VARIATION])
     for name in sources.light:
         seen = _value(n, sources, name)
@@ -133,6 +167,8 @@ def build_group(tree, sources: Sources, size: float) -> None:
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
     """The sockets asked for, in that order; those that are there already stay, with what is linked to them."""
+    for panel in [item for item in tree.interface.items_tree if item.item_type == "PANEL"]:
+        tree.interface.remove(panel)
     wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
     wanted += [(name, kind, "INPUT") for name, kind in inputs.items()]
     have = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}

@@ -264,7 +264,8 @@ def shown_surface(record: Record, update) -> Surface:
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
-    made = record.serial, record.overlay_key, record.effects_serial
+    attributes = tuple(name in mesh.attributes for name in record.effects)  # which a user may take away
+    made = record.serial, record.overlay_key, record.effects_serial, attributes
     return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *made
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sun lamps of a scene, as what is lit by them needs them."""
 
+import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,8 @@ def sun_lamps(depsgraph) -> list[Sun]:
         axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
         length = float(np.sqrt((axis * axis).sum()))
         if lamp.data.energy > 0.0 and np.isfinite(length) and length > 0.0:
-            found.append(Sun(axis / length, lamp.data.angle, lamp.data.energy))
+            angle = min(lamp.data.angle, math.pi)  # of which Blender's float32 is larger
+            found.append(Sun(axis / length, angle, lamp.data.energy))
     return found
 
 
@@ -41,14 +44,15 @@ def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]
     return tuple(sorted(rows))
 
 
-def _lamps(depsgraph) -> list:
-    """Evaluated. A render's graph lists what it shows, with the instances; in a viewport those may be many."""
+def _lamps(depsgraph) -> Iterator:
+    """Evaluated, each until the next one: Blender keeps one object for all instances. A render's graph lists what it
+    shows, with the instances; in a viewport those may be many."""
     if depsgraph.mode == "RENDER":
-        shown = (instance.object for instance in depsgraph.object_instances)
-        return [obj for obj in shown if _is_sun(obj)]
-    layer = depsgraph.view_layer
-    shown = (obj for obj in layer.objects if _is_sun(obj) and obj.visible_get(view_layer=layer))
-    return [obj.evaluated_get(depsgraph) for obj in shown]
+        yield from filter(_is_sun, (instance.object for instance in depsgraph.object_instances))
+    else:
+        layer = depsgraph.view_layer
+        shown = (obj for obj in layer.objects if _is_sun(obj) and obj.visible_get(view_layer=layer))
+        yield from (obj.evaluated_get(depsgraph) for obj in shown)
 
 
 def _is_sun(obj) -> bool:

@@ -12,9 +12,10 @@ from ..scene import live, session
 from ..scene.effect_properties import is_number
 from ..scene.map_properties import label
 from ..text.effect_lines import cost_text, readers_text
+from ..text.numbers import plain
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
-NAME_WIDTH, COST_WIDTH = 0.58, 0.55  # parts of a row, and of what is left of it
+NAME_WIDTH, COST_WIDTH = 0.55, 0.62  # parts of a row, and of what is left of it
 ABOUT_LINES, READER_LINES = 3, 3
 _shown = next(iter(EFFECTS))
 
@@ -50,7 +51,7 @@ def _draw_row(rows, settings, name: str, status) -> None:
     right = row.split(factor=COST_WIDTH, align=True)
     cost = right.row()
     cost.active = computed
-    cost.label(text=f"{status.ms:.1f} ms" if computed else "-")
+    cost.label(text=f"{plain(status.ms)} ms" if computed else "-")
     right.prop(getattr(settings, name), "when", text="", icon_only=True)
 
 
@@ -66,7 +67,7 @@ def summary_lines(statuses) -> list[tuple[str, str]]:
     """The lines above the list: as many before the first update."""
     made = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
-    return [("Computed", f"{len(made)} of {len(EFFECTS)}"), ("Cost", f"{ms:.1f} ms, {megabytes:.1f} MB")]
+    return [("Computed", f"{len(made)} of {len(EFFECTS)}"), ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB")]
 
 
 class ShowEffect(bpy.types.Operator):

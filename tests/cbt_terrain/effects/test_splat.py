@@ -118,6 +118,18 @@ def test_relief_is_a_part_of_the_terrain_as_displaced(scale, offset):
     assert np.allclose(found, band((read["height"] - low) / (high - low), 0.3, 0.8, 0.1), atol=1e-5)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("height", [0.0, -3.0, 1e5])
+def test_level_ground_is_all_at_its_lowest_place(height):
+    """Its relief is no number: nothing is above two thirds of it, all is below one."""
+    field = from_array(np.full((9, 9), height, np.float32), 10.0)
+    places = places_of(field, count=50)
+    read = random_values(50) | {"height": np.full(50, height, np.float32), "slope": np.zeros(50, np.float32)}
+    low, high = Layer("Low", (Rule("relief", high=0.5, edge=0.1),)), Layer("High", (Rule("relief", low=0.5, edge=0.1),))
+    assert (weights(places, (low, high), read)[:, :2] == (1, 0)).all()
+    assert (weights(places, DEFAULT, read)[:, :4] == (1, 0, 0, 0)).all(), "no snow on a plain"
+
+
 def test_a_painted_image_is_read_over_the_rasters_extent():
     pixels = np.random.default_rng(0).uniform(size=(7, 13)).astype(np.float32)
     found = share_on_top(Layer("x", (painted(pixels),), on_top=True), places := places_of(FIELD), {})

@@ -66,6 +66,42 @@ def test_links_and_settings_stay_when_it_is_built_again(ground):
     assert [item.name for item in group.inputs] == ["Layer 0", "Variation", "Variation Size"]
 
 
+def test_layers_may_have_any_names(ground):
+    names = ["X", "Variation", "", "Color", "X", "Occlusion", "Layer"]
+    for _ in range(2):
+        dress(ground, Sources([(name, (0.1 * number,) * 3) for number, name in enumerate(names)], light=("sky",)))
+        sockets = group_of(ground).inputs
+        wanted = ["X", "Variation 2", "Layer", "Color", "X 2", "Occlusion 2", "Layer 2"]
+        assert [socket.name for socket in sockets][:7] == wanted
+        assert [round(sockets[name].default_value[0], 3) for name in wanted] == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+
+
+def test_a_group_that_a_user_has_rearranged_is_built_again(ground):
+    dress(ground, Sources(LAYERS[:2]))
+    interface = group_of(ground).node_tree.interface
+    panel = interface.new_panel("Mine")
+    interface.move_to_parent(next(item for item in interface.items_tree if item.name == "Layer 1"), panel, 0)
+    dress(ground, Sources(LAYERS[:3]))
+    assert [i.name for i in group_of(ground).inputs] == ["Layer 0", "Layer 1", "Layer 2", "Variation", "Variation Size"]
+
+
+def test_a_material_that_another_terrain_wears_stays_as_it_is(ground):
+    worn = dress(ground, Sources(LAYERS[:2]))
+    other = bpy.data.objects.new("Other", ground.data.copy())
+    assert dress(other, Sources(LAYERS[:5])) != worn
+    assert attributes_read(group_of(ground).node_tree) == {"splat_1"} and ground.data.materials[0] == worn
+    assert attributes_read(group_of(other).node_tree) == {"splat_1", "splat_2"}
+    assert dress(other, Sources(LAYERS[:6])) == other.data.materials[0] and len(bpy.data.materials) == 2
+
+
+def test_a_slot_of_the_object_gets_the_material(ground):
+    ground.data.materials.append(None)
+    ground.material_slots[0].link = "OBJECT"
+    ground.material_slots[0].material = bpy.data.materials.new("Mine")
+    made = dress(ground, Sources(LAYERS[:2]))
+    assert ground.material_slots[0].material == made == dress(ground, Sources(LAYERS[:2]))
+
+
 def colour_of(ground, weights, **settings) -> np.ndarray:
     """Linear colour that Cycles gives the group alone, as emission, in the middle of the square."""
     tree, group = ground.data.materials[0].node_tree, group_of(ground)

@@ -79,6 +79,16 @@ def test_nothing_is_computed_or_written_again_while_nothing_changes(worn):
     assert "mesh" not in record.status.ms
 
 
+def test_an_attribute_that_a_user_has_taken_away_is_written_again(worn):
+    session.update_object(worn)
+    before = values(worn, "slope")
+    worn.data.attributes["slope"].name = "mine"
+    worn.data.attributes.remove(worn.data.attributes["height"])
+    session.update_object(worn)
+    assert made(worn) == {"slope", "height"} and "mine" not in worn.data.attributes
+    assert np.array_equal(values(worn, "slope"), before)
+
+
 def test_a_frozen_mesh_follows_what_is_read(worn):
     worn.adaptive_terrain.frozen = session.frozen_now(worn)
     session.update_object(worn)
@@ -216,9 +226,11 @@ def test_a_render_has_the_suns_that_it_shows(scene):
     lamp = sun(70.0, 180.0)
     scene.collection.objects.unlink(lamp)
     kit.objects.link(lamp)
-    empty = bpy.data.objects.new("Empty", None)
-    empty.instance_type, empty.instance_collection = "COLLECTION", kit
-    scene.collection.objects.link(empty)
+    for turned in (0.0, 30.0):
+        empty = bpy.data.objects.new("Empty", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", kit
+        empty.rotation_euler.x = math.radians(turned)
+        scene.collection.objects.link(empty)
     found = {}
 
     def look(_scene, depsgraph):
@@ -231,7 +243,15 @@ def test_a_render_has_the_suns_that_it_shows(scene):
         bpy.ops.render.render()
     finally:
         bpy.app.handlers.frame_change_post.remove(look)
-    assert found == {"RENDER": [30, 70]}
+    assert found == {"RENDER": [30, 70, 80]}
+
+
+def test_the_widest_sun_lights_a_terrain(worn):
+    """Blender's 180 degrees are more than pi, in float32."""
+    sun(45.0, 0.0).data.angle = 4.0
+    worn.adaptive_terrain.effects.sun.when = "PINNED"
+    session.update_object(worn)
+    assert 0.0 < values(worn, "sun").mean() < 1.0
 
 
 def test_suns_are_turned_into_the_terrains_own_space(scene):

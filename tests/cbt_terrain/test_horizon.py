@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Horizon culling: hidden ground is coarser, what any view sees is not, and nothing depends on history or threads."""
 
+import os
 from dataclasses import replace
 from itertools import product
 
@@ -20,6 +21,7 @@ from fields import extent, reference_heights, rough
 from first_hits import as_keys, first_hits
 from invariants import arrays
 
+VIEWS = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 50)
 SHAPES = (129, 129), (129, 257), (200, 90), (100, 300), (65, 65)
 
 
@@ -111,11 +113,11 @@ def check_what_is_seen(scene) -> tuple[int, int]:
 
 
 def test_nothing_that_a_view_sees_is_hidden():
-    """Case 71. 200 random views, perspective and panoramic, also from inside and below the ground and from beyond the
-    rim, of terrains that are turned, stretched and sheared."""
-    counts = [check_what_is_seen(scene) for scene in scenes(71, 200)]
+    """Case 71. 30 random views, 200 where ADAPTIVE_TERRAIN_FUZZ is 10,000: perspective and panoramic, also from inside
+    and below the ground and from beyond the rim, of terrains that are turned, stretched and sheared."""
+    counts = [check_what_is_seen(scene) for scene in scenes(71, VIEWS)]
     fewer = [a < 0.9 * b for a, b in counts]
-    assert sum(fewer) > 10 and min(a / b for a, b in counts) < 0.7, (sum(fewer), counts)
+    assert sum(fewer) > VIEWS // 20 and min(a / b for a, b in counts) < 0.7, (sum(fewer), counts)
 
 
 def test_nothing_is_hidden_that_is_seen_through_the_gaps_of_a_detail():

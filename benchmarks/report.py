@@ -54,6 +54,10 @@ MEANING = {
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
     "beside numpy's differences of the same raster, squeezed alike, on one thread.",
+    "detail_from_air": "Triangles of the built-in island at 1 px with 5 cm of detail in waves of 4 m and less, beside "
+    "those without, from over its rim; ms are of a first update.",
+    "detail_from_ground": "The same from 2 m above the ground, where a pixel is some millimetres.",
+    "detail_displace": "Displacement with nine octaves of detail beside without, all vertices anew, one thread.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -15,6 +15,7 @@ from . import (
     cycles,
     cycles_likeness,
     demand_rows,
+    detail_rows,
     effects,
     engine,
     files,
@@ -129,6 +130,7 @@ def everything(
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     yield partial(maps_rows.maps_row)
+    yield detail_rows.detail_rows
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

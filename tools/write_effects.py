@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.effect import Asked, Effect, Places
+from adaptive_terrain.cbt_terrain.effects.effect import LINEAR_RGB, Asked, Effect, Places
 from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -84,7 +84,7 @@ def main() -> int:
             import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "island")
             field = open_store(Path(folder) / "island")
             demo = of_demo(Path(folder))
-            drawn = {name: picture(name, field, demo.layers) for name in EFFECTS}
+            drawn = {name: picture(name, field, demo.given) for name in EFFECTS}
             pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
             sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in EFFECTS.values()]
             page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, add_your_own()]
@@ -152,14 +152,14 @@ def section(effect: Effect, drawn: bool) -> str:
 @dataclass(frozen=True)
 class Demo:
     """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
-    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `layers`: of
-    the ground."""
+    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `given`: the
+    layers of the ground and their colours, as parameters of effects."""
 
     read: tuple[int, float, int]
     everything: tuple[int, float, int]
     vertices: int
     worn: set[str]
-    layers: tuple
+    given: dict
 
 
 def saving(demo: Demo, field) -> list[str]:
@@ -191,7 +191,7 @@ def of_demo(folder: Path) -> Demo:
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
     from adaptive_terrain.operators.scene import session
-    from adaptive_terrain.operators.scene.layer_properties import layers_of
+    from adaptive_terrain.operators.scene.layer_properties import color_given
 
     (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
     flight = read_camera_path(folder / "flight.json")
@@ -213,7 +213,7 @@ def of_demo(folder: Path) -> Demo:
     worn |= {name for name, status in statuses.items() if not status.skipped}
     for name in EFFECTS:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
-    return Demo(read, taken(), len(obj.data.vertices), worn, layers_of(obj.adaptive_terrain))
+    return Demo(read, taken(), len(obj.data.vertices), worn, color_given(obj.adaptive_terrain))
 
 
 def alone(name: str, field, surface, view: View) -> float:
@@ -227,16 +227,16 @@ def alone(name: str, field, surface, view: View) -> float:
     return statistics.median(times[1:])
 
 
-def picture(name: str, field, layers: tuple) -> np.ndarray:
+def picture(name: str, field, given: dict) -> np.ndarray:
     """The effect over the whole island as colours in a low sun: uint8 [rows, columns, 3], north on top."""
     places, rows = _grid(field)
     read: dict = {}
-    given = (("layers", layers),) if "layers" in EFFECTS[name].defaults() else ()
-    for step in plan([Asked(name, ("this page",), parameters=given)]).steps:
-        values = EFFECTS[step.name].defaults()
-        values |= {"layers": layers} if "layers" in values else {}
+    taken = tuple(item for item in given.items() if item[0] in EFFECTS[name].defaults())
+    for step in plan([Asked(name, ("this page",), parameters=taken)]).steps:
+        values = EFFECTS[step.name].defaults() | dict(step.parameters)
         read |= EFFECTS[step.name].make(places, {step.name: values}, read)
-    colour = colours(read[name].reshape(rows, rows, -1).astype(np.float64))
+    values = read[name].reshape(rows, rows, -1).astype(np.float64)
+    colour = values ** (1 / 2.2) if EFFECTS[name].unit == LINEAR_RGB else colours(values)
     heights = places.positions[:, 2].reshape(rows, rows).astype(np.float64)
     north, east = np.gradient(heights, field.lattice.step_x * EVERY)
     light = (0.6 * east - 0.5 * north + 0.62) / np.sqrt(1 + east**2 + north**2)

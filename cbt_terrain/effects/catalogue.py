@@ -3,6 +3,7 @@
 
 from . import (
     aspect,
+    color,
     flow,
     height,
     mean_curvature,
@@ -31,6 +32,7 @@ EFFECTS: dict[str, Effect] = {
         flow.FLOW,
         wetness.WETNESS,
         *splat.SPLATS,
+        color.COLOR,
         sky.SKY,
         occlusion.OCCLUSION,
         sun.SUN,

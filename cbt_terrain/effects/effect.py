@@ -14,6 +14,7 @@ POINT, MAP = "POINT", "MAP"
 # Who reads it, which decides the scale: what pixels show is prefiltered to a pixel's footprint, what geometry is made
 # from has one scale in metres, so that nothing moves with the camera.
 PICTURE, GEOMETRY = "PICTURE", "GEOMETRY"
+LINEAR_RGB = "linear RGB"  # the unit of colours: of Rec. 709
 
 
 @dataclass(frozen=True)

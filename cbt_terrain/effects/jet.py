@@ -10,6 +10,7 @@ import warp as wp
 from ...kernels.effects import jet as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
+from .decals import tilt
 from .effect import Places, Wanted
 from .pyramid import ground
 
@@ -38,4 +39,6 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
     heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
     inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
+    if "detail_normal" in made:
+        tilt(made["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
     return made

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from .decals import DECALS
 from .effect import Effect, Evaluate
 from .jet import HALO, SOURCE, make
 
@@ -21,6 +22,7 @@ DETAIL_NORMAL = Effect(
     make=make,
     example=example,
     width=3,
+    parameters=(DECALS,),
     halo=HALO,
     span=(-1.0, 1.0),
     cost_ns=100,

@@ -51,9 +51,11 @@ def footprint_levels(
         levels[:] = 0.0
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+    levels[:] = np.inf
     eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.Eye, device=launch.DEVICE)
     inputs = [shared(positions, wp.vec3f), eyes, _most(field), flat(levels, wp.float32)]
-    launch.spread(kernels.footprint_levels, len(positions), inputs, step="footprint", threads=threads)
+    blocks = -(-len(positions) // kernels.BLOCK)
+    launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
     return levels
 
 
@@ -61,8 +63,10 @@ def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.Eye:
     to_camera = product(view.world_to_camera, placement)
     eye = kernels.Eye()
     eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
+    if view.kind == ORTHOGRAPHIC:
+        eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
     samples = 1.0 / (view.pixels_per_unit * _least_stretch(to_camera[:3, :2]) * _step(field))
-    eye.pixel2, eye.parallel = samples * samples, int(view.kind == ORTHOGRAPHIC)
+    eye.pixel2 = samples * samples
     return eye
 
 

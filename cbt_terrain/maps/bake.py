@@ -37,6 +37,8 @@ from .tiling import Tiling, tiling_of
 # Levels. What looks an image up interpolates, which smooths as well: the shading of the island is off by 5.43 of 255
 # without it, by 5.05 with it.
 SHARPER = 0.5
+# IEC 61966-2-1 at even steps from 0 to 1: off by a hundredth of a byte's step at most between them.
+SRGB = [12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055 for x in (k / 4096 for k in range(4097))]
 BAND_TEXELS = 1 << 19  # what is made at a time: some megabytes, and a thirtieth of a second
 
 
@@ -224,10 +226,16 @@ def _coded(values: np.ndarray, image: _Image, threads: int) -> np.ndarray:
     out = np.empty((rows, image.side * coding.channels * coding.depth // 8), np.uint8)
     most = 255 if coding.depth == 8 else 65535
     scale = most / (coding.high - coding.low)
+    values = _srgb(values) if coding.srgb else values
     numbers = flat(np.ascontiguousarray(values), wp.float32)
     inputs = [numbers, width, coding.channels, coding.low, scale, int(most > 255), flat(out, wp.uint8)]
     launch.spread(kernels.encode, len(values), inputs, step="coding", threads=threads)
     return out
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """From the table, since numpy's own powers differ in the last bits by processor."""
+    return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
 
 
 def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
@@ -257,7 +265,13 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
 def _entry(place: _Place, images: list[_Image]) -> dict:
     """A map, as JSON holds it."""
     effect, coding, tiling = EFFECTS[images[0].asked.name], images[0].coding, place.tiling
-    coded = {"channels": coding.channels, "bits": coding.depth, "zero": coding.low, "one": coding.high}
+    coded = {
+        "channels": coding.channels,
+        "bits": coding.depth,
+        "zero": coding.low,
+        "one": coding.high,
+        "srgb": coding.srgb,
+    }
     several = len(tiling) > 1
     return {
         "about": effect.about,

@@ -8,13 +8,14 @@ import warp as wp
 
 from ...kernels.refine.diamond import Asked, Domain, LocalView
 from ...kernels.refine.hiding import RING_BITS, ROW
-from ...kernels.refine.horizon_map import fill_horizon
+from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_horizon
 from ..ask.criterion import LARGEST
 from ..ask.view import KINDS, ORTHOGRAPHIC
+from ..field.heightfield import HeightField
 from ..run import launch
-from ..run.buffers import Buffers
+from ..run.buffers import Buffers, flat
 
-BIN_COST = 600.0  # of a bin's rings, in lookups
+BIN_COST = 2000.0  # of a bin's rings, in lookups
 
 
 def place_rings(domain: Domain, views: list[LocalView], factor: float) -> int:
@@ -35,7 +36,9 @@ def has_rings(asked: Asked) -> bool:
     return bool(asked.view_count and asked.views.numpy()["rings"]["count"].any())
 
 
-def fill(domain: Domain, asked: Asked, max_depth: int, relaxed: float, buffers: Buffers, threads: int) -> None:
+def fill(
+    field: HeightField, domain: Domain, asked: Asked, max_depth: int, relaxed: float, buffers: Buffers, threads: int
+) -> None:
     """Fill the maps for meshes that keep `relaxed` times what is asked, and leaves down to `max_depth`; of an infinite
     factor nothing is hidden."""
     views = [(k, view) for k, view in enumerate(asked.views.numpy()) if view["rings"]["count"]]
@@ -44,11 +47,39 @@ def fill(domain: Domain, asked: Asked, max_depth: int, relaxed: float, buffers: 
     if relaxed == math.inf:
         buffers.numpy("horizons")[:entries] = -math.inf
         return
+    blocks = _blocks_of(field, domain, threads)
     grown = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
         start = _start(domain, view["near2"], view["cosine2"], view["weight"])
-        inputs = [domain, asked, k, start, grown, relaxed]
+        inputs = [domain, blocks, asked, k, start, grown, relaxed]
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
+
+
+def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
+    """The blocks of a field's surface: found once, and kept with the field."""
+    key = "blocks", field.interpolation
+    if key not in field.light:
+        field.light[key] = _find_blocks(domain, threads)
+    least, first, wide = field.light[key]
+    blocks = Blocks()
+    blocks.least, blocks.first, blocks.wide = flat(least, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    return blocks
+
+
+def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The arrays of `Blocks`; the levels below FINEST are empty."""
+    wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.width, domain.height))
+    finest = np.empty((high, wide, 2), np.float32)
+    inputs = [domain, wide, flat(finest, wp.float32)]
+    launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
+    levels = [finest]
+    while levels[-1].size > 2:
+        rows, columns = (np.arange(0, n, 2) for n in levels[-1].shape[:2])
+        levels.append(np.minimum.reduceat(np.minimum.reduceat(levels[-1], rows, axis=0), columns, axis=1))
+    below = [0] * int(FINEST)
+    first = np.cumsum([*below, 0, *(level.size // 2 for level in levels[:-1])], dtype=np.int32)
+    wide = np.array([*below, *(level.shape[1] for level in levels)], np.int32)
+    return np.concatenate([level.ravel() for level in levels]), first, wide
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:

@@ -98,7 +98,7 @@ class Refinement:
         hides = has_rings(asked)
         for relaxed in RELAXED[limited] if hides else (math.inf,):
             if hides:
-                fill(domain, asked, max_depth, relaxed, self.buffers, self.threads)
+                fill(self.field, domain, asked, max_depth, relaxed, self.buffers, self.threads)
             walks, counts = self._limited(domain, asked, max_depth, most, limited, relaxed)
             if walks is not None:
                 break

@@ -5,34 +5,61 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Of the mantissa of the squared footprint, 1 .. 2: 2**((k + 1/2) / 4), from where on it belongs to the next eighth.
-STEP_0 = wp.constant(wp.float64(1.0905077326652577))
-STEP_1 = wp.constant(wp.float64(1.2968395546510096))
-STEP_2 = wp.constant(wp.float64(1.5422108254079407))
-STEP_3 = wp.constant(wp.float64(1.8340080864093424))
-MANTISSA = wp.constant(wp.int64(0xFFFFFFFFFFFFF))
-ONE = wp.constant(wp.int64(0x3FF0000000000000))
+BLOCK = wp.constant(1024)  # places: their footprints stay in the first cache
 
 
 @wp.struct
 class Eye:
     """A view, as the footprint has it."""
 
-    linear: wp.mat33d  # from the terrain's space to the camera's
+    linear: wp.mat33d  # from the terrain's space to the camera's; of parallel rays 0, with a shift of length 1
     shift: wp.vec3d
-    pixel2: wp.float64  # squared samples that a pixel covers: at unit distance, or if `parallel` anywhere
-    parallel: wp.int32
+    pixel2: wp.float64  # squared samples that a pixel covers at unit distance
 
 
-@wp.func
-def eighths(squared: wp.float64) -> wp.int32:
-    """The level of a squared footprint in samples, in eighths, to the nearest: by its bits, the same everywhere."""
-    bits = wp.cast(squared, wp.int64)
-    exponent = wp.int32(bits >> wp.int64(52)) - 1023
-    mantissa = wp.cast((bits & MANTISSA) | ONE, wp.float64)
-    part = wp.where(mantissa >= STEP_0, 1, 0) + wp.where(mantissa >= STEP_1, 1, 0)
-    part += wp.where(mantissa >= STEP_2, 1, 0) + wp.where(mantissa >= STEP_3, 1, 0)
-    return 4 * exponent + part
+# Loops that are vectorised: 2 ns a place, and 10 in Warp.
+
+
+@wp.func_native("""
+    const wp::vec3f* place = positions.data + first;
+    float* __restrict out = finest.data + first;
+    const auto& m = eye.linear.data;
+    const auto& s = eye.shift.c;
+    for (int k = 0; k < count; ++k) {
+        const double x = place[k].c[0], y = place[k].c[1], z = place[k].c[2];
+        const double a = m[0][0] * x + m[0][1] * y + m[0][2] * z + s[0];
+        const double b = m[1][0] * x + m[1][1] * y + m[1][2] * z + s[1];
+        const double c = m[2][0] * x + m[2][1] * y + m[2][2] * z + s[2];
+        const double squared = (a * a + b * b + c * c) * eye.pixel2;
+        const float found = squared < most ? squared : most;
+        out[k] = found < out[k] ? found : out[k];
+    }
+""")
+def look(
+    positions: wp.array(dtype=wp.vec3f),
+    first: wp.int32,
+    count: wp.int32,
+    eye: Eye,
+    most: wp.float64,
+    finest: wp.array(dtype=wp.float32),
+): ...
+
+
+# Eighths of a level are quarters of the power of two that a squared footprint is: its exponent and, of its mantissa,
+# how many of 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) it reaches. By bits, so the same everywhere.
+@wp.func_native("""
+    float* __restrict out = levels.data + first;
+    for (int k = 0; k < count; ++k) {
+        const float squared = out[k] > 1.0f ? out[k] : 1.0f;
+        int bits;
+        __builtin_memcpy(&bits, &squared, 4);
+        const int part = bits & 0x7FFFFF;
+        const int steps = (part >= 0x0B95C2) + (part >= 0x25FED7) + (part >= 0x45672B) + (part >= 0x6AC0C7);
+        const int eighths = 4 * ((bits >> 23) - 127) + steps;
+        out[k] = (eighths < 8 * most ? eighths : 8 * most) * 0.125f;
+    }
+""")
+def to_levels(levels: wp.array(dtype=wp.float32), first: wp.int32, count: wp.int32, most: wp.int32): ...
 
 
 @wp.kernel
@@ -43,16 +70,10 @@ def footprint_levels(
     most: int,
     levels: wp.array(dtype=wp.float32),
 ):
-    """Of the eye that sees a place finest: 0 to `most`, in steps of 1/8."""
-    v = offset + wp.tid()
-    f = positions[v]
-    p = wp.vec3d(wp.float64(f[0]), wp.float64(f[1]), wp.float64(f[2]))
-    finest = wp.float64(wp.inf)
+    """Block `offset + tid` of places, of the eye that sees each finest: 0 to `most`, in steps of 1/8. `levels` holds
+    infinity."""
+    first = (offset + wp.tid()) * BLOCK
+    count = wp.min(levels.shape[0] - first, BLOCK)
     for e in range(eyes.shape[0]):
-        eye = eyes[e]
-        squared = eye.pixel2
-        if eye.parallel == 0:
-            c = eye.linear * p + eye.shift
-            squared *= wp.dot(c, c)
-        finest = wp.min(finest, squared)
-    levels[v] = wp.float32(wp.clamp(eighths(finest), 0, 8 * most)) * 0.125
+        look(positions, first, count, eyes[e], wp.float64(wp.int64(1) << wp.int64(2 * most + 1)), levels)
+    to_levels(levels, first, count, most)

@@ -9,9 +9,8 @@ two levels. At the rim heights go on in straight lines, h(-1) = 2 h(0) - h(1), s
 
 import warp as wp
 
-from ..bicubic.surface import inside
 from ..field.codes import Samples, sample_at
-from ..unchecked import height_at
+from ..unchecked import entry_at, height_at, number_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -107,58 +106,97 @@ def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float3
         out[to + wp.int64(column)] = wp.float32(h * wp.float64(0.0625))
 
 
-@wp.func
-def spline(u: wp.float64) -> wp.vec4d:
-    """What the samples -1, 0, 1 and 2 weigh at u between samples 0 and 1."""
-    o = wp.float64(1.0) - u
-    sixth = wp.float64(1.0 / 6.0)
-    four = wp.float64(4.0)
-    six = wp.float64(6.0)
-    three = wp.float64(3.0)
-    return wp.vec4d(
-        o * o * o * sixth,
-        (four - u * u * (six - three * u)) * sixth,
-        (four - o * o * (six - three * o)) * sixth,
-        u * u * u * sixth,
-    )
+Patch = wp.types.matrix(shape=(4, 4), dtype=wp.float32)
+PatchJet = wp.types.vector(length=6, dtype=wp.float32)
+
+
+# The samples x .. x + 3 of the rows y .. y + 3; beyond the rim those of the rim. In C, as is the arithmetic below:
+# Warp copies the ground for every call, and builds vectors number by number; that was half of a jet's time.
+
+
+@wp.func_native("""
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    wp::mat_t<4, 4, wp::float32> h;
+    const wp::float32* from = a.data + first;
+    if (x >= 0 && x + 3 < columns && y >= 0 && y + 3 < rows)
+        for (int k = 0; k < 4; ++k)
+            *(four*)h.data[k] = *(const four*)(from + (wp::int64)(y + k) * columns + x);
+    else
+        for (int k = 0; k < 16; ++k) {
+            const wp::int64 row = wp::clamp(y + k / 4, 0, rows - 1);
+            h.data[k / 4][k % 4] = from[row * columns + wp::clamp(x + k % 4, 0, columns - 1)];
+        }
+    return h;
+""")
+def floats_patch(
+    a: wp.array(dtype=wp.float32), first: wp.int64, columns: wp.int32, rows: wp.int32, x: wp.int32, y: wp.int32
+) -> Patch: ...
+
+
+@wp.func_native("""
+    wp::mat_t<4, 4, wp::float32> h;
+    for (int k = 0; k < 16; ++k) {
+        const wp::int64 row = wp::clamp(y + k / 4, 0, rows - 1);
+        const wp::int32 code = a.data[row * columns + wp::clamp(x + k % 4, 0, columns - 1)];
+        h.data[k / 4][k % 4] = (wp::float32)((code + first) * scale + offset);
+    }
+    return h;
+""")
+def codes_patch(
+    a: wp.array(dtype=wp.uint16),
+    first: wp.int32,
+    scale: wp.float64,
+    offset: wp.float64,
+    columns: wp.int32,
+    rows: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+) -> Patch: ...
 
 
 @wp.func
-def spline_slope(u: wp.float64) -> wp.vec4d:
-    """Derivatives of the weights."""
-    o = wp.float64(1.0) - u
-    half = wp.float64(0.5)
-    two = wp.float64(2.0)
-    more = wp.float64(1.5)
-    return wp.vec4d(-half * o * o, u * (more * u - two), o * (two - more * o), half * u * u)
+def extended(h: Patch, x: wp.int32, y: wp.int32, columns: wp.int32, rows: wp.int32) -> Patch:
+    """The same with straight lines beyond the rim."""
+    for k in range(4):
+        if x < 0:
+            h[k, 0] = 2.0 * h[k, 1] - h[k, 2]
+        if x + 3 == columns:
+            h[k, 3] = 2.0 * h[k, 2] - h[k, 1]
+    for k in range(4):
+        if y < 0:
+            h[0, k] = 2.0 * h[1, k] - h[2, k]
+        if y + 3 == rows:
+            h[3, k] = 2.0 * h[2, k] - h[1, k]
+    return h
 
 
-@wp.func
-def spline_bend(u: wp.float64) -> wp.vec4d:
-    """Second derivatives of the weights."""
-    o = wp.float64(1.0) - u
-    three = wp.float64(3.0)
-    two = wp.float64(2.0)
-    return wp.vec4d(o, three * u - two, three * o - two, u)
-
-
-@wp.func
-def four_heights(ground: Ground, level: wp.int32, row: wp.int32, near: wp.vec4i, base: wp.float64) -> wp.vec4d:
-    """Samples of a row in the columns `near`, metres above `base`."""
-    at = wp.int64(row) * wp.int64(ground.columns[level])
-    a = at + wp.int64(near[0])
-    b = at + wp.int64(near[1])
-    c = at + wp.int64(near[2])
-    d = at + wp.int64(near[3])
-    h = wp.vec4f()
-    if level == 0:
-        s = ground.samples
-        h = wp.vec4f(sample_at(s, a), sample_at(s, b), sample_at(s, c), sample_at(s, d))
-    else:
-        z = ground.first[level]
-        f = ground.coarser
-        h = wp.vec4f(height_at(f, z + a), height_at(f, z + b), height_at(f, z + c), height_at(f, z + d))
-    return wp.vec4d(wp.float64(h[0]) - base, wp.float64(h[1]) - base, wp.float64(h[2]) - base, wp.float64(h[3]) - base)
+# At u, v from the second sample of the second row: the height above that sample, and the derivatives, per cell. The
+# first derivative is the quadratic spline of differences of neighbours, the second the linear one of theirs: a plane
+# has one slope, and no bend, but for the rounding of those.
+@wp.func_native("""
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const float s = 1.0f - u, t = 1.0f - v, sixth = 1.0f / 6.0f, base = h.data[1][1];
+    const four r0 = *(const four*)h.data[0] - base, r1 = *(const four*)h.data[1] - base;
+    const four r2 = *(const four*)h.data[2] - base, r3 = *(const four*)h.data[3] - base;
+    const four a = r1 - r0, b = r2 - r1, c = r3 - r2;
+    const four z = (t * t * t * r0 + (4.0f - v * v * (6.0f - 3.0f * v)) * r1
+                    + (4.0f - t * t * (6.0f - 3.0f * t)) * r2 + v * v * v * r3) * sixth;
+    const four g = 0.5f * t * t * a + (0.5f + t * v) * b + 0.5f * v * v * c;
+    const four k = t * (b - a) + v * (c - b);
+    const float w0 = s * s * s * sixth, w1 = (4.0f - u * u * (6.0f - 3.0f * u)) * sixth;
+    const float w2 = (4.0f - s * s * (6.0f - 3.0f * s)) * sixth, w3 = u * u * u * sixth;
+    const float d0 = 0.5f * s * s, d1 = 0.5f + s * u, d2 = 0.5f * u * u;
+    const float e0 = z[1] - z[0], e1 = z[2] - z[1], e2 = z[3] - z[2];
+    wp::vec_t<6, wp::float32> q;
+    q.c[0] = w0 * z[0] + w1 * z[1] + w2 * z[2] + w3 * z[3];
+    q.c[1] = d0 * e0 + d1 * e1 + d2 * e2;
+    q.c[2] = w0 * g[0] + w1 * g[1] + w2 * g[2] + w3 * g[3];
+    q.c[3] = s * (e1 - e0) + u * (e2 - e1);
+    q.c[4] = d0 * (g[1] - g[0]) + d1 * (g[2] - g[1]) + d2 * (g[3] - g[2]);
+    q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
+    return q;
+""")
+def patch_jet(h: Patch, u: wp.float32, v: wp.float32) -> PatchJet: ...
 
 
 @wp.func
@@ -170,40 +208,31 @@ def part_of(level: wp.int32) -> wp.float64:
 @wp.func
 def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
     """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
-    columns = ground.columns[level]
-    rows = ground.rows[level]
+    columns = number_at(ground.columns, level)
+    rows = number_at(ground.rows, level)
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), rows - 2)
-    u = x - wp.float64(i)
-    v = y - wp.float64(j)
-    bx = spline(u)
-    dx = spline_slope(u)
-    sx = spline_bend(u)
-    by = spline(v)
-    dy = spline_slope(v)
-    sy = spline_bend(v)
-    if i == 0 or i == columns - 2:
-        bx = inside(bx, i, columns)
-        dx = inside(dx, i, columns)
-        sx = inside(sx, i, columns)
-    if j == 0 or j == rows - 2:
-        by = inside(by, j, rows)
-        dy = inside(dy, j, rows)
-        sy = inside(sy, j, rows)
-    near = wp.vec4i(wp.max(i - 1, 0), i, i + 1, wp.min(i + 2, columns - 1))
-    # About a height of the cell: level ground is level to the last bit.
-    base = filtered_height(ground, level, wp.int64(j) * wp.int64(columns) + wp.int64(i))
-    q = Jet()
-    for b in range(4):
-        h = four_heights(ground, level, wp.clamp(j + b - 1, 0, rows - 1), near, base)
-        z = wp.dot(bx, h)
-        g = wp.dot(dx, h)
-        q += Jet(by[b] * z, by[b] * g, dy[b] * z, by[b] * wp.dot(sx, h), dy[b] * g, sy[b] * z)
+    h = Patch()
+    if level > 0:
+        h = floats_patch(ground.coarser, entry_at(ground.first, level), columns, rows, i - 1, j - 1)
+    elif ground.samples.coded == 0:
+        h = floats_patch(ground.samples.floats, wp.int64(0), columns, rows, i - 1, j - 1)
+    else:
+        s = ground.samples
+        h = codes_patch(s.numbers, s.first, s.scale, s.offset, columns, rows, i - 1, j - 1)
+    if i == 0 or i == columns - 2 or j == 0 or j == rows - 2:
+        h = extended(h, i - 1, j - 1, columns, rows)
+    q = patch_jet(h, wp.float32(x - wp.float64(i)), wp.float32(y - wp.float64(j)))
     part = part_of(level)
     per_x = ground.per_x * part
     per_y = ground.per_y * part
     return Jet(
-        base + q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y
+        wp.float64(h[1, 1]) + wp.float64(q[0]),
+        wp.float64(q[1]) * per_x,
+        wp.float64(q[2]) * per_y,
+        wp.float64(q[3]) * per_x * per_x,
+        wp.float64(q[4]) * per_x * per_y,
+        wp.float64(q[5]) * per_y * per_y,
     )
 
 
@@ -219,12 +248,12 @@ def jet_at(ground: Ground, x: wp.float64, y: wp.float64, level: wp.float32) -> J
     cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), last_y)
     scale = wp.clamp(level, wp.float32(0.0), wp.float32(ground.levels - 1))
     below = wp.int32(scale)
-    part = wp.float64(scale) - wp.float64(below)
-    per = part_of(below)
-    q = level_jet(ground, below, cell_x * per, cell_y * per)
-    if part > wp.float64(0.0):
-        per *= wp.float64(0.5)
-        q += (level_jet(ground, below + 1, cell_x * per, cell_y * per) - q) * part
+    coarse = wp.float64(scale) - wp.float64(below)
+    q = Jet()
+    for k in range(wp.where(coarse > wp.float64(0.0), 2, 1)):
+        per = part_of(below + k)
+        share = wp.where(k == 0, wp.float64(1.0) - coarse, coarse)
+        q += level_jet(ground, below + k, cell_x * per, cell_y * per) * share
     q *= ground.height_scale
     q[0] = q[0] + ground.height_offset
     return q

@@ -7,7 +7,8 @@ float32.
 
 import warp as wp
 
-from ..field.noise import value_noise
+from ..field.noise import scramble
+from ..unchecked import height_at
 from .logarithm import natural_log
 
 wp.set_module_options({"enable_backward": False})
@@ -90,21 +91,49 @@ def smooth(x: wp.float32) -> wp.float32:
 
 
 @wp.func
-def waves(x: wp.float64, y: wp.float64, size: wp.float64, footprint: wp.float64, seed: wp.uint32) -> wp.float32:
-    """Noise in -1 .. 1 of octaves from `size` metres on, those that are shorter than two footprints fading out."""
-    sum = wp.float64(0.0)
-    total = wp.float64(0.0)
-    amount = wp.float64(1.0)
-    per = wp.float64(1.0) / size
-    for k in range(OCTAVES):
-        seen = wp.clamp(wp.float64(1.0) / (per * footprint) - wp.float64(1.0), wp.float64(0.0), wp.float64(1.0))
-        total += amount
-        if seen > wp.float64(0.0):
-            octave = value_noise(x * per, y * per, seed + wp.uint32(k) * GOLDEN)
-            sum += amount * seen * octave[2]
-        amount *= wp.float64(0.5)
-        per *= wp.float64(2.0)
-    return wp.float32(sum / total)
+def corner(row: wp.uint32, i: wp.uint32) -> wp.float32:
+    """Value of the lattice point i of a hashed row, in -1 .. 1."""
+    return wp.float32(wp.int32(scramble(row + i))) * 4.656612873077393e-10
+
+
+@wp.func
+def fade(t: wp.float32) -> wp.float32:
+    """Perlin's quintic ("Improving noise", 2002)."""
+    return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
+
+
+@wp.func
+def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
+    """Value noise in -1 .. 1, lattice points one apart."""
+    column = wp.floor(x)
+    row = wp.floor(y)
+    i = wp.uint32(wp.int64(column))
+    j = wp.uint32(wp.int64(row))
+    u = fade(wp.float32(x - column))
+    south = scramble(j + seed)
+    north = scramble(j + wp.uint32(1) + seed)
+    low = wp.lerp(corner(south, i), corner(south, i + wp.uint32(1)), u)
+    high = wp.lerp(corner(north, i), corner(north, i + wp.uint32(1)), u)
+    return wp.lerp(low, high, fade(wp.float32(y - row)))
+
+
+@wp.func
+def noise_of(layer: Layer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
+    """Noise in -1 .. 1 of octaves from the layer's size on, those that are shorter than two footprints fading out."""
+    sum = wp.float32(0.0)
+    if layer.noise_size > wp.float64(0.0):
+        per = wp.float64(1.0) / layer.noise_size
+        seen = wp.float32(layer.noise_size / footprint)  # footprints in a wave
+        amount = wp.float32(8.0 / 15.0)  # they add up to 1
+        octave = wp.int32(0)
+        while octave < OCTAVES and seen > 1.0:
+            waves = wave(x * per, y * per, layer.seed + wp.uint32(octave) * GOLDEN)
+            sum += amount * wp.min(seen - 1.0, 1.0) * waves
+            amount *= 0.5
+            seen *= 0.5
+            per *= wp.float64(2.0)
+            octave += 1
+    return sum
 
 
 @wp.func
@@ -141,53 +170,47 @@ def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float
 
 
 @wp.func
-def noise_of(layer: Layer, step: wp.float64, x: wp.float64, y: wp.float64, level: wp.float32) -> wp.float32:
-    noise = wp.float32(0.0)
-    if layer.noise_size > wp.float64(0.0):
-        whole = wp.int32(level)
-        # Between two levels the footprint is taken linear: a power of two by the C library is not the same everywhere.
-        footprint = step * wp.float64(wp.int32(1) << whole) * (wp.float64(1.0) + wp.float64(level - float(whole)))
-        noise = waves(x, y, layer.noise_size, footprint, layer.seed)
-    return noise
-
-
-@wp.func
-def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, level: wp.float32) -> Weights:
+def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp.float64) -> Weights:
     """How much of a place each layer covers by its own rules."""
     covers = Weights()
     for number in range(s.layer_count):
         layer = s.layers[number]
         noise = wp.float32(0.0)
-        known = wp.int32(0)
         cover = layer.strength
-        for k in range(layer.first, layer.end):
-            if cover > 0.0:
-                r = s.rules[k]
-                q = wp.float32(0.0)
-                needed = wp.int32(0)
-                if r.kind <= DIRECTION:
-                    at = wp.int64(r.at) * s.count + wp.int64(v)
-                    q = s.values[at]
-                    if r.kind == LOGARITHM:
-                        q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
-                    elif r.kind == DIRECTION:
-                        q = r.sine * q + r.cosine * s.values[at + s.count]
-                    # Noise is dear, and far from its limits it changes nothing of a rule.
-                    reach = (0.5 + layer.ragged) * r.edge
-                    near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
-                    needed = wp.where(layer.ragged > 0.0 and near < reach, 1, 0)
-                elif r.kind == NOISE:
-                    needed = 1
-                elif r.kind == LAYER:
-                    q = covers[r.at]
-                else:
-                    q = image_at(s.images, r, x / s.across, y / s.up)
-                if needed == 1:
-                    if known == 0:
-                        known = 1
-                        noise = noise_of(layer, s.step, x, y, level)
-                    q = wp.where(r.kind == NOISE, noise, q + layer.ragged * r.edge * noise)
-                cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
+        # Noise is dear, and far from its limits it changes nothing of a rule: rules that need it have the second turn.
+        turn = wp.int32(0)
+        turns = wp.int32(1)
+        while turn < turns and cover > 0.0:
+            if turn == 1:
+                noise = noise_of(layer, x, y, footprint)
+            for k in range(layer.first, layer.end):
+                if cover > 0.0:
+                    r = s.rules[k]
+                    q = wp.float32(0.0)
+                    needed = wp.int32(0)
+                    if r.kind <= DIRECTION:
+                        at = wp.int64(r.at) * s.count + wp.int64(v)
+                        q = height_at(s.values, at)
+                        if r.kind == LOGARITHM:
+                            q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
+                        elif r.kind == DIRECTION:
+                            q = r.sine * q + r.cosine * height_at(s.values, at + s.count)
+                        near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
+                        needed = wp.where(layer.ragged > 0.0 and near < (0.5 + layer.ragged) * r.edge, 1, 0)
+                        if turn == 1:
+                            q += layer.ragged * r.edge * noise
+                    elif r.kind == NOISE:
+                        q = noise
+                        needed = 1
+                    elif r.kind == LAYER:
+                        q = covers[r.at]
+                    elif turn == 0:
+                        q = image_at(s.images, r, x / s.across, y / s.up)
+                    if needed == turn:
+                        cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
+                    elif needed == 1:
+                        turns = wp.int32(2)
+            turn += 1
         covers[number] = cover
     return covers
 
@@ -230,7 +253,10 @@ def splats(
     x = wp.float64(positions[v][0]) - s.west
     y = wp.float64(positions[v][1]) - s.south
     level = wp.clamp(levels[v], 0.0, 30.0)
-    covers = covers_at(s, v, x, y, level)
+    whole = wp.int32(level)
+    # Between two levels the footprint is taken linear: a power of two by the C library is not the same everywhere.
+    footprint = s.step * wp.float64(wp.int32(1) << whole) * wp.float64(1.0 + level - float(whole))
+    covers = covers_at(s, v, x, y, footprint)
     w = Weights()
     sum = wp.float32(0.0)
     for k in range(s.layer_count):

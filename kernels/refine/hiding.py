@@ -31,7 +31,7 @@ wp.set_module_options({"enable_backward": False})
 
 BINS = wp.constant(256)  # of each of the four sides
 ROW = wp.constant(1024)  # of all: entries of a ring
-RING_BITS = wp.constant(49)  # of a float64's 52 behind the first that tell no rings apart
+RING_BITS = wp.constant(47)  # of a float64's 52 behind the first that tell no rings apart
 # A box that meets more is not called hidden; so those below it that are hidden are found one by one.
 MOST_BINS = wp.constant(256)
 MOST_ENTRIES = wp.constant(256)  # ... nor bare

@@ -11,84 +11,88 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from .diamond import Asked, LocalView, larger, range_at, smaller
+from ..unchecked import code_at, height_at, number_at
+from .diamond import Asked, LocalView, larger, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, radius_of
 
 wp.set_module_options({"enable_backward": False})
 
-FEW_CELLS = wp.constant(4)  # along a rectangle: up to here samples are read, beyond it stored ranges
+FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
+MOST_BLOCKS = wp.constant(6)  # that are read along a side, or cells
 NOTHING = wp.constant(wp.float64(-1e30))
 OUTWARD = wp.constant(wp.float64(2e-7))  # what float32 may round off, and more
 
 
+@wp.struct
+class Blocks:
+    """Bounds of the surface's heights over blocks of cells, before scaling; those of a level have twice the side."""
+
+    least: wp.array(dtype=wp.float32)  # of heights, of negated heights; from FINEST on, row by row from the south-west
+    first: wp.array(dtype=wp.int32)  # number of a level's first block
+    wide: wp.array(dtype=wp.int32)
+
+
 @wp.func
-def least_of_cells(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
-    """Least of sign * height over the raster's cells that a rectangle of the lattice meets, before scaling."""
-    bits = domain.unit_bits - domain.levels
-    i1 = wp.min(x1 >> bits, domain.width - 2)
-    j1 = wp.min(y1 >> bits, domain.height - 2)
+def least_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
+    """Least of up * height, before scaling, over the cells from (i0, j0) to (i1, j1)."""
     least = wp.float64(wp.inf)
     if domain.bicubic == 1:
-        for j in range(y0 >> bits, j1 + 1):
-            for i in range(x0 >> bits, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
                 index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
-                index += wp.where(sign > wp.float64(0.0), wp.int64(0), wp.int64(1))
-                h = domain.range_base + wp.float64(domain.ranges[index]) * domain.range_step
-                least = smaller(least, sign * h)
+                index += wp.where(up > wp.float64(0.0), wp.int64(0), wp.int64(1))
+                h = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
+                least = smaller(least, up * h)
     else:
-        for j in range(y0 >> bits, j1 + 2):
+        for j in range(j0, j1 + 2):
             row = wp.int64(j) * wp.int64(domain.width)
-            for i in range(x0 >> bits, i1 + 2):
-                least = smaller(least, sign * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
+            for i in range(i0, i1 + 2):
+                least = smaller(least, up * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
     return least
 
 
-@wp.func
-def least_of_ranges(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
-    """The same from the stored ranges of diamonds about middles of level edges, 2 x 2 edges large: two or three cover
-    the rectangle along its longer side."""
-    bits = domain.unit_bits - domain.levels + 2
-    depth = 2 * domain.levels - 2
-    longer = wp.max(x1 - x0, y1 - y0)
-    while depth > 2 and (wp.int32(3) << bits) < longer:
-        bits += 1
-        depth -= 2
-    edge = wp.int32(1) << bits
-    last_i = (domain.columns << (domain.unit_bits - bits)) - 1
-    last_j = domain.rows << (domain.unit_bits - bits)
-    least = wp.float64(wp.inf)
-    j = wp.min((y0 >> bits) + 1, last_j)
-    more = wp.bool(True)
-    while more:
-        i = wp.min((x0 + edge / 2) >> bits, last_i)
-        beside = wp.bool(True)
-        while beside:
-            r = range_at(domain, (i << bits) + edge / 2, j << bits, depth)
-            code = wp.where(sign > wp.float64(0.0), r[0], r[1])
-            least = smaller(least, sign * (domain.range_base + wp.float64(code) * domain.range_step))
-            beside = ((i + 1) << bits) + edge / 2 < x1 and i < last_i
-            i = wp.min(i + 2, last_i)
-        more = (j + 1) << bits < y1 and j < last_j
-        j = wp.min(j + 2, last_j)
-    return least
+@wp.kernel
+def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dtype=wp.float32)):
+    """Row `offset + tid` of the smallest blocks."""
+    j = (offset + wp.tid()) << FINEST
+    beside = (wp.int32(1) << FINEST) - 1
+    j1 = wp.min(j + beside, domain.height - 2)
+    for k in range(wide):
+        i = k << FINEST
+        i1 = wp.min(i + beside, domain.width - 2)
+        for side in range(2):
+            h = least_of_cells(domain, i, j, i1, j1, wp.float64(1 - 2 * side))
+            least[2 * ((j >> FINEST) * wide + k) + side] = wp.float32(h - wp.abs(h) * OUTWARD)
 
 
 @wp.func
-def least_over(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64):
+def least_over(
+    domain: Domain, blocks: Blocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
+):
     """Least of sign * height, metres as they are placed, over a rectangle of the lattice; what is beyond the raster
     does not count. sign 1: how low the ground is; -1: how high, negated."""
     bits = domain.unit_bits - domain.levels
-    x0 = wp.max(x0, 0)
-    y0 = wp.max(y0, 0)
-    x1 = wp.min(x1, (domain.width - 1) << bits)
-    y1 = wp.min(y1, (domain.height - 1) << bits)
+    i0 = wp.max(x0, 0) >> bits
+    j0 = wp.max(y0, 0) >> bits
+    i1 = wp.min(x1 >> bits, domain.width - 2)
+    j1 = wp.min(y1 >> bits, domain.height - 2)
     up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
-    least = wp.float64(0.0)
-    if wp.max(x1 - x0, y1 - y0) <= FEW_CELLS << bits or domain.levels < 2:
-        least = least_of_cells(domain, x0, y0, x1, y1, up)
+    least = wp.float64(wp.inf)
+    if wp.max(i1 - i0, j1 - j0) < 3:
+        least = least_of_cells(domain, i0, j0, i1, j1, up)
     else:
-        least = least_of_ranges(domain, x0, y0, x1, y1, up)
+        level = wp.int32(FINEST)
+        while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MOST_BLOCKS:
+            level += 1
+        side = wp.where(up > wp.float64(0.0), 0, 1)
+        low = wp.float32(wp.inf)
+        for j in range(j0 >> level, (j1 >> level) + 1):
+            row = number_at(blocks.first, level) + j * number_at(blocks.wide, level)
+            for i in range(i0 >> level, (i1 >> level) + 1):
+                h = height_at(blocks.least, wp.int64(2 * (row + i) + side))
+                low = wp.where(h < low, h, low)
+        least = wp.float64(low)
     if domain.detailed == 1:
         least -= domain.detail_most
     return least * domain.error_scale + sign * domain.height_offset
@@ -123,7 +127,7 @@ def reach2_of(view: LocalView) -> wp.float64:
 
 
 @wp.func
-def ground_near(domain: Domain, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
+def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
     """The highest ground within `reach` lattice units of (x, y), metres; infinity where that is not all raster."""
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.width - 1) << bits)
@@ -135,14 +139,14 @@ def ground_near(domain: Domain, x: wp.float64, y: wp.float64, reach: wp.float64,
             y0 = wp.max(wp.int32(y - reach) - 1 - grown, 0)
             x1 = wp.int32(wp.min(x + reach + wp.float64(2 + grown), east))
             y1 = wp.int32(wp.min(y + reach + wp.float64(2 + grown), north))
-            if domain.bicubic == 0 and wp.max(x1 - x0, y1 - y0) <= FEW_CELLS << bits:
+            if domain.bicubic == 0 and wp.max(x1 - x0, y1 - y0) < 1 << (bits + FINEST):
                 low_h, high_h = heights_between(domain, x0, y0, x1, y1)
                 z = wp.max(low_h * domain.height_scale, high_h * domain.height_scale)
                 if domain.detailed == 1:
                     z += domain.detail_most * domain.error_scale
                 high = z + domain.height_offset
             else:
-                high = -least_over(domain, x0, y0, x1, y1, wp.float64(-1.0))
+                high = -least_over(domain, blocks, x0, y0, x1, y1, wp.float64(-1.0))
     return high
 
 
@@ -150,6 +154,7 @@ def ground_near(domain: Domain, x: wp.float64, y: wp.float64, reach: wp.float64,
 def fill_horizon(
     offset: int,
     domain: Domain,
+    blocks: Blocks,
     asked: Asked,
     number: wp.int32,
     start: wp.float64,
@@ -178,7 +183,7 @@ def fill_horizon(
     y = (view.eye[1] - domain.south) / domain.unit_y
     floor = wp.float64(wp.inf)
     begun = wp.int32(0)
-    high = ground_near(domain, x, y, start / wp.min(domain.unit_x, domain.unit_y), grown)
+    high = ground_near(domain, blocks, x, y, start / wp.min(domain.unit_x, domain.unit_y), grown)
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
@@ -192,6 +197,8 @@ def fill_horizon(
         per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
         per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
     best = NOTHING
+    cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)
+    due = wp.float64(0.0)  # rings nearer together than cells are say no more
     for ring in range(rings.count):
         radius = radius_of(rings.first + ring)
         u0 = x + radius * per0[0]
@@ -199,7 +206,8 @@ def fill_horizon(
         u1 = x + radius * per1[0]
         v1 = y + radius * per1[1]
         inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
-        if inside and begun < 2:
+        if inside and begun < 2 and radius >= due:
+            due = radius + cell
             x0 = wp.int32(u0) - 1 - grown
             y0 = wp.int32(v0) - 1 - grown
             x1 = wp.int32(u1) + 2
@@ -209,11 +217,12 @@ def fill_horizon(
             across2 = radius * radius * slant2
             if begun == 0:  # the eye is beyond the rim: rays must come in above the ground
                 begun = 1
-                rise = -least_over(domain, x0, y0, x1, y1, -one) - view.eye[2]
+                rise = -least_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
                 floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
-            rise = least_over(domain, x0, y0, x1, y1, one) - view.eye[2]
-            best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
-        elif begun == 1 and best > NOTHING:
+            rise = least_over(domain, blocks, x0, y0, x1, y1, one) - view.eye[2]
+            if rise > best * radius:
+                best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
+        elif not inside and begun == 1 and best > NOTHING:
             begun = 2
         asked.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)
     asked.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)

@@ -30,4 +30,6 @@ def _driven(objects, scene):
     shaders = [*bpy.data.materials, *bpy.data.worlds, *bpy.data.lights]
     trees = [block.node_tree for block in shaders if block.node_tree]
     blocks = [*objects, *{o.data for o in objects if o.data}, scene, *shaders, *trees, *bpy.data.node_groups]
-    return [block for block in blocks if block.animation_data and len(block.animation_data.drivers)]
+    # Images, the data of some empties, are never animated.
+    moved = ((block, getattr(block, "animation_data", None)) for block in blocks)
+    return [block for block, data in moved if data and len(data.drivers)]

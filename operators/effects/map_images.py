@@ -8,6 +8,7 @@ The values are 0 .. 1; `coding_of_map` says what they stand for. A normal map go
 is Object.
 """
 
+import secrets
 from pathlib import Path
 
 import bpy
@@ -15,19 +16,26 @@ import bpy
 from ...cbt_terrain.maps.folder import UDIM, read_index
 from ...cbt_terrain.maps.tiling import MARGIN
 from ..mesh.writer import UV_LAYER
-from ..scene.session import open_field
+from ..scene.session import all_terrains, open_field
 
 BESIDE = "_maps"
 GROUP = "Terrain Map UV"
 
 
 def map_folder(obj) -> Path:
-    """Where the maps of a terrain are kept: the folder that its settings name, or one beside its store."""
+    """Where the maps of a terrain are kept: in the folder that its settings name, or in one beside its store."""
     settings = obj.adaptive_terrain
-    if settings.maps.folder:
-        return Path(bpy.path.abspath(settings.maps.folder))
     store = Path(bpy.path.abspath(settings.store))
-    return store.with_name(store.name + BESIDE) / bpy.path.clean_name(obj.name)
+    folder = settings.maps.folder
+    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + BESIDE)
+    return above / bpy.path.clean_name(f"{obj.name}_{settings.maps.mark}")
+
+
+def own_folder(obj) -> None:
+    """See that no other terrain keeps its maps where this one does: one of its name, in this file or another."""
+    others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
+    while obj.library is None and (not obj.adaptive_terrain.maps.mark or str(map_folder(obj)).casefold() in others):
+        obj.adaptive_terrain.maps.mark = secrets.token_hex(4)
 
 
 def index_of(obj) -> dict | None:
@@ -63,7 +71,7 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
     if obj.adaptive_terrain.store.startswith("//") and not image.filepath.startswith("//"):
         image.filepath = bpy.path.relpath(image.filepath)
     image.name = f"{obj.name} {name}"
-    image.colorspace_settings.name = "Non-Color"
+    image.colorspace_settings.name = "sRGB" if entry["coding"].get("srgb") else "Non-Color"
     image.alpha_mode = "CHANNEL_PACKED" if entry["coding"]["channels"] == 4 else "NONE"
     return image
 

@@ -62,6 +62,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     further arguments of `request.gather`. Raises TerrainError.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
+    map_images.own_folder(obj)
     names = known(names_of(obj, depsgraph) if names is None else names)
     if settings.folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(

@@ -18,7 +18,7 @@ PLAIN = (0.2, 0.19, 0.17)  # without any layer
 MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
 FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
 A_GROUP = 4  # layers in one attribute or map
-NORMAL, SKY, SUN = "detail_normal", "sky", "sun"
+COLORS, NORMAL, SKY, SUN = "color", "detail_normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
 COLOUR = "Color"
 # How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
@@ -33,9 +33,9 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 @dataclass(frozen=True)
 class Sources:
-    """What the group reads. `layers`: name and colour (linear RGB) of each. `light`: which of SKY and SUN darken the
-    colours. `maps`: baked images by effect; what has none is read as an attribute. `place`: adds nodes to a tree that
-    give the place in them; returns their output."""
+    """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
+    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
+    attribute. `place`: adds nodes to a tree that give the place in them; returns their output."""
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
     light: Sequence[str] = ()
@@ -147,6 +147,8 @@ def build_group(tree, sources: Sources, size: float) -> None:
     given = n.add("NodeGroupInput").outputs
     noise = _noise(n, given[SIZE])
     colour = _mixed(n, sources, [given[name] for name in names], noise) if names else PLAIN
+    if COLORS in sources.maps:
+        colour = _texture(n, sources, COLORS)["Color"]
     colour = _varied(n, colour, noise, given[VARIATION])
     for name in sources.light:
         seen = _value(n, sources, name)

@@ -8,7 +8,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..scene import session
 from ..scene.layer_properties import colors_of
 from .map_images import map_image, map_vector
-from .material import A_GROUP, NORMAL, SKY, SUN, Sources, dress
+from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress
 
 
 class TerrainMaterial(bpy.types.Operator):
@@ -46,8 +46,9 @@ class TerrainMaterial(bpy.types.Operator):
 def sources_of(obj, light) -> Sources:
     """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
     layers = colors_of(obj.adaptive_terrain)
-    names = (NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
+    names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
+    layers = [] if COLORS in maps else layers  # they are in it
     light = [name for name in (SKY, SUN) if name in light or name in maps]
     return Sources(layers, light, maps, lambda tree: map_vector(tree, obj))
 

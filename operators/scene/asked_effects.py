@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from ...cbt_terrain.effects.plan import Plan
 from ...cbt_terrain.effects.splat import NAMES
 from ..demand import kept
 from ..demand.found import ACTIVE_COLOR, ALL, Demand, Reader
+from .decals import decals_given
 from .effect_properties import OFF, PINNED, numbers_of
-from .layer_properties import layers_given
+from .layer_properties import color_given, layers_given
 from .sun_lamps import suns_over
 
 PIN = Reader("a pin", PICTURE)
@@ -48,6 +50,11 @@ class EffectStatus:
 Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
 GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
 GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
+
+GIVEN["detail_normal"] = partial(decals_given, tilts=True)
+GIVEN["color"] = lambda terrain, placement, depsgraph: (
+    color_given(terrain.adaptive_terrain) | decals_given(terrain, placement, depsgraph, tilts=False)
+)
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:

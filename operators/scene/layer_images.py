@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Painted images as splat layers read them: the red of their pixels, kept until an image changes."""
+"""Images as splat layers and decals read them: what is made of their pixels, kept until an image changes."""
+
+from collections.abc import Callable
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -8,26 +11,37 @@ from bpy.app.handlers import persistent
 from ...cbt_terrain.effects.splat_rules import Painted
 from ...cbt_terrain.errors import TerrainError
 
-_read: dict[str, tuple[tuple, Painted]] = {}
+T = TypeVar("T")
+# By the names of images and what is made of them: what they were made from, and that.
+_read: dict[tuple[str, type], tuple[tuple, object]] = {}
 
 
 def painted_of(image) -> Painted:
     """The red of an image, row 0 south. Raises TerrainError for one without pixels."""
+    return kept_of(image, Painted, "of a splat layer", _painted)
+
+
+def _painted(_image, pixels: np.ndarray) -> Painted:
+    return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
+
+
+def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
+    """What `make` makes of an image and its pixels, float32 [rows, columns, channels], row 0 at the lower edge; kept
+    until the image changes. Raises TerrainError for one without pixels."""
     image = image.original
-    mark = (*image.size, image.filepath, image.channels)
-    kept = _read.get(image.name_full)
+    mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
+    kept = _read.get((image.name_full, kind))
     if kept is None or kept[0] != mark:
         columns, rows = image.size
         if not image.channels or not rows * columns:
             raise TerrainError(
-                f"The image {image.name!r} of a splat layer has no pixels; expected an image file that can be read: "
+                f"The image {image.name!r} {whose} has no pixels; expected an image file that can be read: "
                 "find it, or choose another."
             )
         pixels = np.empty(rows * columns * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
-        red = pixels.reshape(rows, columns, image.channels)[..., 0]
-        kept = mark, Painted(np.clip(np.nan_to_num(red), 0.0, 1.0))
-        _read[image.name_full] = kept
+        kept = mark, make(image, pixels.reshape(rows, columns, image.channels))
+        _read[image.name_full, kind] = kept
     return kept[1]
 
 
@@ -35,10 +49,11 @@ def painted_of(image) -> Painted:
 def forget_changed(_scene, depsgraph) -> None:
     """Images that have changed are read again, and terrains that read them evaluated again."""
     changed = {update.id.name_full for update in depsgraph.updates if isinstance(update.id, bpy.types.Image)}
-    if not changed & _read.keys():
+    read = [key for key in _read if key[0] in changed]
+    if not read:
         return
-    for name in changed:
-        _read.pop(name, None)
+    for key in read:
+        del _read[key]
     for obj in bpy.data.objects:
         images = [layer.image for layer in obj.adaptive_terrain.layers if layer.image is not None]
         if any(image.name_full in changed for image in images):

@@ -14,11 +14,10 @@ from bpy.props import (
 )
 
 from ...cbt_terrain.effects import splat_rules as rules
+from ...cbt_terrain.effects.color import DEFAULT_COLORS
 from ...cbt_terrain.errors import TerrainError
 from .detail_properties import changed
 from .layer_images import painted_of
-
-DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
 
 
 def _band(label: str, about: str, low: float, high: float, edge: float, ends: tuple[float, float], **options) -> type:
@@ -133,6 +132,12 @@ def layers_given(settings) -> dict[str, object]:
     """The parameters of the splat effects, those that are not their defaults."""
     layers = layers_of(settings)
     return {"layers": layers} if layers else {}
+
+
+def color_given(settings) -> dict[str, object]:
+    """The parameters of the effect "color" that come from the layers, those that are not their defaults."""
+    layers = layers_given(settings)
+    return layers | {"colors": tuple(color for _, color in colors_of(settings))} if layers else {}
 
 
 def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:

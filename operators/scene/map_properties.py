@@ -57,7 +57,10 @@ class MapSettings(bpy.types.PropertyGroup):
     )
     folder: StringProperty(
         name="Folder",
-        description="Where the images are kept; without one, beside the store",
+        description="Where the images are kept, in a folder for each terrain; without one, beside the store",
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
+    )
+    mark: StringProperty(
+        name="Mark", description="Tells this terrain's folder from those of others of its name", options={"HIDDEN"}
     )

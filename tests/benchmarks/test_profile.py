@@ -119,13 +119,17 @@ def test_the_page_shows_what_was_profiled(tmp_path):
     assert page.count(f"* **{BOX}**: ") == 1 and f"**{LEAF}" not in page
 
 
+# What these take is in their reasons: kernels of their own, or Python that asks Blender.
+NOT_PROFILED = {"demand_large", "light_rays", "effects_cut", "effects_flight", "maps_normal"}
+
+
 def test_every_row_that_falls_short_has_its_profile():
     content = json.loads(profiles.FILE.read_text())
     profiled = {(item["row"], item["size"]) for item in content["profiles"]}
     names = {row for row, _ in profiled}
     for name, size in goals.RECORDED:
-        if name.endswith("_memory"):
-            continue  # a profile is of time
+        if name.endswith("_memory") or name in NOT_PROFILED:
+            continue
         assert name in names if size == goals.ANY_SIZE else (name, size) in profiled
     for item in content["profiles"]:
         assert set(item["parts"]) <= set(profiles.MEANING) and sum(item["parts"].values()) == pytest.approx(1.0)

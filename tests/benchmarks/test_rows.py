@@ -13,6 +13,8 @@ import pytest
 from adaptive_terrain.benchmarks import (
     baselines,
     demand_rows,
+    detail_rows,
+    effects,
     engine,
     files,
     fit_row,
@@ -202,9 +204,11 @@ def small_suite(monkeypatch):
         engine: {"REFINE_SIZES": {1: (2_000,), 2: (2_000,)}, "MILLION": 8_000, "MESHLET": 1},
         in_blender: {"MILLION": 8_000, "FRAME_SIZES": (8_000, 16_000)},
         measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
+        effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
+        detail_rows: {"SAMPLES": SAMPLES},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
@@ -215,9 +219,10 @@ def small_suite(monkeypatch):
         monkeypatch.setattr(engine, name, value)
 
 
-ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets", "depth", "depth_reached"]
+ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
+ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["maps_normal", "cold_start"]
+ENGINE_ROWS += ["maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
@@ -232,7 +237,7 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
         "frame",
         "frame_meshlets",
         "still_frame",
-        *("demand", "demand_large", "demand_kept"),
+        *("demand", "demand_large", "demand_kept", "effects_ingest"),
         *scales,
     ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)

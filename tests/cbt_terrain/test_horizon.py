@@ -10,7 +10,8 @@ from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSP
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from adaptive_terrain.cbt_terrain.refine.refinement import Refinement
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -114,6 +115,15 @@ def test_nothing_that_a_view_sees_is_hidden():
     counts = [check_what_is_seen(scene) for scene in scenes(71, 200)]
     fewer = [a < 0.9 * b for a, b in counts]
     assert sum(fewer) > 10 and min(a / b for a, b in counts) < 0.7, (sum(fewer), counts)
+
+
+def test_nothing_of_a_detail_that_a_view_sees_is_hidden():
+    """Case 71, with detail below the raster's cells, which rises above its heights and falls below them."""
+    counts = []
+    for field, *rest in scenes(1, 30):
+        detail = Detail(0.01 * extent(field)[2], 25.0 * field.lattice.step_x, seed=len(counts))
+        counts.append(check_what_is_seen((with_detail(field, detail), *rest)))
+    assert sum(a < 0.9 * b for a, b in counts) > 2, counts
 
 
 def test_what_one_of_several_views_sees_is_not_hidden():

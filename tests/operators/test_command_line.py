@@ -7,11 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.cli.verbs import print_fields
 from adaptive_terrain.operators.output.exporting import parse_formats, parse_frames
 from adaptive_terrain.operators.text.console import Progress, duration
+from fields import reference_heights
 
 FLIGHT = {
     "fov": 50,
@@ -133,6 +137,21 @@ def test_a_smooth_surface_may_be_asked_for(export):
     infos = [read_npz(folder / "terrain_0002.npz")["info"] for folder in (flat, smooth)]
     assert code == 0 and [info["interpolation"] for info in infos] == ["bilinear", "bicubic"]
     assert infos[1]["triangles"] > infos[0]["triangles"] and infos[1]["height_field"] != infos[0]["height_field"]
+
+
+def test_a_detail_may_be_asked_for(export, store, tmp_path):
+    asked = Detail(2.0, 60.0)
+    code, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "2", "--detail", "2,60")
+    baked = tmp_path / "hills.npz"
+    argv = ["bake", "--store", store, "--max-error", "1", "--detail", "2,60", "--out", str(baked)]
+    assert code == 0 == command_line.main(argv)
+    field = with_detail(open_store(store), asked)
+    for mesh in map(read_npz, (folder / "terrain_0002.npz", baked)):
+        assert mesh["info"]["height_field"].endswith(asked.key)
+        points = mesh["positions"].astype(np.float64)
+        assert np.abs(points[:, 2] - reference_heights(field, points[:, :2])).max() < 1e-4
+    middles = points[mesh["triangles"]].mean(1)
+    assert np.abs(middles[:, 2] - reference_heights(field, middles[:, :2])).max() <= mesh["info"]["bound_m"] <= 1.0
 
 
 @pytest.mark.parametrize("form", ["ply", "obj", "glb", "stl", "blend"])
@@ -301,6 +320,8 @@ def test_a_scene_is_exported_as_its_camera_sees_it(scene, add_terrain, tmp_path,
         (["info", "nothing"], 1, "nothing does not exist"),
         (["bake", "--store", "x", "--max-error", "0", "--out", "a.ply"], 2, "0 is not more than 0"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.doc"], 2, "no known format"),
+        (["bake", "--store", "x", "--max-error", "1", "--detail", "2", "--out", "a.npz"], 2, "argument --detail"),
+        (["bake", "--store", "x", "--max-error", "1", "--detail", "0,2", "--out", "a.npz"], 2, "argument --detail"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.npz"], 1, "no terrain store at x"),
         (["export", "--frames", "1", "--format", "npz", "--out", "x"], 2, "--scene --store is required"),
         (["export", "--store", "x", "--frames", "1", "--format", "npz", "--out", "x"], 2, "needs --path"),

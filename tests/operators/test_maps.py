@@ -43,21 +43,23 @@ def keys(obj) -> dict[str, str]:
     return {tile["file"]: tile["key"] for entry in maps.values() for tile in entry["tiles"]}
 
 
-def wear(obj, name: str = "detail_normal") -> None:
-    """A diffuse material with a baked normal."""
+def wear(obj, name: str | None = "detail_normal") -> None:
+    """A diffuse material, with a baked normal; what an object without one wears differs from Blender to Blender."""
     material = bpy.data.materials.new("worn")
     material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
-    texture = map_images.map_texture(tree, obj, name, map_images.map_vector(tree, obj))
-    bump = tree.nodes.new("ShaderNodeNormalMap")
-    bump.space = "OBJECT"
     diffuse, out = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(texture.outputs["Color"], bump.inputs["Color"])
-    tree.links.new(bump.outputs["Normal"], diffuse.inputs["Normal"])
     tree.links.new(diffuse.outputs[0], out.inputs["Surface"])
     obj.data.materials.clear()
     obj.data.materials.append(material)
+    if name is None:
+        return
+    texture = map_images.map_texture(tree, obj, name, map_images.map_vector(tree, obj))
+    bump = tree.nodes.new("ShaderNodeNormalMap")
+    bump.space = "OBJECT"
+    tree.links.new(texture.outputs["Color"], bump.inputs["Color"])
+    tree.links.new(bump.outputs["Normal"], diffuse.inputs["Normal"])
 
 
 def shaded(path) -> np.ndarray:
@@ -103,8 +105,7 @@ def test_a_coarse_mesh_with_a_normal_map_is_shaded_as_the_full_one(terrain, tmp_
     relief = field.max_height - field.min_height
     pictures = {}
     for name, error in (("full", relief * 1e-5), ("coarse", relief * 0.05), ("mapped", relief * 0.05)):
-        if name == "mapped":
-            wear(obj)
+        wear(obj, "detail_normal" if name == "mapped" else None)
         write_mesh(obj.data, Terrain(field).update(Criterion(error_px=0.0, error_m=error)).surface)
         pictures[name] = shaded(tmp_path / f"{name}.exr")
     off = {name: float(np.sqrt(((pictures[name] - pictures["full"]) ** 2).mean())) for name in ("coarse", "mapped")}
@@ -140,6 +141,121 @@ def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
     assert keys(terrain) != keys(other)
     assert map_images.map_image(terrain, "detail_normal") != map_images.map_image(other, "detail_normal")
     assert map_images.map_image(terrain, "slope") is None
+
+
+def test_terrains_of_one_name_in_two_files_have_folders_of_their_own(terrain, add_terrain, tmp_path):
+    bake(terrain)
+    first, folder = map_images.map_folder(terrain), terrain.adaptive_terrain.maps.folder
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "first.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    other = add_terrain()
+    other.adaptive_terrain.maps.folder = folder
+    assert map_images.map_image(other, "detail_normal") is None
+    bake(other)
+    assert map_images.map_folder(other) != first and map_images.map_folder(other).parent == first.parent
+    copy = other.copy()
+    copy.name = "TERRAIN"
+    bpy.context.scene.collection.objects.link(copy)
+    bpy.context.view_layer.objects.active = copy
+    bake(copy)
+    assert str(map_images.map_folder(copy)).casefold() != str(map_images.map_folder(other)).casefold()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "first.blend"))
+    again = bpy.data.objects["Terrain"]
+    assert map_images.map_folder(again) == first and map_images.map_image(again, "detail_normal") is not None
+
+
+def turned_empty(terrain, name: str, data: bool) -> tuple:
+    """An image on a turned, scaled, tilted empty over a turned, scaled terrain; the empty, and the image's pixels."""
+    image = bpy.data.images.new(name, 24, 16, alpha=True, is_data=data)
+    shown = np.random.default_rng(len(name)).integers(64, 192, (2, 3, 4)).repeat(8, 0).repeat(8, 1) / 255
+    image.pixels.foreach_set(shown.astype(np.float32).ravel())
+    empty = bpy.data.objects.new(name, None)
+    empty.empty_display_type, empty.data, empty.empty_display_size = "IMAGE", image, 3.0
+    empty.location, empty.rotation_euler, empty.scale = (60, -80, 500), (0.3, 0.2, 0.9), (200.0, 150.0, 7.0)
+    empty.empty_image_offset = -0.4, -0.7
+    empty.parent = terrain
+    bpy.context.scene.collection.objects.link(empty)
+    return empty, shown
+
+
+def under(terrain, empty, side: int) -> tuple[np.ndarray, ...]:
+    """Row and column of an empty's image of 16 x 24 pixels above each texel of a map of the whole terrain, south first;
+    and where it is inside."""
+    west, south, east, north = session.open_field(terrain.adaptive_terrain.store).lattice.rectangle()
+    flat = (terrain.matrix_world.inverted() @ empty.matrix_world).to_3x3()
+    centre = (terrain.matrix_world.inverted() @ empty.matrix_world).translation
+    flat[0][2], flat[1][2], flat[2] = 0.0, 0.0, (0.0, 0.0, 1.0)
+    back = np.array(flat.inverted())
+    y, x = (np.mgrid[0:side, 0:side] + 0.5) / side
+    x, y = west + x * (east - west) - centre.x, south + y * (north - south) - centre.y
+    u = (back[0, 0] * x + back[0, 1] * y) / 3.0 + 0.4  # 3: the empty's size, that of its longer side
+    v = (back[1, 0] * x + back[1, 1] * y) / 2.0 + 0.7
+    row, column = np.clip(v * 16, 0, 15).astype(int), np.clip(u * 24, 0, 23).astype(int)
+    # A pixel in from where pixels differ: between their centres they mix.
+    calm = [(abs(place * count / 8 - np.round(place * count / 8)) > 0.2) for place, count in ((v, 16), (u, 24))]
+    inside = (u > 0.02) & (u < 0.98) & (v > 0.02) & (v < 0.98) & calm[0] & calm[1]
+    outside = (u < -0.02) | (u > 1.02) | (v < -0.02) | (v > 1.02)
+    return row, column, inside, outside
+
+
+def test_images_on_empties_are_in_the_colours_and_the_normals(terrain):
+    terrain.rotation_euler, terrain.scale = (0, 0, 0.4), (1.5, 1.5, 1.0)
+    settings = terrain.adaptive_terrain.maps
+    settings.frames, settings.chosen = "WHOLE", {"color", "detail_normal"}
+    names = "color", "detail_normal"
+    bake(terrain)
+    plain = {name: pixels_of(map_images.map_image(terrain, name)) for name in names}
+    before = keys(terrain)
+    shown = {"color": turned_empty(terrain, "Stain", False), "detail_normal": turned_empty(terrain, "Ripples", True)}
+    bake(terrain)
+    bpy.context.view_layer.update()
+    assert all(before[file] != key for file, key in keys(terrain).items())
+    for name, (empty, image) in shown.items():
+        found = pixels_of(map_images.map_image(terrain, name))
+        row, column, inside, outside = under(terrain, empty, len(found))
+        assert inside.sum() > 500 and np.array_equal(found[outside], plain[name][outside])
+        rgb, alpha = image[row, column, :3][inside], image[row, column, 3:][inside]
+        if name == "color":
+            wanted = curve(alpha * line(rgb) + (1 - alpha) * line(plain[name][inside]))
+        else:
+            axes = np.array((terrain.matrix_world.inverted() @ empty.matrix_world).to_3x3())[:2, :2]
+            axes /= np.sqrt((axes * axes).sum(0))
+            ground, tilt = plain[name][inside] * 2 - 1, rgb * 2 - 1
+            slopes = -tilt[:, :2] / np.maximum(tilt[:, 2:], 0.05) * alpha
+            wanted = ground / ground[:, 2:]
+            wanted[:, 0] -= slopes[:, 0] * axes[0, 0] + slopes[:, 1] * axes[0, 1]
+            wanted[:, 1] -= slopes[:, 0] * axes[1, 0] + slopes[:, 1] * axes[1, 1]
+            wanted = 0.5 + 0.5 * wanted / np.sqrt((wanted * wanted).sum(1))[:, None]
+        assert abs(found[inside] - wanted).max() < 3 / 255
+    before = keys(terrain)
+    bake(terrain)
+    assert keys(terrain) == before
+    shown["color"][0].location.x += 10
+    bake(terrain)
+    assert {file for file, key in keys(terrain).items() if before[file] != key} == {"color.png"}
+    assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
+    [group] = [node.node_tree for node in terrain.data.materials[0].node_tree.nodes if node.type == "GROUP"]
+    images = {node.image for node in group.nodes if node.type == "TEX_IMAGE"}
+    assert images == {map_images.map_image(terrain, name) for name in names}
+    assert not [node for node in group.nodes if node.type == "ATTRIBUTE"]
+    shown["color"][0].rotation_euler = np.pi / 2, 0, 0
+    with pytest.raises(RuntimeError, match="'Stain' stands upright"):
+        bpy.ops.adaptive_terrain.bake_maps()
+
+
+def pixels_of(image) -> np.ndarray:
+    return np.array(image.pixels[:]).reshape(*image.size, -1)[..., :3]
+
+
+def line(srgb: np.ndarray) -> np.ndarray:
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def curve(linear: np.ndarray) -> np.ndarray:
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def test_numbers_and_their_units_reach_blender(terrain):

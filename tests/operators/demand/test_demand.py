@@ -40,6 +40,14 @@ def test_readers_say_who_they_are_and_for_what():
     ]
 
 
+def test_an_image_on_an_empty_reads_nothing():
+    obj, _, _ = worn()
+    empty = bpy.data.objects.new("Reference", None)
+    empty.empty_display_type, empty.data = "IMAGE", bpy.data.images.new("Photo", 4, 4)
+    bpy.context.scene.collection.objects.link(empty)
+    assert not demanded(obj)
+
+
 def test_everything_is_demanded_with_its_reason():
     obj, _, _ = worn()
     moved = Moved(obj)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decals: images laid on the ground from straight above, over its colour or its normals."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import TerrainError
+from .effect import Parameter, Places
+
+DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image, equal to another by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge: linear
+    red, green and blue or, where `tilts`, slopes along the columns and the rows and 0, all times alpha; alpha."""
+
+    values: np.ndarray = field(repr=False)
+    tilts: bool
+    digest: str
+
+    @cached_property
+    def mips(self) -> list[np.ndarray]:
+        """The image, then each the means of 2 x 2 pixels of the one before."""
+        found = [self.values]
+        while max(found[-1].shape[:2]) > 1:
+            rows, columns, _ = found[-1].shape
+            even = np.pad(found[-1], ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
+            south, north = even[0::2], even[1::2]
+            found.append((south[:, 0::2] + south[:, 1::2] + north[:, 0::2] + north[:, 1::2]) * np.float32(0.25))
+        return found
+
+
+def picture(pixels: np.ndarray, tilts: bool) -> Picture:
+    """Of float [rows, columns, 4]: linear colours or, where `tilts`, a normal map in 0 .. 1; alpha is not in them."""
+    rgb, alpha = pixels[..., :3].astype(np.float32), np.clip(pixels[..., 3:].astype(np.float32), 0.0, 1.0)
+    if tilts:
+        normal = rgb * np.float32(2.0) - np.float32(1.0)
+        rgb = np.zeros_like(normal)
+        rgb[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], np.float32(0.05))
+    values = np.concatenate([np.nan_to_num(rgb) * alpha, alpha], axis=2)
+    content = repr((values.shape, tilts)).encode() + values.tobytes()
+    return Picture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
+
+
+@dataclass(frozen=True)
+class Decal:
+    """A picture on the ground. `corner`: x and y of its lower left corner, metres in the terrain's own space; `along`,
+    `up`: its lower and its left edge, likewise. `opacity`: of all of it, 0 .. 1."""
+
+    name: str
+    picture: Picture
+    corner: tuple[float, float]
+    along: tuple[float, float]
+    up: tuple[float, float]
+    opacity: float = 1.0
+
+    def __post_init__(self):
+        if not (math.isfinite(self._area) and self._area != 0.0):
+            raise TerrainError(
+                f"The decal {self.name!r} stands upright or has no size; expected an image that lies: "
+                "turn it, or scale it."
+            )
+
+    def __eq__(self, other) -> bool:
+        return isinstance(other, Decal) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    @property
+    def _area(self) -> float:
+        return self.along[0] * self.up[1] - self.along[1] * self.up[0]
+
+    def seen(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the places it lies on, int [n], and what it shows there at their scale, float32 [n, 4]."""
+        x = places.positions[:, 0].astype(np.float64) - self.corner[0]
+        y = places.positions[:, 1].astype(np.float64) - self.corner[1]
+        u = (x * self.up[1] - y * self.up[0]) / self._area
+        v = (y * self.along[0] - x * self.along[1]) / self._area
+        which = np.flatnonzero((u >= 0) & (u <= 1) & (v >= 0) & (v <= 1))
+        u, v = u[which], v[which]
+        mips, lattice = self.picture.mips, places.field.lattice
+        rows, columns, _ = mips[0].shape
+        pixel = math.sqrt(abs(self._area) / (rows * columns))
+        levels = places.level[which] + math.log2(max(lattice.step_x, lattice.step_y) / pixel)
+        levels = np.clip(levels, 0.0, len(mips) - 1.0)
+        values = np.zeros((len(which), 4), np.float32)
+        for number, mip in enumerate(mips):
+            share = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
+            at = np.flatnonzero(share)
+            place = u[at] * (columns / 2**number) - 0.5, v[at] * (rows / 2**number) - 0.5
+            values[at] += share[at, None] * _between(mip, *place)
+        return which, values * np.float32(self.opacity)
+
+
+def _between(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """An image between the centres of its pixels, bilinear; beyond the outermost it goes on as they are."""
+    rows, columns, _ = image.shape
+    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
+    west, south = column.astype(np.int64), row.astype(np.int64)
+    east, north = np.minimum(west + 1, columns - 1), np.minimum(south + 1, rows - 1)
+    s, t = (column - west).astype(np.float32)[:, None], (row - south).astype(np.float32)[:, None]
+    lower = image[south, west] * (1 - s) + image[south, east] * s
+    return lower * (1 - t) + (image[north, west] * (1 - s) + image[north, east] * s) * t
+
+
+def cover(colors: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+    """Lay the decals that show colours over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
+    for decal in decals:
+        if not decal.picture.tilts:
+            which, values = decal.seen(places)
+            colors[which] = values[:, :3] + (1 - values[:, 3:]) * colors[which]
+
+
+def tilt(normals: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+    """Add the slopes of the decals that are normal maps to those of the ground: `normals` float32 [n, 3]."""
+    for decal in decals:
+        if decal.picture.tilts:
+            which, values = decal.seen(places)
+            upright = normals[which] / normals[which, 2:]
+            for slope, (x, y) in zip(values.T, (decal.along, decal.up), strict=False):
+                length = math.hypot(x, y)
+                upright[:, 0] -= slope * np.float32(x / length)
+                upright[:, 1] -= slope * np.float32(y / length)
+            normals[which] = upright / np.sqrt((upright * upright).sum(axis=1, keepdims=True))

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real program bakes maps, and what it renders shows them."""
+
+from adaptive_terrain.cbt_terrain.maps.folder import read_index
+
+
+def test_the_program_bakes_maps_and_both_engines_show_them(program, scene, tmp_path):
+    said = program.script("bake_maps.py", tmp_path, "CYCLES", "BLENDER_EEVEE_NEXT", blend=scene[0], timeout=600)
+    [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
+    assert set(read_index(folder)["maps"]) == {"color", "detail_normal"}
+    for share, relief in said["red"].values():
+        assert 0.02 < share < 0.5 and relief > 0.02, said

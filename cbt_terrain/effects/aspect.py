@@ -23,6 +23,6 @@ ASPECT = Effect(
     width=2,
     halo=HALO,
     span=(-1.0, 1.0),
-    cost_ns=115,
+    cost_ns=55,
     source='Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE,
 )

@@ -20,6 +20,6 @@ HEIGHT = Effect(
     make=make,
     example=example,
     halo=HALO,
-    cost_ns=105,
+    cost_ns=50,
     source=SOURCE,
 )

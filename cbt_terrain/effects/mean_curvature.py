@@ -23,6 +23,6 @@ MEAN_CURVATURE = Effect(
     make=make,
     example=example,
     halo=HALO,
-    cost_ns=120,
+    cost_ns=55,
     source='Shary 1995, "Land surface in gravity points classification"; ' + SOURCE,
 )

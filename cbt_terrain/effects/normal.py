@@ -25,6 +25,6 @@ DETAIL_NORMAL = Effect(
     parameters=(DECALS,),
     halo=HALO,
     span=(-1.0, 1.0),
-    cost_ns=100,
+    cost_ns=60,
     source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,
 )

@@ -25,6 +25,6 @@ PLAN_CURVATURE = Effect(
     make=make,
     example=example,
     halo=HALO,
-    cost_ns=120,
+    cost_ns=60,
     source='Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE,
 )

@@ -24,6 +24,6 @@ SLOPE = Effect(
     example=example,
     halo=HALO,
     span=(0.0, math.pi / 2),
-    cost_ns=125,
+    cost_ns=70,
     source='Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE,
 )

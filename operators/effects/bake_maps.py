@@ -141,6 +141,8 @@ class BakeMaps(bpy.types.Operator):
                 self.job.fraction = found
         except TerrainError as error:
             self.job.error = str(error)
+        except ReferenceError:  # the terrain or its scene is gone
+            self.job.stopping.set()
 
     def _end(self, context) -> None:
         global _job

@@ -56,14 +56,13 @@ def coding_of_map(obj, name: str) -> dict | None:
 
 
 def map_image(obj, name: str) -> bpy.types.Image | None:
-    """The image of a terrain's map of the effect `name`; None where it is not baked.
+    """The image of a terrain's map of the effect `name`; None where it is not baked, or its files are gone.
 
     It is a tiled image with the source TILED unless the terrain is one tile.
     """
-    entry = _entry(obj, name)
-    if entry is None:
+    entry, folder = _entry(obj, name), map_folder(obj)
+    if entry is None or not (folder / entry["tiles"][0]["file"]).is_file():
         return None
-    folder = map_folder(obj)
     image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(folder / entry["tiles"][0]["file"]))
     if UDIM in entry["file"] and image.source != "TILED":
         image.source = "TILED"

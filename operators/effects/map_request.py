@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.linear import inverse, product
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import PICTURE
@@ -18,6 +19,8 @@ from ..scene.pauses import paused
 from ..scene.request import RENDER, Overrides, gather
 from . import map_images
 from .map_baking import MapRequest, known
+
+WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs no camera
 
 
 def names_of(obj, depsgraph) -> set[str]:
@@ -61,7 +64,12 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
     map_images.own_folder(obj)
     names = known(names_of(obj, depsgraph) if names is None else names)
-    first = gather(obj, depsgraph, RENDER, overrides=Overrides(effects=names), **look)
+    if settings.folder.startswith("//") and not bpy.data.filepath:
+        raise TerrainError(
+            f"The folder of the maps is {settings.folder!r}, beside a .blend file that was never saved: save it, or "
+            "choose another folder."
+        )
+    first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **look)
     seen = {"only_seen": frames is not None or settings.frames == SHOT}
     if frames is None:
         frames = {FRAME: [scene.frame_current], SHOT: range(scene.frame_start, scene.frame_end + 1)}
@@ -70,14 +78,14 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     frames = list(frames)
     try:
         for number, frame in enumerate(frames):
-            if frame != now[0]:
+            if frame != scene.frame_current:
                 with paused():
                     scene.frame_set(frame)
             moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
             views += [_as_seen_from(view, moved.placement, first.placement) for view in moved.views]
             yield number / len(frames)
     finally:
-        if scene.frame_current != now[0]:
+        if (scene.frame_current, scene.frame_subframe) != now:
             with paused():
                 scene.frame_set(now[0], subframe=now[1])
     budget = settings.budget_mb if settings.use_budget else None

@@ -4,6 +4,7 @@
 import bpy
 
 from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.errors import TerrainError
 from ..scene import session
 from ..scene.layer_properties import colors_of
 from .map_images import map_image, map_vector
@@ -33,7 +34,11 @@ class TerrainMaterial(bpy.types.Operator):
 
     def execute(self, context):
         light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]
-        material = dress(context.object, sources_of(context.object, light))
+        try:
+            material = dress(context.object, sources_of(context.object, light))
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         self.report({"INFO"}, f"{material.name} is the material of {context.object.name}")
         return {"FINISHED"}
 

@@ -13,7 +13,7 @@ ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"
 WHEN = [
     (ON_DEMAND, "On Demand", "Computed where a material, a modifier, a driver or an export reads it", "LINKED", 0),
     (PINNED, "Pinned", "Computed always: for scripts, whose reading nobody sees", "PINNED", 1),
-    (OFF, "Off", "Never computed, whatever reads it", "CANCEL", 2),
+    (OFF, "Off", "Given to nobody, whatever reads it; only other effects are still made from it", "CANCEL", 2),
 ]
 
 

@@ -125,15 +125,18 @@ def _next_job() -> Job | None:
 
 
 def _refinement() -> Job | None:
-    """Start on a step of what the first mesh that shows a preview is to become; None if there is none."""
+    """Start on a step of what the first mesh that shows a preview is to become; None if there is none to write."""
     global _started
-    while _unrefined:
-        uid, job = next(iter(_unrefined.items()))
-        record = next((session.record_of(obj) for obj in session.all_terrains() if obj.session_uid == uid), None)
-        if record is not None and record.generation == job.generation:
+    if not _unrefined:
+        return None
+    terrains = {obj.session_uid: obj for obj in session.all_terrains()}
+    for uid, job in list(_unrefined.items()):
+        obj = terrains.get(uid)
+        if obj is None or session.record_of(obj).generation != job.generation:
+            del _unrefined[uid]
+        elif obj.mode == "OBJECT":  # otherwise its mesh cannot be written
             _started = time.monotonic()
-            return Job(uid, job.generation, job.request, _worker.submit(_refine, record, job.request))
-        del _unrefined[uid]
+            return Job(uid, job.generation, job.request, _worker.submit(_refine, session.record_of(obj), job.request))
     return None
 
 

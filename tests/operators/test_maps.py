@@ -320,6 +320,56 @@ def test_a_shot_is_looked_at_beside_the_window(terrain):
     assert scene.frame_current == 3 and len(keys(terrain)) == 1
 
 
+def test_a_shot_is_looked_at_from_every_frame(terrain):
+    """Also from that which the scene is at."""
+    scene = bpy.context.scene
+    for frame in range(1, 6):
+        scene.camera.location.x = 10.0 * frame
+        scene.camera.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 5
+    for now in ((3, 0.0), (5, 0.25)):
+        scene.frame_set(now[0], subframe=now[1])
+        terrain.adaptive_terrain.maps.frames = "SHOT"
+        *_, request = map_request.gathered(terrain, scene)
+        east = [-float(view.world_to_camera[0, 3]) for view in request.views]
+        assert east == pytest.approx([10.0, 20.0, 30.0, 40.0, 50.0])
+        assert (scene.frame_current, scene.frame_subframe) == now
+
+
+def test_the_whole_terrain_needs_no_camera(terrain):
+    bpy.context.scene.camera, terrain.adaptive_terrain.maps.frames = None, "WHOLE"
+    bake(terrain)
+    terrain.adaptive_terrain.maps.frames = "FRAME"
+    with pytest.raises(RuntimeError, match="has no camera"):
+        bpy.ops.adaptive_terrain.bake_maps()
+
+
+def test_a_folder_beside_a_file_that_is_not_saved_is_refused(terrain):
+    terrain.adaptive_terrain.maps.folder = "//maps"
+    with pytest.raises(RuntimeError, match="never saved"):
+        bpy.ops.adaptive_terrain.bake_maps()
+
+
+def test_a_material_is_made_without_maps_that_are_gone(terrain):
+    bake(terrain)
+    folder = map_images.map_folder(terrain)
+    (folder / "detail_normal.png").unlink()
+    assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"} and not bpy.data.images
+    (folder / "maps.json").write_text("{}")
+    with pytest.raises(RuntimeError, match=r"^Error: The maps .*maps.json are damaged"):
+        bpy.ops.adaptive_terrain.terrain_material()
+
+
+def test_a_terrain_that_is_removed_while_frames_are_looked_at_ends_the_bake(terrain):
+    bpy.context.scene.frame_end = 100_000
+    terrain.adaptive_terrain.maps.frames = "SHOT"
+    operator = running(terrain)
+    operator.modal(operator.context, SimpleNamespace(type="TIMER", value="PRESS"))
+    bpy.data.objects.remove(terrain)
+    assert turns(operator) == {"CANCELLED"} and bake_maps.progress() is None
+    assert bpy.context.scene.frame_current == 1
+
+
 def test_escape_leaves_the_maps_as_they_were(terrain, monkeypatch):
     bake(terrain)
     before = keys(terrain)

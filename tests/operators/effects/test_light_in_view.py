@@ -69,6 +69,21 @@ def test_the_view_can_change_between_the_steps_of_refining(lit, monkeypatch):
     assert len(lit.data.polygons) == update.triangles and sky.is_quick(session.record_of(lit).field, 1.0)
 
 
+def test_a_terrain_in_edit_mode_rests_and_is_refined_after_it(lit):
+    turns(until=lambda: live._unrefined)
+    while live.tick() == live.BUSY_S and live._job is not None and not live._job.future.done():
+        time.sleep(0.002)
+    first = values(lit)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for _ in range(200):
+        resting = live.tick() == live.IDLE_S
+        time.sleep(0.002)
+    assert resting and live._job is None, "nothing is computed that cannot be written"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    turns()
+    assert not np.array_equal(values(lit), first)
+
+
 def test_a_view_without_a_reader_of_the_sky_makes_nothing_ahead(lit):
     lit.data.materials.clear()
     bpy.context.view_layer.update()

@@ -44,7 +44,8 @@ test-all: $(READY)
 	$(MAKE) VENV=.venv-3.13 PYTHON=$$(command -v python3.13 || ls "$$(pyenv root)"/versions/3.13.*/bin/python) test
 
 kernels: $(READY)
-	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup; warmup.start(); warmup.wait(overlay=True)"
+	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup as w; w.start(); w.wait(overlay=True); \
+	list(map(w.load, w.other_modules()))"
 
 fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "random_views_keep or every_format_in_every_order"

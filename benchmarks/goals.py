@@ -40,6 +40,7 @@ GOALS: dict[tuple[str, int], float] = {
     ("budget_first", ANY_SIZE): 3.0,
     ("budget_flight", ANY_SIZE): 3.0,
     ("budget_level", ANY_SIZE): 3.0,
+    ("hidden", ANY_SIZE): 0.65,
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
     ("maps_normal", ANY_SIZE): 1.0,

@@ -52,6 +52,8 @@ MEANING = {
     "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, "
     "one thread: the same bits as with every crossing.",
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
+    "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
+    "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
     "beside numpy's differences of the same raster, squeezed alike, on one thread.",
     "detail_from_air": "Triangles of the built-in island at 1 px with 5 cm of detail in waves of 4 m and less, beside "

@@ -21,6 +21,7 @@ from . import (
     files,
     fit_row,
     goals,
+    hidden_row,
     in_blender,
     in_program,
     layer_rows,
@@ -129,6 +130,7 @@ def everything(
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
+    yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
     store = in_blender.keep(rough, folder / "rough")

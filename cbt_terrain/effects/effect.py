@@ -9,8 +9,6 @@ import numpy as np
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 
-# What an effect is a function of: a place and a scale, at which vertices or texels it is evaluated; the whole raster.
-POINT, MAP = "POINT", "MAP"
 # Who reads it, which decides the scale: what pixels show is prefiltered to a pixel's footprint, what geometry is made
 # from has one scale in metres, so that nothing moves with the camera.
 PICTURE, GEOMETRY = "PICTURE", "GEOMETRY"
@@ -56,8 +54,8 @@ class Places:
 
 # What is asked of effects that are made together: the parameters of each, by the effects' names.
 Wanted = Mapping[str, Mapping[str, object]]
-# Places, what is wanted, and the values of what those effects read (of point effects for these places, of maps as a
-# whole) -> the values of each wanted effect, float32 [n] or [n, width].
+# Places, what is wanted, and the values of what those effects read at these places -> the values of each wanted effect,
+# float32 [n] or [n, width].
 Make = Callable[[Places, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
 
 # Evaluates an effect, by its name, on a raster: see evaluate_on in examples.py.
@@ -85,7 +83,6 @@ class Effect:
     make: Make
     example: Callable[[Evaluate], None]
     width: int = 1
-    domain: str = POINT
     reads: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     halo: str = ""

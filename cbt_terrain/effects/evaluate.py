@@ -14,7 +14,7 @@ from ..mesh.attributes import POINT as POINTS
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from .catalogue import EFFECTS
-from .effect import GEOMETRY, MAP, Asked, Places
+from .effect import GEOMETRY, Asked, Places
 from .keep import Kept
 from .plan import Plan
 from .scale import fixed_level, footprint_levels
@@ -35,12 +35,11 @@ class Ran:
 
 @dataclass(frozen=True)
 class _State:
-    """What the last call left. `keys`: of the values that are kept, by effect. `maps`: those of maps, by their keys."""
+    """What the last call left. `keys`: of the values that are kept, by effect."""
 
     surface: Surface | None = None
     asked: tuple = ()
     keys: dict[str, tuple] = field(default_factory=dict)
-    maps: dict[tuple, np.ndarray] = field(default_factory=dict)
     found: dict[str, Attribute] = field(default_factory=dict)
 
 
@@ -88,7 +87,7 @@ class Evaluator:
         kept = Kept(self.threads) if kept is None else kept
         level = fixed_level(heights, geometry_metres)
         keys = _keys(plan, (heights.key, *scale), level)
-        values = {name: last.maps[key] for name, key in keys.items() if key in last.maps}
+        values: dict[str, np.ndarray] = {}
         positions = kept.move_to(surface.positions)
         places, fresh = {}, {}
         for family in sorted({step.family for step in plan.steps}):
@@ -113,13 +112,8 @@ class Evaluator:
                 self.runs[step.name] += computed > 0
                 self.ran[step.name] = Ran(ms, values[step.name].nbytes, computed)
         kept.forget_others({*keys, *places})
-        maps = {keys[step.name]: values[step.name] for step in plan.steps if EFFECTS[step.name].domain == MAP}
-        found = {
-            name: Attribute(values[name], POINTS, EFFECTS[name].unit)
-            for name in plan.attributes
-            if EFFECTS[name].domain != MAP
-        }
-        self._kept, self._state = kept, _State(surface, asked, keys, maps, found)
+        found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
+        self._kept, self._state = kept, _State(surface, asked, keys, found)
         return found
 
 
@@ -129,7 +123,7 @@ def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
     for step in plan.steps:
         effect = EFFECTS[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
-        scale = level if step.family == GEOMETRY and effect.domain != MAP and effect.scaled else None
+        scale = level if step.family == GEOMETRY and effect.scaled else None
         read = tuple(keys[name] for name in effect.reads_with(step.parameters))
         keys[step.name] = (step.name, effect.version, numbers, step.family, scale, heights, read)
     return keys
@@ -155,12 +149,6 @@ def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[s
     not known, None for all of them."""
     effects = [EFFECTS[step.name] for step in group]
     wanted = {step.name: effect.defaults() | dict(step.parameters) for step, effect in zip(group, effects, strict=True)}
-    if effects[0].domain == MAP:
-        missing = {name: numbers for name, numbers in wanted.items() if name not in values}
-        none = np.empty(0, np.int32)
-        made = effects[0].make(places.only(none), missing, values) if missing else {}
-        values.update(made)
-        return sum(len(array) for array in made.values())
     read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
         made = effects[0].make(places, wanted, read)
@@ -171,7 +159,7 @@ def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[s
     for effect in effects:
         values[effect.name] = kept.take(effect.name, effect.width)
     if len(which):
-        some = {name: array if EFFECTS[name].domain == MAP else array[which] for name, array in read.items()}
+        some = {name: array[which] for name, array in read.items()}
         for name, array in effects[0].make(places.only(which), wanted, some).items():
             values[name][which] = array
     return len(which)

@@ -203,6 +203,7 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
     raster.samples = codes.packed(field.samples, field.steps)
     raster.columns, raster.rows = lattice.width, lattice.height
     raster.step_x, raster.step_y = lattice.step_x, lattice.step_y
+    raster.per_x, raster.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     raster.west, raster.south, _, _ = lattice.rectangle()
     raster.height_scale, raster.height_offset = place.vertical_scale, place.vertical_offset
     grid.columns = side

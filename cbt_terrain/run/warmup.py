@@ -18,7 +18,7 @@ from types import ModuleType
 
 import warp as wp
 
-from ...kernels import accuracy, budget, field, mesh, refine
+from ...kernels import accuracy, budget, detail, effects, field, mesh, refine
 from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
@@ -136,6 +136,11 @@ def kernel_modules() -> list[ModuleType]:
 def overlay_modules() -> list[ModuleType]:
     """Those that measure errors, which the overlay shows."""
     return _modules_of(accuracy)
+
+
+def other_modules() -> list[ModuleType]:
+    """Those that are compiled when a scene first asks for them: effects, a detail, what ground hides."""
+    return [*_modules_of(effects), *_modules_of(detail), horizon_map]
 
 
 def _modules_of(package: ModuleType) -> list[ModuleType]:

@@ -15,6 +15,9 @@ MEAN_CURVATURE = wp.constant(8)
 PROFILE_CURVATURE = wp.constant(16)
 PLAN_CURVATURE = wp.constant(32)
 NORMAL = wp.constant(64)
+# Those that need the length of the gradient, and of the normal.
+OF_GRADIENT = wp.constant(2 | 4 | 16 | 32)
+OF_SURFACE = wp.constant(8 | 16 | 64)
 
 HIGHEST = wp.constant(wp.float64(3.4028234663852886e38))
 # Ground that rises less than this, metres a metre, is level: it has no direction.
@@ -103,11 +106,15 @@ def from_jets(
     if (values.wanted & HEIGHT) != 0:
         values.height[v] = single(q[0])
     squared = q[1] * q[1] + q[2] * q[2]
-    rise = wp.sqrt(squared)
-    r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)
+    rise = wp.float64(0.0)
     run = wp.float64(0.0)
-    if rise > LEVEL_GROUND:
-        run = wp.float64(1.0) / rise
+    r = wp.float64(0.0)
+    if (values.wanted & OF_GRADIENT) != 0:
+        rise = wp.sqrt(squared)
+        if rise > LEVEL_GROUND:
+            run = wp.float64(1.0) / rise
+    if (values.wanted & OF_SURFACE) != 0:
+        r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)
     if (values.wanted & SLOPE) != 0:
         values.slope[v] = wp.float32(arc_tangent(rise))
     if (values.wanted & ASPECT) != 0:

@@ -106,44 +106,73 @@ def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float3
         out[to + wp.int64(column)] = wp.float32(h * wp.float64(0.0625))
 
 
-Patch = wp.types.matrix(shape=(4, 4), dtype=wp.float32)
-PatchJet = wp.types.vector(length=6, dtype=wp.float32)
+# The jet at u, v of the cell whose sample is the second of the second row, of the samples x .. x + 3 of the rows
+# y .. y + 3: about that sample, in float32, so what rounds is differences of heights; derivatives per cell. The first
+# derivative is the quadratic spline of differences of neighbours, the second the linear one of theirs: a plane has one
+# slope, and no bend, but for the rounding of those. In C: with Warp's vectors it takes twice as long.
 
-
-# The samples x .. x + 3 of the rows y .. y + 3; beyond the rim those of the rim. In C, as is the arithmetic below:
-# Warp copies the ground for every call, and builds vectors number by number; that was half of a jet's time.
-
-
-@wp.func_native("""
+ROWS = """
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    wp::mat_t<4, 4, wp::float32> h;
-    const wp::float32* from = a.data + first;
+    four r[4];
     if (x >= 0 && x + 3 < columns && y >= 0 && y + 3 < rows)
-        for (int k = 0; k < 4; ++k)
-            *(four*)h.data[k] = *(const four*)(from + (wp::int64)(y + k) * columns + x);
-    else
+        for (int k = 0; k < 4; ++k) { INNER }
+    else {
         for (int k = 0; k < 16; ++k) {
-            const wp::int64 row = wp::clamp(y + k / 4, 0, rows - 1);
-            h.data[k / 4][k % 4] = from[row * columns + wp::clamp(x + k % 4, 0, columns - 1)];
+            const wp::int64 i = wp::int64(wp::clamp(y + k / 4, 0, rows - 1)) * columns
+                                + wp::clamp(x + k % 4, 0, columns - 1);
+            r[k / 4][k % 4] = SAMPLE;
         }
-    return h;
-""")
-def floats_patch(
-    a: wp.array(dtype=wp.float32), first: wp.int64, columns: wp.int32, rows: wp.int32, x: wp.int32, y: wp.int32
-) -> Patch: ...
-
-
-@wp.func_native("""
-    wp::mat_t<4, 4, wp::float32> h;
-    for (int k = 0; k < 16; ++k) {
-        const wp::int64 row = wp::clamp(y + k / 4, 0, rows - 1);
-        const wp::int32 code = a.data[row * columns + wp::clamp(x + k % 4, 0, columns - 1)];
-        h.data[k / 4][k % 4] = (wp::float32)((code + first) * scale + offset);
+        for (int k = 0; k < 4; ++k) {
+            if (x < 0) r[k][0] = 2.0f * r[k][1] - r[k][2];
+            if (x + 3 == columns) r[k][3] = 2.0f * r[k][2] - r[k][1];
+        }
+        if (y < 0) r[0] = 2.0f * r[1] - r[2];
+        if (y + 3 == rows) r[3] = 2.0f * r[2] - r[1];
     }
-    return h;
-""")
-def codes_patch(
-    a: wp.array(dtype=wp.uint16),
+"""
+OF_ROWS = """
+    const float s = 1.0f - u, t = 1.0f - v, sixth = 1.0f / 6.0f, base = r[1][1];
+    for (int k = 0; k < 4; ++k) r[k] -= base;
+    const four a = r[1] - r[0], b = r[2] - r[1], c = r[3] - r[2];
+    const four z = (t * t * t * r[0] + (4.0f - v * v * (6.0f - 3.0f * v)) * r[1]
+                    + (4.0f - t * t * (6.0f - 3.0f * t)) * r[2] + v * v * v * r[3]) * sixth;
+    const four g = 0.5f * t * t * a + (0.5f + t * v) * b + 0.5f * v * v * c;
+    const four k = t * (b - a) + v * (c - b);
+    const float w0 = s * s * s * sixth, w1 = (4.0f - u * u * (6.0f - 3.0f * u)) * sixth;
+    const float w2 = (4.0f - s * s * (6.0f - 3.0f * s)) * sixth, w3 = u * u * u * sixth;
+    const float d0 = 0.5f * s * s, d1 = 0.5f + s * u, d2 = 0.5f * u * u;
+    const float e0 = z[1] - z[0], e1 = z[2] - z[1], e2 = z[3] - z[2];
+    wp::vec_t<6, wp::float64> q;
+    q.c[0] = (wp::float64)base + (w0 * z[0] + w1 * z[1] + w2 * z[2] + w3 * z[3]);
+    q.c[1] = d0 * e0 + d1 * e1 + d2 * e2;
+    q.c[2] = w0 * g[0] + w1 * g[1] + w2 * g[2] + w3 * g[3];
+    q.c[3] = s * (e1 - e0) + u * (e2 - e1);
+    q.c[4] = d0 * (g[1] - g[0]) + d1 * (g[2] - g[1]) + d2 * (g[3] - g[2]);
+    q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
+    return q;
+"""
+FLOAT_ROW = "r[k] = *(const four*)(heights.data + first + wp::int64(y + k) * columns + x);"
+FLOAT = "heights.data[first + i]"
+CODE = "(wp::float32)((heights.data[i] + first) * scale + offset)"
+CODE_ROW = f"for (wp::int64 n = 0, i = wp::int64(y + k) * columns + x; n < 4; ++n, ++i) r[k][n] = {CODE};"
+
+
+@wp.func_native(ROWS.replace("INNER", FLOAT_ROW).replace("SAMPLE", FLOAT) + OF_ROWS)
+def jet_of_floats(
+    heights: wp.array(dtype=wp.float32),
+    first: wp.int64,
+    columns: wp.int32,
+    rows: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+    u: wp.float32,
+    v: wp.float32,
+) -> Jet: ...
+
+
+@wp.func_native(ROWS.replace("INNER", CODE_ROW).replace("SAMPLE", CODE) + OF_ROWS)
+def jet_of_codes(
+    heights: wp.array(dtype=wp.uint16),
     first: wp.int32,
     scale: wp.float64,
     offset: wp.float64,
@@ -151,52 +180,9 @@ def codes_patch(
     rows: wp.int32,
     x: wp.int32,
     y: wp.int32,
-) -> Patch: ...
-
-
-@wp.func
-def extended(h: Patch, x: wp.int32, y: wp.int32, columns: wp.int32, rows: wp.int32) -> Patch:
-    """The same with straight lines beyond the rim."""
-    for k in range(4):
-        if x < 0:
-            h[k, 0] = 2.0 * h[k, 1] - h[k, 2]
-        if x + 3 == columns:
-            h[k, 3] = 2.0 * h[k, 2] - h[k, 1]
-    for k in range(4):
-        if y < 0:
-            h[0, k] = 2.0 * h[1, k] - h[2, k]
-        if y + 3 == rows:
-            h[3, k] = 2.0 * h[2, k] - h[1, k]
-    return h
-
-
-# At u, v from the second sample of the second row: the height above that sample, and the derivatives, per cell. The
-# first derivative is the quadratic spline of differences of neighbours, the second the linear one of theirs: a plane
-# has one slope, and no bend, but for the rounding of those.
-@wp.func_native("""
-    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const float s = 1.0f - u, t = 1.0f - v, sixth = 1.0f / 6.0f, base = h.data[1][1];
-    const four r0 = *(const four*)h.data[0] - base, r1 = *(const four*)h.data[1] - base;
-    const four r2 = *(const four*)h.data[2] - base, r3 = *(const four*)h.data[3] - base;
-    const four a = r1 - r0, b = r2 - r1, c = r3 - r2;
-    const four z = (t * t * t * r0 + (4.0f - v * v * (6.0f - 3.0f * v)) * r1
-                    + (4.0f - t * t * (6.0f - 3.0f * t)) * r2 + v * v * v * r3) * sixth;
-    const four g = 0.5f * t * t * a + (0.5f + t * v) * b + 0.5f * v * v * c;
-    const four k = t * (b - a) + v * (c - b);
-    const float w0 = s * s * s * sixth, w1 = (4.0f - u * u * (6.0f - 3.0f * u)) * sixth;
-    const float w2 = (4.0f - s * s * (6.0f - 3.0f * s)) * sixth, w3 = u * u * u * sixth;
-    const float d0 = 0.5f * s * s, d1 = 0.5f + s * u, d2 = 0.5f * u * u;
-    const float e0 = z[1] - z[0], e1 = z[2] - z[1], e2 = z[3] - z[2];
-    wp::vec_t<6, wp::float32> q;
-    q.c[0] = w0 * z[0] + w1 * z[1] + w2 * z[2] + w3 * z[3];
-    q.c[1] = d0 * e0 + d1 * e1 + d2 * e2;
-    q.c[2] = w0 * g[0] + w1 * g[1] + w2 * g[2] + w3 * g[3];
-    q.c[3] = s * (e1 - e0) + u * (e2 - e1);
-    q.c[4] = d0 * (g[1] - g[0]) + d1 * (g[2] - g[1]) + d2 * (g[3] - g[2]);
-    q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
-    return q;
-""")
-def patch_jet(h: Patch, u: wp.float32, v: wp.float32) -> PatchJet: ...
+    u: wp.float32,
+    v: wp.float32,
+) -> Jet: ...
 
 
 @wp.func
@@ -212,28 +198,23 @@ def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> 
     rows = number_at(ground.rows, level)
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), rows - 2)
-    h = Patch()
-    if level > 0:
-        h = floats_patch(ground.coarser, entry_at(ground.first, level), columns, rows, i - 1, j - 1)
-    elif ground.samples.coded == 0:
-        h = floats_patch(ground.samples.floats, wp.int64(0), columns, rows, i - 1, j - 1)
-    else:
+    u = wp.float32(x - wp.float64(i))
+    v = wp.float32(y - wp.float64(j))
+    q = Jet()
+    if level == 0 and ground.samples.coded != 0:
         s = ground.samples
-        h = codes_patch(s.numbers, s.first, s.scale, s.offset, columns, rows, i - 1, j - 1)
-    if i == 0 or i == columns - 2 or j == 0 or j == rows - 2:
-        h = extended(h, i - 1, j - 1, columns, rows)
-    q = patch_jet(h, wp.float32(x - wp.float64(i)), wp.float32(y - wp.float64(j)))
+        q = jet_of_codes(s.numbers, s.first, s.scale, s.offset, columns, rows, i - 1, j - 1, u, v)
+    else:
+        floats = ground.samples.floats
+        first = wp.int64(0)
+        if level > 0:
+            floats = ground.coarser
+            first = entry_at(ground.first, level)
+        q = jet_of_floats(floats, first, columns, rows, i - 1, j - 1, u, v)
     part = part_of(level)
     per_x = ground.per_x * part
     per_y = ground.per_y * part
-    return Jet(
-        wp.float64(h[1, 1]) + wp.float64(q[0]),
-        wp.float64(q[1]) * per_x,
-        wp.float64(q[2]) * per_y,
-        wp.float64(q[3]) * per_x * per_x,
-        wp.float64(q[4]) * per_x * per_y,
-        wp.float64(q[5]) * per_y * per_y,
-    )
+    return Jet(q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y)
 
 
 @wp.func

@@ -17,6 +17,8 @@ class Raster:
     rows: wp.int32
     step_x: wp.float64
     step_y: wp.float64
+    per_x: wp.float64  # samples in a metre
+    per_y: wp.float64
     west: wp.float64
     south: wp.float64
     height_scale: wp.float64
@@ -43,8 +45,8 @@ def texel_places(offset: int, first: int, raster: Raster, texels: Texels, out: w
     last_y = wp.float64(raster.rows - 1)
     x = texels.west + wp.float64(texel % texels.columns) * texels.step_x
     y = texels.north - wp.float64(texel / texels.columns) * texels.step_y
-    cell_x = wp.clamp((x - raster.west) / raster.step_x, wp.float64(0.0), last_x)
-    cell_y = wp.clamp((y - raster.south) / raster.step_y, wp.float64(0.0), last_y)
+    cell_x = wp.clamp((x - raster.west) * raster.per_x, wp.float64(0.0), last_x)
+    cell_y = wp.clamp((y - raster.south) * raster.per_y, wp.float64(0.0), last_y)
     column = wp.min(wp.int32(cell_x), raster.columns - 2)
     row = wp.min(wp.int32(cell_y), raster.rows - 2)
     at = wp.int64(row) * wp.int64(raster.columns) + wp.int64(column)

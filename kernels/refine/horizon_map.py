@@ -19,7 +19,8 @@ from .hiding import BINS, ROW, radius_of
 wp.set_module_options({"enable_backward": False})
 
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
-MOST_BLOCKS = wp.constant(6)  # that are read along a side, or cells
+FEW_CELLS = wp.constant(8)  # along a rectangle: up to here cells are read, beyond it blocks
+MOST_BLOCKS = wp.constant(6)  # ... along a side
 NOTHING = wp.constant(wp.float64(-1e30))
 OUTWARD = wp.constant(wp.float64(2e-7))  # what float32 may round off, and more
 
@@ -79,7 +80,7 @@ def least_over(
     j1 = wp.min(y1 >> bits, domain.height - 2)
     up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
     least = wp.float64(wp.inf)
-    if wp.max(i1 - i0, j1 - j0) < 3:
+    if wp.max(i1 - i0, j1 - j0) <= FEW_CELLS:
         least = least_of_cells(domain, i0, j0, i1, j1, up)
     else:
         level = wp.int32(FINEST)

@@ -2,7 +2,7 @@
 """What is said of effects: of the catalogue, of what a scene reads, of what an evaluation took."""
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import GEOMETRY, MAP, Effect
+from ...cbt_terrain.effects.effect import GEOMETRY, Effect
 from .numbers import plain
 
 BYTES = 4  # of a float32
@@ -23,8 +23,7 @@ def about(effect: Effect) -> dict:
 
 def cost(effect: Effect) -> str:
     """What one element of the effect takes, as its declaration says."""
-    element = "a sample of the whole raster" if effect.domain == MAP else "a vertex"
-    return f"{BYTES * effect.width} bytes and about {plain(effect.cost_ns)} ns {element}"
+    return f"{BYTES * effect.width} bytes and about {plain(effect.cost_ns)} ns a vertex"
 
 
 def _parameter(parameter) -> str:

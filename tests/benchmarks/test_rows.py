@@ -19,6 +19,7 @@ from adaptive_terrain.benchmarks import (
     files,
     fit_row,
     goals,
+    hidden_row,
     in_blender,
     in_program,
     layer_rows,
@@ -207,6 +208,7 @@ def small_suite(monkeypatch):
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
+        hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         detail_rows: {"SAMPLES": SAMPLES},
         demand_rows: {"MILLION": 8_000},
@@ -222,7 +224,7 @@ def small_suite(monkeypatch):
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
+ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

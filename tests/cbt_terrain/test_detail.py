@@ -62,19 +62,22 @@ def places_in(surface):
 
 
 def check(found, field, views, placement=None, scale=1.0, offset=0.0):
-    """Nothing delivered is further from the surface than is said."""
+    """Nothing delivered is further from the surface than is said. Returns the largest part of a bound that was seen."""
     below = places_in(found.surface)
     truth = below.copy()
     truth[:, 2] = reference_heights(field, below[:, :2]) * scale + offset
+    parts = [0.0]
     if found.bound_m is not None:
-        assert np.abs(below - truth).max() <= found.bound_m
+        parts.append(np.abs(below - truth).max() / found.bound_m)
     if found.bound_px is not None:
         for view in views:
             (a, seen), (b, _) = project(view, truth, placement), project(view, below, placement)
             off = np.linalg.norm(a - b, axis=1)[seen]
             if view.kind == PANORAMIC:
                 off = 2 * np.arcsin(np.minimum(off / 2, 1)) / view.radians_per_pixel
-            assert off.max(initial=0.0) <= found.bound_px
+            parts.append(off.max(initial=0.0) / max(found.bound_px, 1e-30))
+    assert max(parts) <= 1.0
+    return max(parts)
 
 
 def test_the_noise_bends_and_climbs_no_more_than_its_constants():
@@ -173,7 +176,7 @@ def test_no_triangle_misses_more_than_is_said_and_the_bound_is_near(name, steps)
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
 @pytest.mark.parametrize("kind", ["square", "padded", "strip", "flat"])
 def test_no_error_is_above_its_bound(kind, interpolation):
-    rng = np.random.default_rng(len(kind) + len(interpolation))
+    rng, parts = np.random.default_rng(len(kind) + len(interpolation)), []
     for detail in DETAILS.values():
         field = field_of(kind, detail, interpolation)
         scale, offset = float(rng.choice([1.0, -2.0, 0.3])), float(rng.choice([0.0, 700.0]))
@@ -186,21 +189,24 @@ def test_no_error_is_above_its_bound(kind, interpolation):
         views = []
         for seen in (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)[: rng.integers(1, 4)]:
             eye = np.array([*(rng.uniform(-0.4, 0.4, 2) * size[:2]), 0.0])
-            eye[2] = reference_heights(field, eye[None, :2])[0] * scale + offset + rng.choice([1.7, 30.0])
-            world = [placement[:3, :3] @ p + placement[:3, 3] for p in (eye, eye + [5.0, 8.0, -2.0])]
+            above = 1.7 + 2 * detail.amplitude * abs(scale)
+            eye[2] = reference_heights(field, eye[None, :2])[0] * scale + offset + above
+            world = [placement[:3, :3] @ p + placement[:3, 3] for p in (eye, -eye * [1, 1, 0] + [0, 0, offset])]
             fov, wide = (360.0 if seen == PANORAMIC else 50.0), 20.0 * placement[2, 2]
-            view = View.look(*world, kind=seen, fov_deg=fov, ortho_width=wide, resolution=(320, 180), clip=(1e-3, 1e6))
+            view = View.look(*world, kind=seen, fov_deg=fov, ortho_width=wide, resolution=(320, 180), clip=(5e-3, 1e6))
             views.append(view)
         meshlet = int(rng.integers(3))
         for asked in (
-            {"error_px": 1.0, "max_triangles": 3000, "meshlet": meshlet},
-            {"error_px": 0.0, "error_m": 0.3 * details.highest(field.waves) * abs(scale), "max_triangles": 3000},
-            {"error_px": 2.0, "max_depth": 14, "max_triangles": 3000},
-            {"error_px": 0.0, "error_m": 0.01, "max_depth": 10},
+            {"error_px": 1.0, "meshlet": meshlet},
+            {"error_px": 0.0, "error_m": 0.3 * details.highest(field.waves) * abs(scale)},
+            {"error_px": 2.0, "max_depth": 12},
+            {"error_px": 0.0, "error_m": 0.01, "max_depth": 9},
         ):
-            found = Terrain(field, 1).update(Criterion(**asked), views, placement, scale, offset)
+            found = Terrain(field, 1).update(Criterion(**asked, max_triangles=2000), views, placement, scale, offset)
             assert_invariants(found.surface, field.lattice, asked.get("meshlet", 0))
-            check(found, field, views, placement, scale, offset)
+            parts.append(check(found, field, views, placement, scale, offset))
+    print(kind, interpolation, f"largest seen / bound: mean {np.mean(parts):.2f}, most {max(parts):.2f}")
+    assert np.mean(parts) > 0.15
 
 
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])

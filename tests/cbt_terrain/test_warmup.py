@@ -19,6 +19,7 @@ def with_kernels(folder: Path) -> set[str]:
 
 
 OF_A_FRAME = set().union(*(with_kernels(ROOT / "kernels" / room) for room in ("field", "refine", "budget", "mesh")))
+OF_A_FRAME -= {"horizon_map"}  # what ground hides is for who asks for it
 OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
 # Prepares under the name that an extension has, and tells what it compiled itself.
 PREPARE = """

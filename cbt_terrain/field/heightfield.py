@@ -42,7 +42,7 @@ class HeightField:
     have such a corner are holes (see holes.py).
     key: identifies the content: equal keys, equal terrains.
     prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
-    light: what was found once about the light on the heights, whatever lies between them (effects/occluder.py,
+    light: what was found once about light and sight on the heights, whatever lies between them (effects/occluder.py,
     sky_layer.py).
     """
 

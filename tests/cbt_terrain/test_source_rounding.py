@@ -102,7 +102,7 @@ def test_a_bound_holds_for_the_heights_before_the_file_rounded_them(tmp_path, ki
 @pytest.mark.parametrize("kind", ["int16 GeoTIFF", "float16 EXR"])
 def test_a_bound_holds_between_samples_and_in_pixels(tmp_path, kind):
     heights, _, field = imported_from(tmp_path, kind, "fits")
-    truth, plane = replace(field, samples=heights), scattered(field, 20_000)
+    truth, plane = replace(field, samples=heights, steps=None), scattered(field, 20_000)
     view = View.look((-300.0, -200.0, 900.0), (0.0, 0.0, 700.0), resolution=(640, 480))
     update = Terrain(field, 1).update(Criterion(error_px=3.0, error_m=2.0 * field.source_max), [view])
     worst = np.abs(mesh_heights(update.surface, plane) - reference_heights(truth, plane)).max()

@@ -65,12 +65,6 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "some 20 microseconds a node, all of it "
         "Python that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
     ),
-    ("refine_1t", 500_000): (
-        0.54,
-        "from minute to minute 0.43 to 0.54, while a tree of pointers is made in 25 to 36 ms. Edges alone ask each "
-        "diamond for its box and for a pixel on it.",
-    ),
-    ("refine_2t", 500_000): (0.43, "as on one thread: from minute to minute 0.29 to 0.43."),
     ("surface", 1_000_000): (
         0.55,
         "from minute to minute 0.33 to 0.55: half of it is the refinement for an error, on two threads: nine leaves "

@@ -7,7 +7,7 @@ import sys
 import pytest
 from hypothesis import settings
 
-# The same examples in every run; CI asks for ADAPTIVE_TERRAIN_FUZZ=500, `make fuzz` for twenty times.
+# The same examples in every run; CI asks for twice as many (ADAPTIVE_TERRAIN_FUZZ=1000), `make fuzz` for twenty times.
 EXAMPLES = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 settings.register_profile("project", max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
 settings.load_profile("project")

@@ -65,7 +65,7 @@ def _preview(field: HeightField, positions: np.ndarray, triangles: int) -> Row:
     """The first of either, with nothing known before; the heights' pyramid is, which other effects share."""
 
     def first(quality: str) -> float:
-        fresh = replace(field, light={})
+        fresh = replace(field, found={})
         places = Places(fresh, positions, np.zeros(len(positions), np.float32), threads=launch.default_threads())
         with stopwatch() as elapsed:
             sky.make(places, {"sky": {"quality": quality}}, {})

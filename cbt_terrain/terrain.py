@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..kernels.refine.diamond import Domain
+from ..kernels.field.domain import Domain
 from .ask.criterion import Criterion
 from .ask.linear import determinant
 from .ask.local_view import localise

@@ -26,7 +26,7 @@ def occluder_of(places: Places) -> kernels.Occluder:
     """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
     sign = -1.0 if occluder.scale < 0.0 else 1.0
-    kept = places.field.light
+    kept = places.field.found
     if ("tops", sign) not in kept:
         kept["tops", sign] = find_tops(occluder, sign, places.threads)
     tops, first, wide = kept["tops", sign]

@@ -36,7 +36,7 @@ def has_layer(field: HeightField) -> bool:
 
 def is_known(field: HeightField, scale: float) -> bool:
     """Whether the layer is complete, so that values from it take no time."""
-    return field.light.get((LAYER, scale), NOTHING)["azimuths"] == AZIMUTHS
+    return field.found.get((LAYER, scale), NOTHING)["azimuths"] == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
@@ -122,12 +122,12 @@ def sweep(
 
 def _kept(field: HeightField, kind: str, scale: float) -> dict:
     """What is kept of a kind under a vertical scale; that of scales before the last MOST_SCALES is dropped."""
-    if (kind, scale) not in field.light:
-        others = [key for key in field.light if key[0] == kind]
+    if (kind, scale) not in field.found:
+        others = [key for key in field.found if key[0] == kind]
         for key in others[: len(others) + 1 - MOST_SCALES]:
-            del field.light[key]
-        field.light[kind, scale] = dict(NOTHING)
-    return field.light[kind, scale]
+            del field.found[key]
+        field.found[kind, scale] = dict(NOTHING)
+    return field.found[kind, scale]
 
 
 def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.Layer:

@@ -42,8 +42,8 @@ class HeightField:
     have such a corner are holes (see holes.py).
     key: identifies the content: equal keys, equal terrains.
     prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
-    light: what was found once about light and sight on the heights, whatever lies between them (effects/occluder.py,
-    sky_layer.py).
+    found: what was looked for once in the heights, for light and for what hides what (effects/occluder.py,
+    effects/sky_layer.py, refine/horizon.py).
     """
 
     samples: np.ndarray
@@ -72,7 +72,7 @@ class HeightField:
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
     detailed: dict[Detail, "HeightField"] = field(default_factory=dict, repr=False)
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
-    light: dict[tuple, object] = field(default_factory=dict, repr=False)
+    found: dict[tuple, object] = field(default_factory=dict, repr=False)
 
     @property
     def raster_key(self) -> str:

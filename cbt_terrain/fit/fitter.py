@@ -23,7 +23,7 @@ import warp as wp
 from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
-from ...kernels.refine.diamond import Asked, LocalView
+from ...kernels.refine.pixels import Asked, LocalView
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh import borders

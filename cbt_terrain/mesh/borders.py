@@ -9,8 +9,8 @@ cells, of which no triangle reaches into two.
 import numpy as np
 import warp as wp
 
+from ...kernels.field.domain import Domain
 from ...kernels.mesh import cut as kernels
-from ...kernels.refine.diamond import Domain
 from ..field.heightfield import HeightField
 from ..refine.domain import NO_RIM
 from ..run import launch

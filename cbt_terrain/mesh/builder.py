@@ -8,12 +8,12 @@ import numpy as np
 import warp as wp
 
 from ...kernels.detail import displace as detail_kernels
+from ...kernels.field.domain import Domain
 from ...kernels.mesh import displace as displace_kernels
 from ...kernels.mesh import join as join_kernels
 from ...kernels.mesh import meshlet as meshlet_kernels
 from ...kernels.mesh import weld as weld_kernels
 from ...kernels.mesh import weld_state
-from ...kernels.refine.diamond import Domain
 from ...kernels.refine.runs import Run, Runs
 from ..errors import TerrainError
 from ..field.heightfield import HeightField

@@ -9,7 +9,8 @@ import warp as wp
 
 from ...kernels.budget.count import count
 from ...kernels.budget.count_state import CELLS, MARKS, MOST_HALVES, STEPS_PER_OCTAVE, Cell, Count
-from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.field.domain import Domain
+from ...kernels.refine.pixels import Asked
 from ..field.lattice import Lattice
 from ..run import launch
 from ..run.buffers import Buffers, bind, shared

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.field.domain import Domain
 from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
+from ...kernels.refine.pixels import Asked
 from ..ask.criterion import LARGEST, Criterion
 from ..ask.spans import Spans
 from ..run import launch

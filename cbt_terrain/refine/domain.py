@@ -7,7 +7,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
-from ...kernels.refine.diamond import Asked, LocalView
+from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.criterion import Criterion
 from ..ask.spans import Spans
 from ..field import codes

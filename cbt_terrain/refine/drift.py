@@ -4,8 +4,9 @@
 import math
 from dataclasses import dataclass
 
+from ...kernels.field.domain import Domain
 from ...kernels.refine.coherence import Motion
-from ...kernels.refine.diamond import Asked, Domain, LocalView
+from ...kernels.refine.pixels import Asked, LocalView
 
 # By which part lengths, all but spans of a pixel, may change from frame to frame: 4 times this comes off the slack.
 MOST_DRIFT = 2e-3

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.diamond import Asked, Domain, LocalView
+from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
 from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_horizon
+from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.criterion import LARGEST
 from ..ask.view import KINDS, ORTHOGRAPHIC
 from ..field.heightfield import HeightField
@@ -58,9 +59,9 @@ def fill(
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
     """The blocks of a field's surface: found once, and kept with the field."""
     key = "blocks", field.interpolation
-    if key not in field.light:
-        field.light[key] = _find_blocks(domain, threads)
-    least, first, wide = field.light[key]
+    if key not in field.found:
+        field.found[key] = _find_blocks(domain, threads)
+    least, first, wide = field.found[key]
     blocks = Blocks()
     blocks.least, blocks.first, blocks.wide = flat(least, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
     return blocks

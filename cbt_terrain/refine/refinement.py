@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
 from ...kernels.refine import replay as replay_kernels
 from ...kernels.refine import walk as kernels
 from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
-from ...kernels.refine.diamond import Asked, Domain
+from ...kernels.refine.pixels import Asked
 from ...kernels.refine.runs import Run, Runs
 from ...kernels.refine.walk_state import STACK, Keeper, Walk
 from ..field.heightfield import HeightField

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..refine.diamond import PANORAMIC
+from ..refine.pixels import PANORAMIC
 from .facets import Ground, Mesh
 from .rays import NOWHERE, Ray, within
 from .screen import Eye, ray_through

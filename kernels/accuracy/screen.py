@@ -7,7 +7,7 @@ before and after. Its error is the distance of their projections.
 
 import warp as wp
 
-from ..refine.diamond import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
+from ..refine.pixels import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from .edges import PLACES, advance, begin, difference_at, on_edge, place_in, turning_point
 from .facets import (
     Facet,

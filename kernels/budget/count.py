@@ -14,6 +14,7 @@ A window of many octaves is estimated by a sample: see `count_state.halves_of`.
 
 import warp as wp
 
+from ..field.domain import Domain
 from ..refine.band import (
     DOUBT,
     SPLIT,
@@ -27,7 +28,8 @@ from ..refine.band import (
     nothing_certain,
     too_coarse,
 )
-from ..refine.diamond import Asked, Domain, coarsest, error_at, fetch_ahead, leaves_tile
+from ..refine.pixels import Asked, coarsest
+from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
 from .count_state import CELLS, Cell, Count, Part, Tally, add, halves_of, last_of_edges, last_split, note
 
 wp.set_module_options({"enable_backward": False})

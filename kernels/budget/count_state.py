@@ -4,7 +4,8 @@
 import warp as wp
 
 from ..refine.band import Band, Limits, Measured, too_coarse
-from ..refine.diamond import Asked, larger, sizes, smaller
+from ..refine.diamond import larger, smaller
+from ..refine.pixels import Asked, sizes
 
 wp.set_module_options({"enable_backward": False})
 

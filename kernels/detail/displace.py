@@ -4,8 +4,8 @@
 import warp as wp
 
 from ..field.detail import Detail, detail_at
+from ..field.domain import Domain
 from ..mesh.displace import AHEAD, Points, fetch_samples, put_vertex, runs_of, surface_at, take_run
-from ..refine.diamond import Domain
 from ..unchecked import pair_at
 
 wp.set_module_options({"enable_backward": False})

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..refine.diamond import Domain
+from ..field.domain import Domain
 from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh
 
 wp.set_module_options({"enable_backward": False})

@@ -8,8 +8,8 @@ heights metres before scaling, in float64: planes through float32 heights at pow
 
 import warp as wp
 
+from ..field.domain import Domain
 from ..field.hierarchy import diagonal_inside, row_inside
-from ..refine.diamond import Domain
 from ..unchecked import height_at
 
 wp.set_module_options({"enable_backward": False})

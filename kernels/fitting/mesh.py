@@ -7,7 +7,7 @@ room for triangles and vertices to come.
 
 import warp as wp
 
-from ..refine.diamond import Domain
+from ..field.domain import Domain
 from .facet import Facet, surface
 from .raising import RAISED, climb
 

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..refine.diamond import Domain
+from ..field.domain import Domain
 from .facet import Facet, above, bulge, is_beyond_rim, twist_over
 
 wp.set_module_options({"enable_backward": False})

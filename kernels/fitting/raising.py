@@ -3,8 +3,9 @@
 
 import warp as wp
 
+from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..refine.diamond import Domain, place
+from ..refine.stored_errors import place
 
 wp.set_module_options({"enable_backward": False})
 

@@ -3,7 +3,8 @@
 
 import warp as wp
 
-from ..refine.diamond import cell_error, error_at, metres2_of
+from ..refine.diamond import metres2_of
+from ..refine.stored_errors import cell_error, error_at
 from .mesh import PINNED, Mesh, list_marked, mark, mark_around, put_on_surface, split
 from .raising import raise_cells
 

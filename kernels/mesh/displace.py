@@ -5,7 +5,7 @@ import warp as wp
 
 from ..bicubic.surface import in_patch
 from ..field.codes import Samples, prefetch_sample, sample_at
-from ..refine.diamond import Domain
+from ..field.domain import Domain
 from ..refine.runs import Runs
 from ..unchecked import copy_vec2s, copy_vec3s, pair_at, put_vec2, put_vec3
 

@@ -7,21 +7,9 @@ far above rounding: what a band says, measuring would say.
 
 import warp as wp
 
-from .diamond import (
-    Asked,
-    Diamond,
-    Domain,
-    coarsest,
-    diamond_at,
-    finest,
-    larger,
-    metres2_of,
-    own_for,
-    rest_of,
-    sizes,
-    smaller,
-    too_coarse_at,
-)
+from ..field.domain import Domain
+from .diamond import Diamond, diamond_at, larger, metres2_of, own_for, rest_of, smaller
+from .pixels import Asked, coarsest, finest, sizes, too_coarse_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -75,7 +63,7 @@ class Band:
     leaf_depth: wp.int32  # from it on they do not; both end one below the deepest leaves
     calm: wp.int32  # 1: no error below asks for a split, so that depths alone decide
     even_depth: wp.int32  # ... and all leaves are of this depth; 0: they may differ
-    known: wp.int32  # of the box, see diamond.py
+    known: wp.int32  # of the box, see pixels.py
 
 
 @wp.func

@@ -9,7 +9,8 @@ a walk without memory gives.
 
 import warp as wp
 
-from .diamond import (
+from .diamond import larger, smaller
+from .pixels import (
     BARE,
     CLEAR,
     HIDDEN,
@@ -19,8 +20,6 @@ from .diamond import (
     PERSPECTIVE,
     Asked,
     LocalView,
-    larger,
-    smaller,
     stand_of,
     veil_of,
 )
@@ -153,7 +152,7 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
 def carried(asked: Asked, motion: Motion, kept: Subtree, known: wp.int32):
     """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
 
-    known: what is known of it, see diamond.py.
+    known: what is known of it, see pixels.py.
     """
     least, most, holds = span_change(asked.view, motion, kept)
     kept.fall = kept.fall + least

@@ -4,6 +4,7 @@ counted."""
 
 import warp as wp
 
+from ..field.domain import Domain
 from ..unchecked import number_cells, put_cell, put_code, put_pair
 from .band import EVEN_BLOCK, LEAF, TAKEN
 from .block import new_vertices, write_block
@@ -22,7 +23,6 @@ from .curve import (
     third_edge,
     touches_border,
 )
-from .diamond import Domain
 from .steps import size_of
 from .walk_state import Cursor, Square, Walk, Written
 

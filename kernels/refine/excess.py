@@ -13,24 +13,10 @@ in the frame: one that reaches from under the camera into the frame is seen no n
 import warp as wp
 
 from ..field.codes import sample_at
-from .diamond import (
-    OUTSIDE,
-    PERSPECTIVE,
-    Asked,
-    Diamond,
-    Domain,
-    LocalView,
-    detail_missed,
-    diamond_at,
-    is_beyond,
-    larger,
-    nearest_pixel2,
-    raster_error_at,
-    rest_of,
-    sizes,
-    smaller,
-    stand_of,
-)
+from ..field.domain import Domain
+from .diamond import Diamond, diamond_at, larger, rest_of, smaller
+from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
+from .stored_errors import detail_missed, is_beyond, raster_error_at
 
 wp.set_module_options({"enable_backward": False})
 

@@ -12,9 +12,10 @@ from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..unchecked import code_at, height_at, number_at
-from .diamond import Asked, LocalView, larger, smaller
+from .diamond import larger, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, radius_of
+from .pixels import Asked, LocalView
 
 wp.set_module_options({"enable_backward": False})
 

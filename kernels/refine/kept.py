@@ -7,8 +7,9 @@ from ..unchecked import copy_cells, copy_codes, copy_points
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, veil_in
-from .diamond import CROSSED, Asked, coarsest, smaller, stand_of
+from .diamond import smaller
 from .emit import stands_alone
+from .pixels import CROSSED, Asked, coarsest, stand_of
 from .steps import size_of
 from .walk_state import Cursor, Keeper, Square, Walk, Written
 

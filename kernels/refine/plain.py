@@ -13,11 +13,13 @@ into slices, which are walked side by side: each goes down from the roots to its
 
 import warp as wp
 
+from ..field.domain import Domain
 from .band import LEAF, SPLIT, measured_at, too_coarse
-from .diamond import Asked, Domain, error_at
 from .emit import emit
 from .kept import begin_keeping
+from .pixels import Asked
 from .steps import advance, enter, middle_of, put_results, square_at
+from .stored_errors import error_at
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})

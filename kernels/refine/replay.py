@@ -3,11 +3,12 @@
 
 import warp as wp
 
+from ..field.domain import Domain
 from .band import LEAF, SPLIT
-from .diamond import Domain, error_at
 from .emit import emit
 from .kept import begin_keeping
 from .steps import advance, enter, middle_of, put_results, square_at
+from .stored_errors import error_at
 from .walk_state import Walk, Written
 
 wp.set_module_options({"enable_backward": False})

@@ -9,6 +9,7 @@ narrower band for what is below it. Leaves of one depth are written as an even b
 
 import warp as wp
 
+from ..field.domain import Domain
 from .band import (
     DOUBT,
     EVEN_BLOCK,
@@ -23,10 +24,11 @@ from .band import (
     too_coarse,
 )
 from .block import MAX_BISECTIONS
-from .diamond import Asked, Domain, error_at, fetch_ahead, leaves_tile
 from .emit import emit, stands_alone
 from .kept import begin_keeping, close_subtree, looks_for_subtree, note_turning, open_subtree, take
+from .pixels import Asked
 from .steps import advance, enter, middle_of, put_results, square_at
+from .stored_errors import error_at, fetch_ahead, leaves_tile
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
 wp.set_module_options({"enable_backward": False})

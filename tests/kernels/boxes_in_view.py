@@ -4,8 +4,9 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .diamond import Diamond, LocalView
+from .diamond import Diamond
 from .excess import heights_between, least_depth
+from .pixels import LocalView
 
 wp.set_module_options({"enable_backward": False})
 

@@ -4,7 +4,8 @@
 import warp as wp
 
 from .coherence import Motion, Subtree, span_change
-from .diamond import Asked, Diamond, LocalView, nearest_pixel2
+from .diamond import Diamond
+from .pixels import Asked, LocalView, nearest_pixel2
 
 wp.set_module_options({"enable_backward": False})
 

@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.refine.drift import move
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.kernels.refine.coherence import Motion, Subtree
-from adaptive_terrain.kernels.refine.diamond import Asked, LocalView
+from adaptive_terrain.kernels.refine.pixels import Asked, LocalView
 from fields import extent, rough
 from invariants import arrays
 from twins import load

@@ -128,6 +128,6 @@ def coded(field: HeightField, scale: float = 0.25) -> tuple[HeightField, HeightF
     numbers = np.clip(np.rint(field.samples / scale), -32768, 32767)
     steps = Steps(-32768, scale, 0.0)
     stored = (numbers + 32768).astype(np.uint16)
-    floats = replace(field, samples=steps.heights(stored), prefiltered=[], light={}, surfaces={})
+    floats = replace(field, samples=steps.heights(stored), prefiltered=[], found={}, surfaces={})
     floats = replace(floats, min_height=float(floats.samples.min()), max_height=float(floats.samples.max()))
-    return floats, replace(floats, samples=stored, steps=steps, prefiltered=[], light={})
+    return floats, replace(floats, samples=stored, steps=steps, prefiltered=[], found={})

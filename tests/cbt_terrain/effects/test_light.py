@@ -201,7 +201,7 @@ def test_threads_change_no_bit():
     suns = ((1.0, 0.4, 0.5, DISC),)
     found = []
     for threads in (1, 2, 5):
-        fresh = replace(field, light={}, prefiltered=[])
+        fresh = replace(field, found={}, prefiltered=[])
         places = every_sample(fresh, threads=threads)
         values = [made("sky", places), made("sky", places, quality=sky.PREVIEW), sky.seen_from(places)]
         found.append([*values, made("sun", places, suns=suns), made("ambient_occlusion", places)])
@@ -228,7 +228,7 @@ def test_who_is_stopped_in_a_sweep_goes_on_to_the_same_bits(monkeypatch):
         if len(calls) == 12:
             raise stopping.Stopped
 
-    whole = made("sky", every_sample(replace(field, light={})))
+    whole = made("sky", every_sample(replace(field, found={})))
     monkeypatch.setattr(stopping, "check", stop_at_the_sixth)
     with pytest.raises(stopping.Stopped):
         made("sky", every_sample(field))
@@ -281,5 +281,5 @@ def test_the_sky_is_kept_under_the_last_two_vertical_scales():
         places = every_sample(field, scale)
         whole, preview = made("sky", places), made("sky", places, quality=sky.PREVIEW)
     assert [sky.is_quick(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
-    assert sum(key[0] != "tops" for key in field.light) == 4
+    assert sum(key[0] != "tops" for key in field.found) == 4
     assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)

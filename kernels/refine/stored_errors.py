@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error of a diamond, from the arrays of the height field.
+
+A diamond is known by its split vertex (x, y in lattice units) and its depth inside a root square.
+"""
+
+import warp as wp
+
+from ..field.codes import error_of
+from ..field.domain import Domain
+from ..field.layout import tile_index
+from ..unchecked import entry_at, number_at, prefetch_byte
+
+wp.set_module_options({"enable_backward": False})
+
+UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
+
+
+@wp.func
+def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.float32:
+    """What `group` of the errors, the cells or the bends, holds for raster cell (i, j)."""
+    e = wp.float32(0.0)
+    if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
+        index = entry_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
+        e = error_of(domain.table, group, domain.error, index)
+    return e
+
+
+@wp.func
+def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
+    return cell_entry(domain, domain.cell_group, i, j)
+
+
+@wp.func
+def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
+    """The group of a depth above the raster's cells."""
+    return (levels - 1 - ((depth - 1) >> 1)) >> 1
+
+
+@wp.func
+def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
+    """Where the errors hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
+    group = group_of(domain.levels, depth)
+    shift = domain.unit_bits - domain.levels + 2 * group
+    return entry_at(domain.base, group) + tile_index(x >> shift, y >> shift, number_at(domain.pages, group))
+
+
+@wp.func
+def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
+    """Lattice units that a diamond's box reaches from its split vertex along each axis.
+
+    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
+    centre and 2 s from an edge's middle.
+    """
+    s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
+    return 2 * s + (depth & 1) * s
+
+
+@wp.func
+def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.bool:
+    """Whether the box of the diamond split at (x, y) is beyond the raster's rim: boxes are nested, and so is this."""
+    beyond = wp.bool(False)
+    if x > domain.east or y > domain.north:
+        reach = reach_of(domain.unit_bits, depth)
+        beyond = x - reach >= domain.east or y - reach >= domain.north
+    return beyond
+
+
+@wp.func
+def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
+    error = wp.float32(0.0)
+    finer = depth - 2 * domain.levels - 1
+    if is_beyond(domain, x, y, depth):
+        error = wp.float32(0.0)
+    elif finer < 0:
+        index = place(domain, x, y, depth)
+        error = error_of(domain.table, group_of(domain.levels, depth), domain.error, index)
+    else:
+        bits = domain.unit_bits - domain.levels
+        i = x >> bits
+        j = y >> bits
+        group = wp.where(finer > 0, domain.bend_group, domain.cell_group)
+        error = cell_entry(domain, group, i, j)
+        if (depth & 1) == 0:
+            # the middle of an edge that two raster cells share
+            if (i << bits) == x:
+                error = wp.max(error, cell_entry(domain, group, i - 1, j))
+            if (j << bits) == y:
+                error = wp.max(error, cell_entry(domain, group, i, j - 1))
+        # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
+        halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+        error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
+    return error
+
+
+@wp.func
+def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """What leaves at `leaf_depth` in the diamond split at (x, y) miss of a detail, at most: metres, before scaling.
+
+    Beyond the rim the surface goes on level, so a triangle that reaches over it may miss all.
+    """
+    at = leaf_depth
+    if leaf_depth <= domain.detail_rim:
+        reach = reach_of(domain.unit_bits, depth)
+        if x + reach > domain.east or y + reach > domain.north:
+            at = 0
+    return domain.detail[at][0]
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+    error = raster_error_at(domain, x, y, depth)
+    if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
+        error = (error + detail_missed(domain, x, y, depth, depth)) * UP
+    return error
+
+
+@wp.func
+def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
+    """Whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
+    return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
+
+
+@wp.func
+def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """Bring the errors about the diamond split at (x, y) into the cache; nothing is read."""
+    prefetch_byte(domain.error, place(domain, x, y, depth))

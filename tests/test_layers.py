@@ -29,12 +29,13 @@ ROOMS = {
         "mesh",
         "detail",
         "effects",
+        "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
         *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
-        *("importing", "fit", "accuracy"),
+        *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [
         *("text", "mesh", "demand", "scene", "effects", "output", "report", "ui", "handlers", "registration"),

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From level to level: halved heights, changes brought to a finer level, and one effect applied over all of them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from .land_effect import Change, Ground, LandEffect
+
+# Samples along the longer side of the coarsest level, at most: it is always computed for the whole.
+COARSEST = 257
+
+
+def finer(samples: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """float32 [rows, columns] of the next finer level: its own samples where they coincide, between them their mean.
+
+    samples: float32 [(rows + 1) // 2 or one more, likewise], of the coarser level.
+    """
+    rows, columns = samples.shape
+    wide = np.empty((rows, 2 * columns - 1), np.float32)
+    wide[:, ::2] = samples
+    wide[:, 1::2] = 0.5 * (samples[:, :-1] + samples[:, 1:])
+    tall = np.empty((2 * rows - 1, wide.shape[1]), np.float32)
+    tall[::2] = wide
+    tall[1::2] = 0.5 * (wide[:-1] + wide[1:])
+    return tall[: shape[0], : shape[1]]
+
+
+def coarser(samples: np.ndarray) -> np.ndarray:
+    """Every second sample; the last of a side with an even number, which a level ends beyond, is repeated."""
+    odd = np.pad(samples, [(0, 1 - n % 2) for n in samples.shape], mode="edge")
+    return np.ascontiguousarray(odd[::2, ::2])
+
+
+def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+    """The change that an effect makes to a whole raster, by way of all its levels.
+
+    values: every parameter, as the effect's `defaults`. The heights, the mask and the layers of coarser levels are
+    every second sample of the finer one's.
+    """
+    ground = replace(ground, whole=ground.heights.shape)
+    shape, change = ground.heights.shape, None
+    if max(shape) > COARSEST:
+        below = apply_by_levels(effect, _coarser_ground(ground), values)
+        change = Change(finer(below.heights, shape), {name: finer(a, shape) for name, a in below.layers.items()})
+    if effect.finest and max(shape) > effect.finest:
+        return change
+    made = effect.apply(ground, values, change)
+    if ground.mask is None or effect.masks:
+        return made
+    return replace(made, heights=made.heights * ground.mask)
+
+
+def _coarser_ground(ground: Ground) -> Ground:
+    halved = {
+        "heights": coarser(ground.heights),
+        "missing": None if ground.missing is None else coarser(ground.missing),
+        "mask": None if ground.mask is None else coarser(ground.mask),
+        "layers": {name: coarser(layer) for name, layer in ground.layers.items()},
+    }
+    return replace(ground, step_x=2 * ground.step_x, step_y=2 * ground.step_y, level=ground.level + 1, **halved)

@@ -20,8 +20,9 @@ from ..importing.drafts import drafted, figures
 from ..run import launch
 from .level_work import METHOD
 from .mask_image import load_image
-from .shape import Shaped, joined, key_with, shape
+from .shape import Shaped, shape
 from .stack import Stack, stack_content, stack_from
+from .stack_layers import joined, key_with
 from .tile_cache import TileCache
 from .tiles import Wanted, all_tiles, levels_of
 

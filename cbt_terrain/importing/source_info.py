@@ -11,10 +11,11 @@ from importlib import metadata
 from pathlib import Path
 
 from ..errors import TerrainError
+from ..field.lands import LANDS
 from ..run import child, stopping
 from ..run.stall import STALL_SECONDS, stalled_text
 from .guard import VARIABLES, guard
-from .raster import ISLAND, ImportSettings
+from .raster import ImportSettings
 from .sources import check_file, open_source
 
 POLL_SECONDS = 0.02
@@ -23,7 +24,7 @@ POLL_SECONDS = 0.02
 def describe_source(settings: ImportSettings) -> dict:
     """What a height map holds by its header, as a flat dict. Raises TerrainError for one that cannot be imported."""
     settings.check()
-    if settings.source != ISLAND:
+    if settings.source not in LANDS:
         check_file(Path(settings.source))
     return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
 

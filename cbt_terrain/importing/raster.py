@@ -31,8 +31,9 @@ class ImportSettings:
     instead of what the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that
     stands for missing samples, instead of the file's own; NaN: no value does. holes: cut them out instead of filling
     them. size, seed: samples a side and seed of a built-in land. band: number of the band, from 1. channel: name of an
-    EXR channel, "" for the first that looks like a height. first_row_south: for files that do not say where north is; pictures begin in the
-    north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it is.
+    EXR channel, "" for the first that looks like a height. first_row_south: for files that do not say where north is;
+    pictures begin in the north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it
+    is.
     """
 
     source: str

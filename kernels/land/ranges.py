@@ -8,6 +8,8 @@ same height at every resolution. x, y: metres from the middle of the square, to 
 import warp as wp
 
 from ..field.island import gullies, noise, relief, smooth
+from ..field.noise import scramble
+from ..field.noise import scramble
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})
 
@@ -28,11 +30,8 @@ def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.ui
     chain = smooth(wp.float64(-0.5), wp.float64(0.5), noise(wx / wp.float64(5200.0), wy / wp.float64(3600.0), seed)[2])
     high = wp.float64(420.0) + wp.float64(850.0) * chain
     foot = wp.float64(430.0) - wp.float64(180.0) * across
-    return (
-        foot
-        + inland * (high + (wp.float64(500.0) + wp.float64(500.0) * chain) * rough)
-        + wp.float64(60.0) * rough * (one - inland)
-    )
+    high += (wp.float64(500.0) + wp.float64(500.0) * chain) * rough
+    return foot + inland * high + wp.float64(60.0) * rough * (one - inland)
 
 
 @wp.func
@@ -132,11 +131,9 @@ def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.
         for di in range(-1, 2):
             ci = i + wp.float64(di)
             cj = j + wp.float64(dj)
-            pick = noise(
-                ci * wp.float64(0.731) + wp.float64(0.41),
-                cj * wp.float64(0.617) + wp.float64(0.27),
-                seed + wp.uint32(64),
-            )
+            px = ci * wp.float64(0.731) + wp.float64(0.41)
+            py = cj * wp.float64(0.617) + wp.float64(0.27)
+            pick = noise(px, py, seed + wp.uint32(64))
             vx = (ci + wp.float64(0.5) + wp.float64(0.3) * pick[0]) * cell
             vy = (cj + wp.float64(0.5) + wp.float64(0.3) * pick[1]) * cell
             inside = wp.max(wp.abs(vx), wp.abs(vy)) < wp.float64(0.72) * half
@@ -144,12 +141,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.
                 strength = wp.min(pick[2] * wp.float64(2.2), one)
                 reach = wp.float64(1900.0) + wp.float64(3300.0) * strength
                 high = wp.float64(450.0) + wp.float64(1650.0) * strength
-                own = (
-                    seed
-                    + wp.uint32(65)
-                    + wp.uint32(wp.int32(ci)) * wp.uint32(7919)
-                    + wp.uint32(wp.int32(cj)) * wp.uint32(104729)
-                )
+                own = scramble(wp.uint32(wp.int32(ci)) + scramble(wp.uint32(wp.int32(cj)) + seed + wp.uint32(65)))
                 fire = wp.max(fire, volcano(wx - vx, wy - vy, reach, high, rough, own))
     height = wp.max(height, wp.float64(0.35) * height) + fire * wp.float64(0.9)
     beach = wp.float64(12.0)

@@ -16,7 +16,7 @@ FIRST_BYTES = {
     "mountains": "e97b4a7cd653844b",
     "dunes": "4898b87ac3a4abbe",
     "canyon": "36a14dfd327ab9d6",
-    "archipelago": "2824e9d49fd218ec",
+    "archipelago": "fdd57adf909e6f68",
 }
 
 

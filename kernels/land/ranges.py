@@ -9,7 +9,6 @@ import warp as wp
 
 from ..field.island import gullies, noise, relief, smooth
 from ..field.noise import scramble
-from ..field.noise import scramble
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})
 

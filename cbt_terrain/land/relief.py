@@ -69,7 +69,7 @@ def _example(shape) -> None:
     assert 2.0 < np.abs(beds).max() < 60.0
 
 
-EFFECT = LandEffect(
+RELIEF = LandEffect(
     name="relief",
     label="Fine Relief",
     about="Rock, gullies and ledges finer than the data, where slope and bend of the ground call for them",

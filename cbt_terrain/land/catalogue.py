@@ -3,6 +3,7 @@
 
 from .flood import FLOOD
 from .land_effect import LandEffect
+from .snow import SNOW
 from .water import WATER
 
-LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (WATER, FLOOD)}
+LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (WATER, FLOOD, SNOW)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A flood, marched in time: minutes of rain, or a sea that stands too high and runs ashore. Heights stay as they are."""
+"""A flood, marched in time: minutes of rain, or a sea that stands too high. Heights stay as they are."""
 
 import math
 from collections.abc import Mapping
@@ -29,10 +29,10 @@ class Flood:
     """Water on a bed, at one time.
 
     `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
-    and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples where
-    what is deeper than `most` (m) leaves: the rim, and holes. `left`: float64 [1], the sum of it in metres of samples.
-    `east`, `north`: float64 [rows + 2, columns], m^2/s to the next sample; `part`: scratch. Both have a row before and
-    after the raster's.
+    and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
+    where what is deeper than `most` (m) leaves: the rim, and holes. `left`: float64 [1], the sum of it in metres of
+    samples. `east`, `north`: float64 [rows + 2, columns], m^2/s to the next sample; `part`: scratch. All three have a
+    row before and after the raster's.
     """
 
     bed: np.ndarray
@@ -134,7 +134,9 @@ def _advance(flood: Flood, dt: float) -> None:
     launch.spread(kernels.limit, rows, [columns, per, east, north, water, part], **common)
     rain = [wp.float64(dt), flat(flood.rain, wp.float32)]
     launch.spread(kernels.move, rows, [columns, per, *rain, east, north, part, water], **common)
-    launch.once(kernels.leave, [outlets, flat(flood.most, wp.float64), water, flat(flood.left, wp.float64)], step="flood")
+    launch.once(
+        kernels.leave, [outlets, flat(flood.most, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
+    )
 
 
 def speeds(flood: Flood) -> np.ndarray:

@@ -12,7 +12,7 @@ from ..effects.effect import Parameter
 from ..effects.routing import Drainage, route
 from ..run import launch
 from ..run.buffers import flat
-from .land_effect import Change, Evaluate, Ground, Layer, LandEffect
+from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 
 YEAR = 365.2425 * 86400.0  # seconds
 
@@ -64,9 +64,10 @@ def example(evaluate: Evaluate) -> None:
     layers = evaluate("water", roof, step=10.0, sea=-1.0).layers
     discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR
     assert abs(layers["discharge"][32, 2:15] / discharge - 1.0).max() < 1e-4
-    depth = (0.05 * discharge / 10.0 / math.sqrt(0.01)) ** 0.6
+    width = 3.0 * np.sqrt(discharge)
+    depth = (0.05 * discharge / width / math.sqrt(0.01)) ** 0.6
     assert abs(layers["water_depth"][32, 2:15] / depth - 1.0).max() < 1e-4
-    assert abs(layers["water_speed"][32, 2:15] * depth * 10.0 / discharge - 1.0).max() < 1e-4
+    assert abs(layers["water_speed"][32, 2:15] * depth * width / discharge - 1.0).max() < 1e-4
     roof[30:35, 22:26] = 5.0
     level = (roof + evaluate("water", roof, step=10.0, sea=-1.0).layers["water_depth"])[30:35, 22:26]
     assert level.max() == level.min() and 9.0 < level.max() < 9.1

@@ -7,7 +7,7 @@ from ..effects.logarithm import exponential, natural_log
 
 wp.set_module_options({"enable_backward": False})
 
-# Metres of a river's width for the square root of its discharge in m^3/s (Leopold and Maddock 1953).
+# Metres of a stream's width for the square root of its discharge in m^3/s (Leopold and Maddock 1953).
 WIDTH = wp.constant(wp.float64(3.0))
 # Metres a metre: water that stands would be infinitely deep.
 LEAST_SLOPE = wp.constant(wp.float64(1.0e-3))
@@ -42,12 +42,6 @@ def slope(rain: Rain, filled: wp.array(dtype=wp.float32), x: wp.int32, y: wp.int
     return wp.sqrt(to_east * to_east + to_north * to_north)
 
 
-@wp.func
-def breadth(rain: Rain, discharge: wp.float64) -> wp.float64:
-    """Metres over which a sample's water flows: a river narrower than a sample is spread over it."""
-    return wp.max(wp.sqrt(rain.step_x * rain.step_y), WIDTH * wp.sqrt(discharge))
-
-
 @wp.kernel
 def flow_uniformly(
     offset: int,
@@ -67,7 +61,9 @@ def flow_uniformly(
         deep = wp.float64(0.0)
         if discharge > LEAST_DISCHARGE:
             steep = wp.sqrt(wp.max(slope(rain, filled, x, y), LEAST_SLOPE))
-            deep = exponential(wp.float64(0.6) * natural_log(rain.rough * discharge / (breadth(rain, discharge) * steep)))
+            # A stream has its own width, however wide samples are: its depth is the same at every level.
+            sheet = rain.rough * wp.sqrt(discharge) / (WIDTH * steep)
+            deep = exponential(wp.float64(0.6) * natural_log(sheet))
         normal[i] = wp.float32(deep)
         surface[i] = heights[i]
         if heights[i] <= rain.sea:
@@ -103,7 +99,7 @@ def measure_water(
     fast = wp.float64(0.0)
     if through > LEAST_DISCHARGE and deep > 0.0:
         ratio = wp.float64(normal[i]) / wp.float64(deep)
-        fast = through / (breadth(rain, through) * wp.float64(normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
+        fast = wp.sqrt(through) / (WIDTH * wp.float64(normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
     if dry[i] != wp.uint8(0):
         through = wp.float64(0.0)
         fast = wp.float64(0.0)

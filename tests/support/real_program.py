@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own.
+"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own: once a
+session, for tests/blender and those hard cases that need it (tests/conftest.py names the fixtures).
 
 `ADAPTIVE_TERRAIN_BLENDER` is the wrapper that tools/get_blender.sh writes; `.ci/run` sets it, and without it these
 tests are skipped.
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = Path(__file__).parent / "scripts"
+SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 MARK = "RESULT "
 
 

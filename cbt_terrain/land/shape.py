@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from ..field.heightfield import HeightField
-from .level_plan import TILES, UPSAMPLED, LevelPlan
+from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
 from .levels import finer, masked
 from .mask import whole_mask
@@ -30,8 +30,8 @@ class Finished(Exception):
 @dataclass(frozen=True)
 class Added:
     """What one effect has added at one level to what the coarser one said: metres, over the tiles that were made.
-    `made`: the tiles (1 where a level is worked on as a whole), of which `computed` were not known before. `ms`: what
-    that took."""
+    `whole`: whether the level was worked on as one piece. `made`: its pieces, of which `computed` were not known
+    before. `ms`: what that took."""
 
     level: int
     spacing_m: float
@@ -39,6 +39,7 @@ class Added:
     effect: str
     rms_m: float
     most_m: float
+    whole: bool
     made: int
     computed: int
     ms: float
@@ -220,7 +221,9 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: np.n
     spacing = max(level.step_x, level.step_y)
     count = len(made) if how == TILES else 1
     ms = (time.perf_counter() - start) * 1e3
-    figures = Added(level.number, spacing, number, entry.effect, rms, float(most.max()), count, computed, ms)
+    figures = Added(
+        level.number, spacing, number, entry.effect, rms, float(most.max()), how == WHOLE, count, computed, ms
+    )
     return change, most, squares, figures
 
 

@@ -107,7 +107,7 @@ class Shaping:
         """What an effect tells how far it is, of work that costs so much."""
 
         def said(part: float) -> None:
-            if self.finish():
+            if level is not self.plan.levels[-1] and self.finish():  # the coarsest is there at least
                 raise Finished
             total = max(self.plan.total, 1.0)
             text = f"{entry.declaration.label}, {level.columns} x {level.rows}"

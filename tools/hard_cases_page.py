@@ -75,6 +75,7 @@ CASES = {
     47: "Undo, redo, save, reload, duplicate, delete, link",
     48: "1,000 frames",
     49: "Kill -9 in the middle of an export",
+    57: "Land tile by tile",
     59: "Light: rays along axes, through corners, grazing, from outside, upright; the sun below the horizon",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",
     62: "A raster that does not fit the lattice",

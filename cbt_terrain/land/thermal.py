@@ -13,8 +13,8 @@ from ..run import launch
 from ..run.buffers import flat
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 
-# Sweeps of a level in which rock breaks, and then those in which scree comes to rest; of the coarsest level so many times
-# as many.
+# Sweeps of a level in which rock breaks, and then those in which scree comes to rest; the coarsest level takes so many
+# times as many.
 BREAKING, RESTING, AT_FIRST = 10, 20, 20
 # No fan is a plane: the angle at which scree lies is other from place to place, in waves of so many metres and shorter.
 LONGEST, OCTAVES = 500.0, 3

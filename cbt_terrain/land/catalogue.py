@@ -10,6 +10,4 @@ from .thermal import THERMAL
 from .water import WATER
 
 # In the order in which a stack usually has them.
-LAND_EFFECTS: dict[str, LandEffect] = {
-    effect.name: effect for effect in (RIVERS, THERMAL, RELIEF, SNOW, WATER, FLOOD)
-}
+LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (RIVERS, THERMAL, RELIEF, SNOW, WATER, FLOOD)}

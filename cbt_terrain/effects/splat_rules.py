@@ -6,13 +6,13 @@ a list share the ground in proportion; one that is `on_top` takes its part from 
 the ground the first layer does.
 """
 
-import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import TerrainError
+from ..field.painted import Painted
 
 MOST_LAYERS = 12
 # Of a layer's own numbers, and of an edge in any unit.
@@ -33,25 +33,6 @@ READ_FROM = {
     FLOW: "flow",
     WETNESS: "wetness",
 }
-
-
-@dataclass(frozen=True)
-class Painted:
-    """An image to read from: float32 [rows, columns] over the raster's extent, row 0 south; equal if its values are."""
-
-    values: np.ndarray = field(compare=False, repr=False)
-    digest: str = ""
-
-    def __post_init__(self):
-        values = np.ascontiguousarray(self.values, np.float32)
-        if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
-            raise TerrainError(
-                f"A painted image has shape {list(values.shape)} or values that are not finite; expected rows and "
-                "columns of finite numbers: paint it again, or choose another."
-            )
-        content = repr(values.shape).encode() + values.tobytes()
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=16).hexdigest())
 
 
 @dataclass(frozen=True)

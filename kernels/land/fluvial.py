@@ -73,7 +73,7 @@ def cut_down(
     """Serial, from the outlets up: the implicit step of Braun and Willett (2013), equation 20, whatever its length.
 
     `drop`: metres that a sample may stand above its receiver, by axis. What lies below its receiver is a lake's floor
-    and rests.
+    and rests, and so does what has no rate.
     """
     n = grid.width * grid.height
     for q in range(n):
@@ -82,7 +82,7 @@ def cut_down(
             k = wp.int32(to[i])
             low = h[towards(i, k, grid.width)]
             high = h[i]
-            if high > low:
+            if high > low and rate[i] > wp.float32(0.0):
                 v = low + (high - low) / (wp.float32(1.0) + rate[i])
                 over = wp.max(v - (low + drop[axis(k)]), wp.float32(0.0))
                 h[i] = v - over * part[i]

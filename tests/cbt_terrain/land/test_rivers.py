@@ -142,7 +142,7 @@ def test_a_pit_keeps_all_that_falls_into_it():
     made = aged(h, 10.0, years=50e3, creep=0.0)
     laid = made.layers["sediment"]
     assert laid.sum() > 0.8 * made.layers["wear"].sum() > 500 and (laid > 0.5).sum() > 50
-    assert (h + made.heights)[laid > 0.5].max() < 125 and made.heights[1:-1, 1:-1].sum() > 0
+    assert (h + made.heights)[laid > 0.5].max() < 125 and abs(made.heights[1:-1, 1:-1].sum()) < 0.01
 
 
 def test_a_plateau_is_cut_from_all_sides_alike():

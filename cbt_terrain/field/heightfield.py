@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The height field: a terrain's samples on their lattice, with the error hierarchy and the height ranges."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import numpy as np
 
 from ..errors import TerrainError
 from . import codes
-from .detail import Detail, highest
+from .coats import Ground, parts_of
+from .detail_bounds import Part, highest
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
@@ -28,7 +30,8 @@ class HeightField:
 
     samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
     interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
-    detail: None or what is added to that surface (detail.py); `error`, `ranges` and slopes are without it.
+    detail: None or what is added to that surface (detail.py, tiled.py, coats.py); `error`, `ranges` and slopes are
+    without it.
     error: uint8 [lattice.node_count], a code of the saturated error of each diamond (see hierarchy.py; the order is
     that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
     exponents: by which the table of codes is multiplied for each group of depths (codes.py).
@@ -40,6 +43,7 @@ class HeightField:
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     valid: None or, where holes are to be cut out, uint8 [height, width]: 0 where a sample was missing; the cells that
     have such a corner are holes (see holes.py).
+    layers: what effects that have shaped the heights (land/) have left, by name: float32 [height, width], row 0 south.
     key: identifies the content: equal keys, equal terrains.
     prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
     found: what was looked for once in the heights, for light and for what hides what (effects/occluder.py,
@@ -62,15 +66,16 @@ class HeightField:
     source_max: float = 0.0
     filled: int = 0
     valid: np.ndarray | None = None
+    layers: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
     interpolation: str = "bilinear"
-    detail: Detail | None = None
+    detail: Ground | None = None
     expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
-    detailed: dict[Detail, "HeightField"] = field(default_factory=dict, repr=False)
+    detailed: dict[Ground, "HeightField"] = field(default_factory=dict, repr=False)
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
     found: dict[tuple, object] = field(default_factory=dict, repr=False)
 
@@ -87,9 +92,9 @@ class HeightField:
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
 
     @property
-    def waves(self) -> list[tuple[float, float]]:
-        """Amplitude and wavelength, metres, of the octaves of the detail; none without one."""
-        return self.detail.waves(self.finest_edge) if self.detail else []
+    def parts(self) -> list[Part]:
+        """What bounds are taken of: the summands of the detail; none without one."""
+        return parts_of(self.detail, self.finest_edge, self.lattice)
 
     @property
     def table(self) -> np.ndarray:
@@ -113,7 +118,7 @@ class HeightField:
             raise self.damage("it has heights that are not finite")
 
 
-def with_detail(field: HeightField, detail: Detail | None) -> HeightField:
+def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     """The same surface with another detail on it, or with none. Arrays are shared, nothing is read.
 
     Without amplitude there is no detail. The last few that were asked for are the same objects again.
@@ -123,7 +128,7 @@ def with_detail(field: HeightField, detail: Detail | None) -> HeightField:
         return plain
     kept = plain.detailed.pop(detail, None)
     if kept is None:
-        more = highest(detail.waves(plain.finest_edge))
+        more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
         kept = replace(
             plain,
             detail=detail,

@@ -33,7 +33,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
         ground.progress(number / steps)
         step(bed, years / steps, values, number)
         move_edges((number + 1) / steps)
-    area = bed.drain().catchments(bed.own) * (ground.step_x * ground.step_y)
+    area = bed.drain().catchments * (ground.step_x * ground.step_y)
     change = bed.heights - origin
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0

@@ -163,7 +163,7 @@ def test_a_steady_range_falls_as_the_uplift_asks(still):
     kept = {"hillslope": 5e3, "creep": 0.0, "variety": 0.0, "deposition": 0.0, "steepest": 89.0}
     h = start + grow(start, uplift, spacing, years=30e6, **kept).heights
     drainage = route(h, spacing, spacing)
-    area, to = drainage.catchments() * spacing**2, drainage.to.astype(int)
+    area, to = drainage.catchments * spacing**2, drainage.to.astype(int)
     at = np.flatnonzero(to != 4)
     other = at + (to[at] // 3 - 1) * 90 + to[at] % 3 - 1
     away = spacing * np.where(to[at] % 2, 1.0, 2**0.5)

@@ -10,6 +10,7 @@ from .snow import SNOW
 from .thermal import THERMAL
 from .water import WATER
 
+# In the order in which a stack usually has them.
 LAND_EFFECTS: dict[str, LandEffect] = {
-    effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, WATER, FLOOD, SNOW)
+    effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, SNOW, WATER, FLOOD)
 }

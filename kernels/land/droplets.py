@@ -63,7 +63,7 @@ def patch(
     ground: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ) -> wp.vec3d:
-    """The bilinear surface at (x, y), samples of the whole level: its slope to the east and north, metres a metre, and height."""
+    """The bilinear surface at (x, y): its slope to the east and north, metres a metre, and its height."""
     one = wp.float64(1.0)
     i = wp.int32(x)
     j = wp.int32(y)
@@ -96,7 +96,7 @@ def lay(
     ground: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ):
-    """Lay down `volume` m3 around (x, y), samples, under a round brush, `more` samples wider; less than 0: take up."""
+    """Lay down `volume` m3 around (x, y), under a round brush, `more` samples wider; less than 0: take up."""
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
     west = wp.max(middle_x - rain.brush_x - more, 0)
@@ -125,7 +125,7 @@ def run_droplet(
     mask: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """From (x, y), samples, until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
+    """From (x, y) until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
     none = wp.float64(0.0)
     one = wp.float64(1.0)
     cell = rain.step_x * rain.step_y

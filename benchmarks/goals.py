@@ -47,6 +47,7 @@ GOALS: dict[tuple[str, int], float] = {
     ("land_routing", ANY_SIZE): 0.25,
     ("land_rivers", ANY_SIZE): 0.4,
     ("land_sediment", ANY_SIZE): 1.5,
+    ("land_scree", ANY_SIZE): 0.06,
     ("maps_normal", ANY_SIZE): 1.0,
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,

@@ -57,6 +57,9 @@ MEANING = {
     "land_routing": "Receivers, depressions, order and areas of the same samples beside fastscapelib's; one thread.",
     "land_rivers": "A step of rivers of 20,000 years beside fastscapelib's, without creep and sediment; one thread.",
     "land_sediment": "The same step with sediment beside itself without.",
+    "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
+    "to the same bytes; one thread.",
+    "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
     "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "

@@ -32,6 +32,7 @@ from . import (
     report,
     scale,
     scenes,
+    scree_rows,
     start,
 )
 from .baselines import RoamRebuild, build_roam_rebuild
@@ -132,6 +133,7 @@ def everything(
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     yield partial(land_rows.land_rows)
+    yield partial(scree_rows.scree_rows)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows

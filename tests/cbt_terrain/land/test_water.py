@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Water under steady rain: what falls leaves, depths are Manning's, lakes are flat and as high as their outlets flow."""
+"""Water under steady rain: what falls leaves, depths are Manning's, lakes are level."""
 
 import heapq
 

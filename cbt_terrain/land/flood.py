@@ -31,8 +31,9 @@ class Flood:
     `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
     and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
     where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: float64 [1], the sum of
-    what has left there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and in the north; `pushed`,
-    like them, and `part`, like one, are scratch. They have a row before and after the raster's.
+    what has left there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
+    east and in the north; `pushed`, like them, and `part`, like one, are scratch. They have a row before and after the
+    raster's.
     """
 
     bed: np.ndarray

@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, splat_layers, terrain_material
+from .effects import bake_maps, land_presets, splat_layers, terrain_material
 from .mesh import freed_memory
 from .output import bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -15,11 +15,13 @@ from .scene import (
     frame_terrain,
     freeze_detail,
     import_terrain,
+    land_list,
     layer_images,
     live,
     pack_store,
     properties,
     session,
+    shape_land,
     update_terrain,
 )
 from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
@@ -37,6 +39,9 @@ MODULES = (
     terrain_material,
     splat_layers,
     layer_images,
+    land_list,
+    land_presets,
+    shape_land,
     export_terrain,
     measuring,
     measure_accuracy,

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stack at a glance: its coarsest level, for the whole, under heights that a viewport shows until the rest is there.
+
+The level is the one that shaping the land begins with, so that rivers are where they are going to be.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..field.build import from_array
+from ..field.heightfield import HeightField
+from .land_effect import Change, Ground, LandEffect
+from .levels import masked
+from .mask import whole_mask
+from .stack import Entry, Stack
+from .tiles import Level, levels_of
+
+# Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
+MOST_SHOWN = 1025
+_FOUND = ("land preview",)  # in HeightField.found
+
+
+@dataclass
+class _Applied:
+    """What some first entries of a stack have made of the coarsest level: the ground, what they have changed in all,
+    what names the last one's work, and the milliseconds it took."""
+
+    ground: Ground
+    change: np.ndarray
+    key: str = ""
+    ms: float = 0.0
+
+
+@dataclass
+class Preview:
+    """`field`: heights in memory. `ms`: milliseconds of each active entry. `step_m`: metres between samples of the
+    level that they were applied to."""
+
+    field: HeightField
+    ms: list[float] = field(default_factory=list)
+    step_m: float = 0.0
+
+
+def preview(
+    source: HeightField, stack: Stack, images: Mapping[str, np.ndarray] | None = None, threads: int = 1
+) -> Preview:
+    """The whole terrain with the coarsest level of a stack. Of entries that begin as those of the last preview of the
+    same source only the others are applied. The bound on its mesh is against these heights.
+
+    images: of masks, by file name, float32 [rows, columns], row 0 south.
+    """
+    level = levels_of(source.lattice)[-1]
+    states = _apply(source, level, stack, images or {}, threads)
+    lattice, places = source.lattice, _places(source)
+    heights = _shown(source) + _between(states[-1].change, *(at / (1 << level.number) for at in places))
+    step_y = lattice.step_y * (lattice.height - 1) / (len(places[0]) - 1)
+    step_x = lattice.step_x * (lattice.width - 1) / (len(places[1]) - 1)
+    if source.valid is not None:
+        near = [np.rint(at).astype(np.int64) for at in places]
+        heights[source.valid[np.ix_(*near)] == 0] = np.nan
+    made = from_array(
+        heights, step_x, step_y, source_max=source.source_max, holes=source.valid is not None, threads=threads,
+        origin=source.origin, crs=source.crs, provenance=source.provenance,
+    )  # fmt: skip
+    return Preview(made, [state.ms for state in states[1:]], max(level.step_x, level.step_y))
+
+
+def _apply(source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int) -> list[_Applied]:
+    """The ground without any entry, and after each of the active ones; kept for the next call."""
+    kept = source.found.get(_FOUND, [])
+    states = kept[:1] or [_Applied(_ground(source, level), np.zeros(level.shape, np.float32))]
+    for number, entry in enumerate(stack.active, 1):
+        key = Stack((entry,)).key()
+        if len(states) == number < len(kept) and kept[number].key == key:
+            states.append(kept[number])
+            continue
+        kept = []
+        mask = None
+        if entry.mask is not None:
+            heights = states[-1].ground.heights
+            mask = whole_mask(entry.mask, images.get(entry.mask.image), level, lambda window, h=heights: h[window])
+        states.append(_after(states[-1], entry, key, mask, threads))
+    source.found[_FOUND] = states
+    return states
+
+
+def _after(before: _Applied, entry: Entry, key: str, mask: np.ndarray | None, threads: int) -> _Applied:
+    start, effect = time.perf_counter(), entry.declaration
+    ground = replace(before.ground, seed=entry.seed, threads=threads, mask=mask)
+    made = masked(effect, effect.apply(ground, entry.values, None), mask)
+    heights = made.heights
+    if ground.missing is not None:
+        heights = np.where(ground.missing, np.float32(0.0), heights)
+    after = replace(ground, heights=ground.heights + heights, mask=None, layers=_with_layers(ground, effect, made))
+    return _Applied(after, before.change + heights, key, (time.perf_counter() - start) * 1e3)
+
+
+def _with_layers(ground: Ground, effect: LandEffect, made: Change) -> dict[str, np.ndarray]:
+    """The layers of a stack after one more effect: depths are added up, of states the last one counts."""
+    layers = dict(ground.layers)
+    for layer in effect.layers:
+        before = layers.get(layer.name) if layer.per_metre else None
+        layers[layer.name] = made.layers[layer.name] if before is None else before + made.layers[layer.name]
+    return layers
+
+
+def _ground(source: HeightField, level: Level) -> Ground:
+    """The coarsest level: every 2^n-th sample, and behind an end between two of them the last one."""
+    sides = zip(level.shape, (source.lattice.height, source.lattice.width), strict=True)
+    index = np.ix_(*(np.minimum(np.arange(count) << level.number, n - 1) for count, n in sides))
+    missing = None if source.valid is None else source.valid[index] == 0
+    heights = np.ascontiguousarray(source.heights(*index))
+    return Ground(heights, level.step_x, level.step_y, whole=level.shape, level=level.number, missing=missing)
+
+
+def _places(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the source at which heights are shown, float64: from rim to rim."""
+    sides = source.lattice.height, source.lattice.width
+    less = min(1.0, (MOST_SHOWN - 1) / (max(sides) - 1))
+    return tuple(np.linspace(0.0, n - 1.0, max(2, round((n - 1) * less) + 1)) for n in sides)
+
+
+def _shown(source: HeightField) -> np.ndarray:
+    """float32, the source's heights at the places that are shown; kept for the next call."""
+    key = (*_FOUND, "shown")
+    if key not in source.found:
+        rows, columns = _places(source)
+        low = np.minimum(rows.astype(np.int64), source.lattice.height - 2)
+        pair = [_along(source.heights(low + more), columns) for more in (0, 1)]
+        part = (rows - low)[:, None].astype(np.float32)
+        source.found[key] = pair[0] + part * (pair[1] - pair[0])
+    return source.found[key]
+
+
+def _between(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """float32 [rows, columns]: samples of a grid between which one goes straight."""
+    low = np.minimum(rows.astype(np.int64), max(len(samples) - 2, 0))
+    part = (rows - low)[:, None].astype(np.float32)
+    across = _along(samples, columns)
+    return across[low] + part * (across[np.minimum(low + 1, len(samples) - 1)] - across[low])
+
+
+def _along(samples: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    last = samples.shape[1] - 1
+    low = np.minimum(columns.astype(np.int64), max(last - 1, 0))
+    part = (columns - low).astype(np.float32)
+    left = samples[:, low]
+    return left + part * (samples[:, np.minimum(low + 1, last)] - left)

@@ -16,8 +16,9 @@ from ..field import cleaning, codes, store
 from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
+from ..field.lands import LANDS
 from .drafts import drafted, figures
-from .raster import ISLAND, ImportSettings, Raster
+from .raster import ImportSettings, Raster
 from .sources import check_file, open_source
 
 READING = "Reading"  # the part of an import in which files from outside are read
@@ -98,7 +99,7 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
     and `sources`, the files that it names. Raises TerrainError if it is missing."""
     settings.check()
     parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
-    if settings.source != ISLAND:
+    if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
         files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
@@ -204,7 +205,7 @@ def _read_heights(
             end = heights.shape[0] - first
             heights[end - len(rows) : end] = rows[::-1]
         on_progress((first + count) / raster.height)
-    source_max = 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
+    source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
     return missing, source_max, lowest
 
 

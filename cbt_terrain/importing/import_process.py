@@ -49,8 +49,8 @@ def import_source(
 ) -> dict:
     """Import in a child process and wait; returns the report, with "unchanged" if the store held this source already.
 
-    source: settings, or a path or "island" where their defaults do. on_progress(fraction, message) is called as it goes
-    on; what it raises stops the import. Raises TerrainError. The store is then as it was before.
+    source: settings, or a path or a built-in land, as "island", where their defaults do. on_progress(fraction, message)
+    is called as it goes on; what it raises stops the import. Raises TerrainError. The store is then as it was before.
     """
     settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
     return wait_for(lambda: ImportJob(settings, store), on_progress)

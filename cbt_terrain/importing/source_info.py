@@ -6,17 +6,18 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
+from ..field.lands import LANDS
 from ..run import child
 from .answers import answer, ask
 from .guard import guard
-from .raster import ISLAND, ImportSettings
+from .raster import ImportSettings
 from .sources import check_file, open_source
 
 
 def describe_source(settings: ImportSettings) -> dict:
     """What a height map holds by its header, as a flat dict. Raises TerrainError for one that cannot be imported."""
     settings.check()
-    if settings.source != ISLAND:
+    if settings.source not in LANDS:
         check_file(Path(settings.source))
     return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
 

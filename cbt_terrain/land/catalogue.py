@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every effect on heights that there is. A new one is a file beside this one, and its name in this list."""
 
+from .flood import FLOOD
 from .land_effect import LandEffect
+from .relief import RELIEF
+from .rivers import RIVERS
+from .snow import SNOW
+from .water import WATER
 
-LAND_EFFECTS: dict[str, LandEffect] = {}
+LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (RIVERS, WATER, FLOOD, SNOW, RELIEF)}

@@ -62,6 +62,7 @@ def _run(argv: list[str] | None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
     from ..output.exporting import FORMATS, parse_formats, parse_frames
 
@@ -71,7 +72,8 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
-    verb.add_argument("source", help="height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or `island`")
+    source = f"height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or a built-in land: {', '.join(LANDS)}"
+    verb.add_argument("source", help=source)
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--extent",
@@ -89,8 +91,8 @@ def build_parser() -> argparse.ArgumentParser:
     project = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
     verb.add_argument("--project", **project)
     _add_raw(verb)
-    verb.add_argument("--size", type=int, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})")
-    verb.add_argument("--seed", type=int, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
+    verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
+    verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
 
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path, nargs="?")

@@ -19,11 +19,12 @@ class UsageError(Exception):
 
 def run_import(arguments) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
+    from ...cbt_terrain.importing.raster import ImportSettings
 
-    if arguments.source != ISLAND and (arguments.size, arguments.seed) != (None, None):
-        raise UsageError(f"--size and --seed are of the built-in `{ISLAND}`; {arguments.source} is taken as it is")
+    if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
     settings = ImportSettings(
         source=arguments.source,
         **_raw_settings(arguments),

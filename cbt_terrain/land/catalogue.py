@@ -6,6 +6,7 @@ from .land_effect import LandEffect
 from .relief import RELIEF
 from .rivers import RIVERS
 from .snow import SNOW
+from .thermal import THERMAL
 from .water import WATER
 
-LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (RIVERS, WATER, FLOOD, SNOW, RELIEF)}
+LAND_EFFECTS: dict[str, LandEffect] = {effect.name: effect for effect in (RIVERS, THERMAL, WATER, FLOOD, SNOW, RELIEF)}

@@ -78,7 +78,6 @@ def scene_subjects(
 ) -> list[Subject]:
     """The terrains of a .blend file, each with its own settings and in a folder of its own."""
     source = SceneFrames(blend, camera, resolution)
-    import bpy
 
     from ..effects.map_request import gathered
     from ..scene import session

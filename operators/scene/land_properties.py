@@ -23,15 +23,14 @@ from .detail_properties import changed
 from .layer_properties import BANDS, AspectSettings
 
 EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
-DEGREES = "degrees"
+DEGREES = {"degrees", "deg", "°"}
 # The unit of a declaration -> what Blender calls it; others stand in the label.
 UNITS = {
     "m": {"unit": "LENGTH"},
-    "m²": {"unit": "AREA"},
-    "m³": {"unit": "VOLUME"},
+    "m2": {"unit": "AREA"},
+    "m3": {"unit": "VOLUME"},
     "m/s": {"unit": "VELOCITY"},
-    DEGREES: {"subtype": "ANGLE"},
-}
+} | dict.fromkeys(DEGREES, {"subtype": "ANGLE"})
 MOST_SEED = 2**31 - 1
 # Nothing here is animated: other numbers are another land, which takes its time.
 STILL = {"update": changed, "options": set()}
@@ -45,7 +44,7 @@ def number_of(parameter: Parameter, group) -> float:
         return min(max(value, int(parameter.least)), int(parameter.most))
     if np.float32(value) == np.float32(_kept(parameter, parameter.default)) or not math.isfinite(value):
         return parameter.default
-    value = math.degrees(value) if parameter.unit == DEGREES else value
+    value = math.degrees(value) if parameter.unit in DEGREES else value
     return min(max(float(f"{value:.7g}"), parameter.least), parameter.most)
 
 
@@ -55,14 +54,14 @@ def set_number(parameter: Parameter, group, value: float) -> None:
 
 
 def _kept(parameter: Parameter, value: float) -> float:
-    return math.radians(value) if parameter.unit == DEGREES else value
+    return math.radians(value) if parameter.unit in DEGREES else value
 
 
 def _property(parameter: Parameter):
     known, about = UNITS.get(parameter.unit, {}), parameter.about
     label = parameter.name.replace("_", " ").title()
     if parameter.unit and not known:
-        label = f"{label} ({parameter.unit})"
+        label = f"{label} ({parameter.unit.replace('2', '²')})"
     said = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
     if isinstance(parameter.default, int):
         return IntProperty(**said, default=parameter.default, min=int(parameter.least), max=int(parameter.most))

@@ -46,6 +46,11 @@ class Land:
     stack: Stack = field(compare=False)
 
     @property
+    def tiles(self) -> Path:
+        """Where tiles are kept, of all stacks on this source."""
+        return Path(self.folder).parent / stores.TILES
+
+    @property
     def is_shaped(self) -> bool:
         return (Path(self.folder) / stores.JSON_NAME).exists()
 
@@ -91,7 +96,7 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     if land.waits and not land.is_shaped:
         with _shaping:  # two renders of one land make it once
             if not land.is_shaped:
-                shape_store(land.source, land.stack, land.folder)
+                shape_store(land.source, land.stack, land.folder, tiles=land.tiles)
                 made["stores"] += 1
                 remove_old(land)
     if land.is_shaped:

@@ -11,8 +11,8 @@ from .land_request import Land, land_of, made, raster_of, remove_old
 
 POLL_S = 0.1
 HIDDEN = (
-    "The terrain {!r} has nothing to shape: its stack is empty or switched off, or it is hidden; add an effect, or show "
-    "the terrain."
+    "The terrain {!r} has nothing to shape: its stack is empty or switched off, or it is hidden. Add an effect, or "
+    "show the terrain."
 )
 _jobs: dict[int, ShapeJob] = {}  # by the object's session_uid
 _progress: dict[int, tuple[float, str]] = {}
@@ -53,7 +53,7 @@ class ShapeLand(bpy.types.Operator):
         self.uid = obj.session_uid
         try:
             self.land = wanted_land(obj, context.evaluated_depsgraph_get())
-            _jobs[self.uid] = ShapeJob(self.land.source, self.land.stack, self.land.folder)
+            _jobs[self.uid] = ShapeJob(self.land.source, self.land.stack, self.land.folder, tiles=self.land.tiles)
         except TerrainError as error:
             return self._failed(obj, str(error))
         made["stores"] += 1

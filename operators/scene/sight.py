@@ -3,7 +3,6 @@
 
 import math
 
-import bpy
 import numpy as np
 
 from ...cbt_terrain.ask.linear import inverse

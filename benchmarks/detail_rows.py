@@ -56,5 +56,5 @@ def _displacement(field: HeightField, view: View) -> Row:
 
     timed = alternate(lambda: {"total": displaced(detailed)}, lambda: displaced(plain))
     ms, baseline = timed.ms["total"], timed.baseline_ms
-    ns = 1e6 * (ms / vertices[detailed] - baseline / vertices[plain]) / len(surfaces[1].waves)
+    ns = 1e6 * (ms / vertices[detailed] - baseline / vertices[plain]) / len(surfaces[1].parts)
     return Row("detail_displace", vertices[plain], ms, "displace", baseline, figures={"ns_octave": ns})

@@ -12,8 +12,8 @@ from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
-from ..field import codes
-from ..field.detail import highest
+from ..field import coats, codes
+from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..mesh.surface import Surface
 from ..run import launch
@@ -72,9 +72,8 @@ class Ground:
         g = self.packed = kernels.Ground()
         g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
         g.bicubic = int(field.interpolation == "bicubic")
-        g.curved, g.detail_most = int(g.bicubic or bool(field.waves)), highest(field.waves)
-        if field.detail:
-            g.detail = field.detail.packed(field.finest_edge)
+        g.curved, g.detail_most = int(g.bicubic or bool(field.parts)), highest(field.parts)
+        g.coats = coats.packed(field.detail, field.finest_edge, lattice)
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y

@@ -73,7 +73,8 @@ def route(
     """The drainage of float32 [rows, columns] metres, samples so many metres apart.
 
     Water leaves at the rim and where `holes` (bool, of the same shape) are; depressions are cut through at their lowest
-    passes, and flats drain along the shortest ways. `draw`: noise in the choice of receivers, if any. A function of the arguments alone but for `threads`.
+    passes, and flats drain along the shortest ways. `draw`: noise in the choice of receivers, if any. A function of the
+    arguments alone but for `threads`.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
@@ -81,7 +82,7 @@ def route(
     base[:, [0, -1]] = 1
     base = base.reshape(-1)
     h = heights.reshape(-1) + np.float32(0.0)  # a sort tells -0 from 0
-    grid, to = _grid(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
+    grid, to = grid_of(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
     # The names of one step each: float32 heights, and what is found of them.
     arrays = [flat(h, wp.float32), flat(base, wp.uint8)]
     inputs = [grid, draw or routing.Draw(), *arrays, flat(to, wp.uint8)]
@@ -98,7 +99,8 @@ def route(
     return Drainage(grid, h, base, to, order, threads)
 
 
-def _grid(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+    """Rows, columns and weights by direction of samples so many metres apart."""
     grid, diagonal = routing.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
     grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)

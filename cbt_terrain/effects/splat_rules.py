@@ -6,23 +6,25 @@ a list share the ground in proportion; one that is `on_top` takes its part from 
 the ground the first layer does.
 """
 
-import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import TerrainError
+from ..field.painted import Painted
+from .layers import NAMES as LAYER_NAMES
 
 MOST_LAYERS = 12
 # Of a layer's own numbers, and of an edge in any unit.
 MOST, MOST_EDGE = 1e6, 1e30
 # What a rule is about. RELIEF: height, 0 at the lowest and 1 at the highest place of the terrain. ASPECT: the cosine of
 # the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: how much of the ground
-# `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent.
+# `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent. The layers (layers.py) come last.
 HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE = KINDS = (
     *("height", "relief", "slope", "aspect", "curvature", "flow", "wetness", "noise", "layer", "image"),
 )
+KINDS += LAYER_NAMES
 # The effect that each is read from; the others are read from none.
 READ_FROM = {
     HEIGHT: "height",
@@ -32,26 +34,8 @@ READ_FROM = {
     CURVATURE: "mean_curvature",
     FLOW: "flow",
     WETNESS: "wetness",
+    **{name: name for name in LAYER_NAMES},
 }
-
-
-@dataclass(frozen=True)
-class Painted:
-    """An image to read from: float32 [rows, columns] over the raster's extent, row 0 south; equal if its values are."""
-
-    values: np.ndarray = field(compare=False, repr=False)
-    digest: str = ""
-
-    def __post_init__(self):
-        values = np.ascontiguousarray(self.values, np.float32)
-        if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
-            raise TerrainError(
-                f"A painted image has shape {list(values.shape)} or values that are not finite; expected rows and "
-                "columns of finite numbers: paint it again, or choose another."
-            )
-        content = repr(values.shape).encode() + values.tobytes()
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=16).hexdigest())
 
 
 @dataclass(frozen=True)
@@ -59,8 +43,8 @@ class Rule:
     """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
 
     Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
-    aspect, noise (-1 .. 1), layer and image (0 .. 1) none. `direction`: rad, clockwise from north. `other`: the number
-    of a layer before this one.
+    aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
+    clockwise from north. `other`: the number of a layer before this one.
     """
 
     of: str

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..errors import TerrainError
 from . import codes
-from .detail import Detail, highest
+from .coats import Ground, parts_of
+from .detail_bounds import Part, highest
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
@@ -29,7 +30,8 @@ class HeightField:
 
     samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
     interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
-    detail: None or what is added to that surface (detail.py); `error`, `ranges` and slopes are without it.
+    detail: None or what is added to that surface (detail.py, tiled.py, coats.py); `error`, `ranges` and slopes are
+    without it.
     error: uint8 [lattice.node_count], a code of the saturated error of each diamond (see hierarchy.py; the order is
     that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
     exponents: by which the table of codes is multiplied for each group of depths (codes.py).
@@ -70,10 +72,10 @@ class HeightField:
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
     interpolation: str = "bilinear"
-    detail: Detail | None = None
+    detail: Ground | None = None
     expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
-    detailed: dict[Detail, "HeightField"] = field(default_factory=dict, repr=False)
+    detailed: dict[Ground, "HeightField"] = field(default_factory=dict, repr=False)
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
     found: dict[tuple, object] = field(default_factory=dict, repr=False)
 
@@ -90,9 +92,9 @@ class HeightField:
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
 
     @property
-    def waves(self) -> list[tuple[float, float]]:
-        """Amplitude and wavelength, metres, of the octaves of the detail; none without one."""
-        return self.detail.waves(self.finest_edge) if self.detail else []
+    def parts(self) -> list[Part]:
+        """What bounds are taken of: the summands of the detail; none without one."""
+        return parts_of(self.detail, self.finest_edge, self.lattice)
 
     @property
     def table(self) -> np.ndarray:
@@ -116,7 +118,7 @@ class HeightField:
             raise self.damage("it has heights that are not finite")
 
 
-def with_detail(field: HeightField, detail: Detail | None) -> HeightField:
+def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     """The same surface with another detail on it, or with none. Arrays are shared, nothing is read.
 
     Without amplitude there is no detail. The last few that were asked for are the same objects again.
@@ -126,7 +128,7 @@ def with_detail(field: HeightField, detail: Detail | None) -> HeightField:
         return plain
     kept = plain.detailed.pop(detail, None)
     if kept is None:
-        more = highest(detail.waves(plain.finest_edge))
+        more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
         kept = replace(
             plain,
             detail=detail,

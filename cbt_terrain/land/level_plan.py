@@ -11,8 +11,8 @@ from .tiles import BAND, Level, Wanted, closed
 
 # How an effect is applied at a level: to all of it, to tiles, or not at all: then its coarser change is taken.
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
-# Samples along the longer side of the finest level to which an effect without a halo is applied: where all tiles are
-# asked for, and where some are.
+# Samples along the longer side of the finest level that is worked on as a whole: where all tiles are asked for; and,
+# by effects that look at all of it, where some are.
 MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 
@@ -35,12 +35,12 @@ class LevelPlan:
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
-        if level.is_whole:
-            return WHOLE
+        every = len(self.wanted[level.number]) == level.tile_count
+        if level.is_whole or (every and longer <= MOST_WHOLE):
+            return WHOLE  # for all tiles together their halos would be several times the work
         if self.halo(entry, level) is not None:
             return TILES
-        every = len(self.wanted[level.number]) == level.tile_count
-        return WHOLE if longer <= (MOST_WHOLE if every else MOST_WHOLE_FOR_SOME) else UPSAMPLED
+        return WHOLE if longer <= MOST_WHOLE_FOR_SOME else UPSAMPLED
 
     def cost(self, entry: Entry, level: Level, tile: int | None) -> float:
         """Of a tile, or of a whole level."""

@@ -9,15 +9,15 @@ import numpy as np
 
 from ..effects.effect import Parameter
 from ..effects.routing import route
-from .fluvial import Bed, step
+from .fluvial import Bed, step, vary_rock
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
 
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
-# A finer level starts from the coarser change less its part for the last years, which it takes again: this part of
-# them, in so many steps, the fewer the finer.
-AGAIN, STEPS_AGAIN = 1.0 / 6.0, (20, 12, 8, 6, 5)
+# A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
+# no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
+AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
 # Samples of halo around a tile: its middle is then as if the whole level had been made, but for 4 % of what moved.
 HALO = 64
 
@@ -26,7 +26,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     """See Apply in land_effect.py."""
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), LEAST_STEPS), MOST_STEPS)
     if coarser is not None:
-        years, steps = years * AGAIN, STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
+        years, steps = _years_again(values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     rim, inner, cut = _edges(ground, bed)
     start = bed.heights.copy()
@@ -44,6 +44,10 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
     return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
+
+
+def _years_again(values: Mapping[str, float]) -> float:
+    return min(AGAIN * values["years"], MOST_YEARS_AGAIN)
 
 
 def _halvings(ground: Ground) -> int:
@@ -69,13 +73,15 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         lift.reshape(shape)[side] = 0.0
     heights, sediment, own = origin, np.zeros(n, np.float32), np.ones(n)
     if coarser is not None:
-        less = np.float32(1.0 - AGAIN)
+        less = np.float32(1.0 - _years_again(values) / max(values["years"], 1.0))
         heights = np.where(fixed, origin, np.maximum(origin + less * coarser.heights.reshape(-1), sea))
         sediment = np.where(fixed, np.float32(0.0), less * coarser.layers["sediment"].reshape(-1))
         own = _with_inflow(ground, coarser).reshape(-1)
     steps = ground.step_x, ground.step_y
-    bed = Bed(shape, *steps, heights.copy(), sediment, fixed, part, lift, own, ground.first, ground.seed)
+    bed = Bed(shape, *steps, heights.copy(), sediment, fixed, part, part.copy(), lift, own, ground.first, ground.seed)
     bed.threads = ground.threads
+    if values["variety"] > 0.0:
+        vary_rock(bed, values["variety"])
     return bed, origin
 
 
@@ -144,7 +150,7 @@ def example(evaluate: Evaluate) -> None:
     """A skerry of one sample: of its height F / (1 + F) goes in every step, over one of its sides or corners."""
     heights = np.full((9, 9), -5.0, np.float32)
     heights[4, 4] = 8.0
-    values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0}
+    values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
     made = evaluate("rivers", heights, step=20.0, **values)
     wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0
     left, most = 8.0 + made.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
@@ -163,11 +169,12 @@ RIVERS = LandEffect(
     parameters=(
         Parameter("years", 300e3, 0.0, 20e6, "years", "How long it lasts"),
         Parameter("erodibility", 4e-6, 0.0, 1e-3, "1/year", "How soft the rock is: K of the stream power law"),
-        Parameter("hillslope", 2e4, 0.0, 1e7, "m2", "Area that drains to the foot of a slope without a stream"),
+        Parameter("hillslope", 5e3, 0.0, 1e7, "m2", "Area that drains to the foot of a slope without a stream"),
+        Parameter("variety", 0.2, 0.0, 1.0, "", "How much the rock's softness varies, over 60 to 960 m"),
         Parameter("rise", 0.0, 0.0, 0.02, "m/year", "Uplift; the rim and the sea stay"),
-        Parameter("creep", 0.002, 0.0, 1.0, "m2/year", "Diffusion of slopes, which rounds them"),
+        Parameter("creep", 5e-4, 0.0, 1.0, "m2/year", "Diffusion of slopes, which rounds them"),
         Parameter("deposition", 1.0, 0.0, 20.0, "", "How readily streams lay down what they carry: G"),
-        Parameter("steepest", 35.0, 5.0, 89.0, "degrees", "Steepest slope along a stream that does not slide"),
+        Parameter("steepest", 60.0, 5.0, 89.0, "degrees", "Steepest slope along a stream that does not slide"),
         Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, and stays"),
     ),
     layers=(

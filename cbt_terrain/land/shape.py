@@ -13,14 +13,13 @@ from functools import partial
 
 import numpy as np
 
-from ..field.build import from_array
 from ..field.heightfield import HeightField
-from .level_plan import TILES, UPSAMPLED, LevelPlan
+from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
 from .levels import finer, masked
 from .mask import whole_mask
 from .stack import Entry, Stack
-from .tile_cache import TileCache, content_key
+from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
 
 
@@ -31,8 +30,8 @@ class Finished(Exception):
 @dataclass(frozen=True)
 class Added:
     """What one effect has added at one level to what the coarser one said: metres, over the tiles that were made.
-    `made`: the tiles (1 where a level is worked on as a whole), of which `computed` were not known before. `ms`: what
-    that took."""
+    `whole`: whether the level was worked on as one piece. `made`: its pieces, of which `computed` were not known
+    before. `ms`: what that took."""
 
     level: int
     spacing_m: float
@@ -40,6 +39,7 @@ class Added:
     effect: str
     rms_m: float
     most_m: float
+    whole: bool
     made: int
     computed: int
     ms: float
@@ -65,7 +65,7 @@ class Shaped:
 
 
 @dataclass(eq=False)
-class _State:
+class State:
     """What a level leaves to the next finer one. `changes`: of each entry, [1 + its layers, rows, columns], without its
     mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared."""
 
@@ -78,7 +78,7 @@ class _State:
 
 
 @dataclass(eq=False)
-class _Shaping:
+class Shaping:
     """One run over all levels."""
 
     heights: HeightField
@@ -131,52 +131,12 @@ def shape(
     on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the levels that are
     complete.
     """
-    run = _Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
-    state, early = _levels(run)
+    run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
+    state, early = run_levels(run)
     return _result(run, state, early)
 
 
-def preview(
-    heights: HeightField, stack: Stack, images: Mapping[str, np.ndarray] | None = None, *, threads: int = 1, **asked
-) -> HeightField:
-    """The finest level that is worked on as a whole (513 samples along its longer side at most), as a field in memory.
-
-    asked: cache, on_progress and finish as of `shape`. The field's key is that of what it holds.
-    """
-    levels = levels_of(heights.lattice)
-    none = [{} for _ in levels]
-    run = _Shaping(heights, stack.active, images or {}, none, asked.pop("cache", None) or TileCache(), threads, **asked)
-    state, _ = _levels(run)
-    level = next(level for level in levels if level.is_whole) if state is None else state.level
-    ground = LevelGround.of(heights, level)
-    samples = np.array(ground.heights, np.float32)
-    layers = {name: np.ascontiguousarray(layer) for name, layer in ground.layers.items()}
-    if state is not None:
-        samples += state.total
-        layers = joined(layers, state.layers, run.depths)
-    if ground.missing is not None:
-        samples[ground.missing] = np.nan
-    details = {"origin": heights.origin, "crs": heights.crs, "holes": heights.valid is not None, "threads": threads}
-    field_ = from_array(samples, level.step_x, level.step_y, source_max=heights.source_max, **details)
-    field_.layers = layers
-    field_.key = key_with(field_.key, layers)
-    return field_
-
-
-def joined(before: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], depths: set[str]) -> dict[str, np.ndarray]:
-    """Layers of a source with those of a stack: depths are added, states replaced."""
-    both = {name: before[name] + own[name] if name in before and name in depths else own[name] for name in own}
-    return dict(before) | both
-
-
-def key_with(key: str, layers: Mapping[str, np.ndarray]) -> str:
-    """The key of a field that has these layers beside the heights of `key`."""
-    if not layers:
-        return key
-    return content_key(key, *(part for name in sorted(layers) for part in (name, layers[name])))
-
-
-def _levels(run: "_Shaping") -> tuple["_State | None", bool]:
+def run_levels(run: Shaping) -> tuple[State | None, bool]:
     """The last level that was made, and whether that was not all."""
     state = None
     for level in reversed(run.plan.levels):
@@ -190,7 +150,7 @@ def _levels(run: "_Shaping") -> tuple["_State | None", bool]:
     return state, False
 
 
-def _level(run: _Shaping, level: Level, tiles: list[int], below: _State | None) -> _State:
+def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) -> State:
     ground = LevelGround.of(run.heights, level)
     total, layers, added = np.zeros(level.shape, np.float32), {}, []
     most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
@@ -216,14 +176,14 @@ def _level(run: _Shaping, level: Level, tiles: list[int], below: _State | None) 
     if below is not None and not level.is_whole:
         for tile in set(range(level.tile_count)) - set(tiles):  # nobody knows better than the coarser level
             most[tile], squares[tile] = below.most[level.parent(tile)], below.squares[level.parent(tile)]
-    return _State(level, changes, total, layers, most, squares)
+    return State(level, changes, total, layers, most, squares)
 
 
 def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarray:
     return ground.heights[window] + total[window]
 
 
-def _entry(run: _Shaping, work: Work, number: int, tiles: list[int], coarse: np.ndarray | None):
+def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: np.ndarray | None):
     """The change of an entry at a level, [1 + layers, rows, columns]; what it has added in each tile: most and sum of
     squares by sample; and the figures."""
     level, entry = work.level, work.entry
@@ -261,7 +221,9 @@ def _entry(run: _Shaping, work: Work, number: int, tiles: list[int], coarse: np.
     spacing = max(level.step_x, level.step_y)
     count = len(made) if how == TILES else 1
     ms = (time.perf_counter() - start) * 1e3
-    figures = Added(level.number, spacing, number, entry.effect, rms, float(most.max()), count, computed, ms)
+    figures = Added(
+        level.number, spacing, number, entry.effect, rms, float(most.max()), how == WHOLE, count, computed, ms
+    )
     return change, most, squares, figures
 
 
@@ -287,7 +249,7 @@ def _put_on(
     return heights
 
 
-def _result(run: _Shaping, state: _State | None, early: bool) -> Shaped:
+def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
     """What the last level that was made says of the raster's own samples."""
     levels, shape_ = run.plan.levels, (run.heights.lattice.height, run.heights.lattice.width)
     depths, counts = run.depths, [level.tile_count for level in levels]
@@ -306,7 +268,7 @@ def _result(run: _Shaping, state: _State | None, early: bool) -> Shaped:
     )
 
 
-def _left_out(run: _Shaping, state: _State) -> tuple[float, float]:
+def _left_out(run: Shaping, state: State) -> tuple[float, float]:
     """Most, and mean square, of what was added where a level is left to be made: over tiles of the finest that was."""
     if state.level.number:
         return state.most.max(), state.squares.mean()

@@ -20,8 +20,9 @@ from ..importing.drafts import drafted, figures
 from ..run import launch
 from .level_work import METHOD
 from .mask_image import load_image
-from .shape import Shaped, joined, key_with, shape
+from .shape import Shaped, shape
 from .stack import Stack, stack_content, stack_from
+from .stack_layers import joined, key_with
 from .tile_cache import TileCache
 from .tiles import Wanted, all_tiles, levels_of
 
@@ -201,5 +202,6 @@ def _report(field: HeightField, heights: HeightField, stack: Stack, shaped: Shap
 def _line(added) -> str:
     """`rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms`."""
     tiles = f"{added.made} tile{'s' if added.made != 1 else ''}, {added.computed} of them new"
+    tiles = f"the whole level, {'new' if added.computed else 'known before'}" if added.whole else tiles
     metres = f"{added.rms_m:.3g} m rms, {added.most_m:.3g} m at most"
     return f"{added.effect} at {added.spacing_m:.4g} m: {metres}, {tiles}, {added.ms:.0f} ms"

@@ -16,6 +16,7 @@ from ...kernels.mesh import weld as weld_kernels
 from ...kernels.mesh import weld_state
 from ...kernels.refine.runs import Run, Runs
 from ..errors import TerrainError
+from ..field import coats
 from ..field.heightfield import HeightField
 from ..refine.refinement import Leaves
 from ..run import launch
@@ -61,7 +62,7 @@ class SurfaceBuilder:
         self._weld = weld_state.Weld()
         self._coarse, self._fine = meshlet_kernels.Mesh(), meshlet_kernels.Mesh()
         self._points = displace_kernels.Points()
-        self._detail = field.detail and field.detail.packed(field.finest_edge)
+        self._coats = field.detail and coats.packed(field.detail, field.finest_edge, field.lattice)
         self._recorded: dict = {}
         self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
         self._swapped: list[np.ndarray] = []  # ... once these have changed places again
@@ -265,9 +266,9 @@ class SurfaceBuilder:
             first += n
         not_finite = self._buffers.numpy("not_finite")
         not_finite[0] = 0
-        if self._detail:
-            inputs = [[*values, self._detail] for values in inputs]
-        kernel = detail_kernels.displace_detail if self._detail else displace_kernels.displace
+        if self._coats:
+            inputs = [[*values, self._coats] for values in inputs]
+        kernel = detail_kernels.displace_detail if self._coats else displace_kernels.displace
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
         if not_finite[0]:
             raise self._field.damage("it has heights that are not finite or too large for a mesh")

@@ -11,7 +11,9 @@ from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.criterion import Criterion
 from ..ask.spans import Spans
 from ..field import codes
-from ..field.detail import EDGES_A_WAVE, highest, radius_at, tables
+from ..field.coats import coat_tables, coats_of, mask_levels, most_of_masks
+from ..field.detail import EDGES_A_WAVE
+from ..field.detail_bounds import highest, radius_at
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
@@ -42,7 +44,7 @@ def depth_limit(field: HeightField) -> int:
 def usual_depth(field: HeightField) -> int:
     """The depth at which refinement stops where nothing else is asked: with detail, where its shortest wave is seen."""
     lattice, depth = field.lattice, field.lattice.cell_depth + DEPTH_BELOW_CELLS
-    edge = min((length for _, length in field.waves), default=0.0) / EDGES_A_WAVE
+    edge = min((part.shortest for part in field.parts), default=0.0) / EDGES_A_WAVE
     if edge:
         longest = 2 * radius_at((lattice.step_x, lattice.step_y), lattice.levels, depth)
         depth += max(0, math.ceil(2 * math.log2(longest / edge)))
@@ -77,9 +79,7 @@ def make_domain(
     domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
     domain.source = field.source_max * abs(height_scale)
     domain.enough = ENOUGH * (domain.rounding + domain.source)
-    waves, steps = field.waves, (lattice.step_x, lattice.step_y)
-    domain.detailed, domain.detail_most = int(bool(waves)), highest(waves)
-    domain.detail = shared(tables(waves, steps, lattice.levels, meshlet), wp.vec2f)
+    _pack_detail(domain, field, meshlet)
     domain.detail_rim = 2 * (lattice.levels - meshlet)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
@@ -95,6 +95,17 @@ def make_domain(
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
     domain.samples = codes.packed(field.samples, field.steps)
     return domain
+
+
+def _pack_detail(domain: Domain, field: HeightField, meshlet: int) -> None:
+    parts, ground, lattice = field.parts, field.detail, field.lattice
+    domain.detailed, domain.detail_most = int(bool(parts)), highest(parts)
+    tables = coat_tables(ground, field.finest_edge, lattice, meshlet)
+    domain.detail = shared(tables.reshape(-1, 2), wp.vec2f)
+    domain.masked = sum(coat.mask is not None for coat in coats_of(ground))
+    levels = mask_levels(lattice)
+    domain.mask_most, domain.mask_top = shared(most_of_masks(ground), wp.uint8), len(levels) - 2
+    domain.mask_first = shared(levels, wp.int64)
 
 
 def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> Asked:

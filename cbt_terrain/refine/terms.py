@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..field.detail import steepest
+from ..field.detail_bounds import steepest
 from ..field.heightfield import HeightField
 
 # Significant bits of float32: whole multiples of a power of two up to 2^24 times that power are exact.
@@ -88,7 +88,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
     # ... and its places, of which float64 holds no more, move it as little.
     spare = DISPLACEMENT_ERROR * sum(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
-    along = steepest(field.waves) * abs(vertical_scale)
+    along = steepest(field.parts) * abs(vertical_scale)
     detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
     return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale))
 

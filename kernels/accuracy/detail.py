@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A detail below the raster's cells as the measurement evaluates it: kernels/field/detail.py has other arithmetic.
 
-What the two share is what says which surface it is: the numbers of `Detail` and the hash.
+What the two share is what says which surface it is: the numbers of `Detail`, the pixels, the masks and the hash.
 """
 
 import warp as wp
 
-from ..field.detail import SHIFT_X, SHIFT_Y, Detail
+from ..field.detail import SHIFT_X, SHIFT_Y, Coats, Detail
 from ..field.noise import scramble
 
 wp.set_module_options({"enable_backward": False})
@@ -40,7 +40,7 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 
 @wp.func
-def detail_height(d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
+def octaves_height(d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
     """Metres of height of all octaves at (x, y) metres: each turns and halves the place of the one before."""
     found = wp.float64(0.0)
     u = x * d.frequency
@@ -53,3 +53,73 @@ def detail_height(d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
         v = wp.float64(2.0) * (wp.float64(0.6) * u + wp.float64(0.8) * v)
         u = turned
     return found * d.amplitude
+
+
+@wp.func
+def mixed(a: wp.float64, b: wp.float64, part: wp.float64) -> wp.float64:
+    return a * (wp.float64(1.0) - part) + b * part
+
+
+@wp.func
+def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
+    """A uniform cubic B-spline of four control heights, t from the second to the third (de Boor, 1972)."""
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    three = wp.float64(3.0)
+    a = mixed(p[0], p[1], (t + two) / three)
+    b = mixed(p[1], p[2], (t + one) / three)
+    c = mixed(p[2], p[3], t / three)
+    a = mixed(a, b, (t + one) / two)
+    b = mixed(b, c, t / two)
+    return mixed(a, b, t)
+
+
+@wp.func
+def image_height(c: Coats, d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Metres of height of an image: of each row along x, then of those along y."""
+    u = x * d.frequency
+    v = y * d.frequency
+    rows = wp.vec4d()
+    for b in range(4):
+        j = wp.float64(b - 1) + wp.floor(v)
+        j -= wp.floor(j / wp.float64(d.rows)) * wp.float64(d.rows)
+        row = wp.vec4d()
+        for a in range(4):
+            i = wp.float64(a - 1) + wp.floor(u)
+            i -= wp.floor(i / wp.float64(d.columns)) * wp.float64(d.columns)
+            at = d.pixel + wp.int64(j) * wp.int64(d.columns) + wp.int64(i)
+            row[a] = wp.float64(c.pixels[at])
+        rows[b] = de_boor(row, u - wp.floor(u))
+    return d.amplitude * de_boor(rows, v - wp.floor(v))
+
+
+@wp.func
+def mask_height(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Part of a coat that lies at a place: its four samples in the mean with their weights."""
+    s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
+    t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
+    found = wp.float64(0.0)
+    for k in range(4):
+        i = wp.min(wp.int32(wp.floor(s)), c.columns - 2) + (k & 1)
+        j = wp.min(wp.int32(wp.floor(t)), c.rows - 2) + (k >> 1)
+        across = wp.float64(1.0) - wp.abs(s - wp.float64(i))
+        byte = wp.float64(c.masks[first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)])
+        found += byte * across * (wp.float64(1.0) - wp.abs(t - wp.float64(j)))
+    return found / wp.float64(255.0)
+
+
+@wp.func
+def detail_height(c: Coats, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Metres of height of all coats at (x, y) metres."""
+    found = wp.float64(0.0)
+    for k in range(c.count):
+        d = c.coat[k]
+        z = wp.float64(0.0)
+        if d.columns > 0:
+            z = image_height(c, d, x, y)
+        else:
+            z = octaves_height(d, x, y)
+        if d.masked == 1:
+            z = z * mask_height(c, d.mask, x, y)
+        found += z
+    return found

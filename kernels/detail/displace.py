@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..field.detail import Detail, detail_at
+from ..field.detail import Coats, detail_at
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, Points, fetch_samples, put_vertex, runs_of, surface_at, take_run
 from ..unchecked import pair_at
@@ -12,14 +12,14 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def with_detail(domain: Domain, detail: Detail, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
+def with_detail(domain: Domain, coats: Coats, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
     """Height and gradient (metres a cell) at a lattice point, that of the detail added to `g`."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # beyond the rim it goes on level
     level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
     x = domain.west + wp.float64(wp.min(p[0], domain.east)) * domain.unit_x
     y = domain.south + wp.float64(wp.min(p[1], domain.north)) * domain.unit_y
-    d = detail_at(detail, x, y)
+    d = detail_at(coats, x, y)
     return g + wp.vec3d(d[0], d[1] * level_x * domain.unit_x * units, d[2] * level_y * domain.unit_y * units)
 
 
@@ -32,9 +32,9 @@ def displace_detail(
     slot: wp.int32,
     domain: Domain,
     points: Points,
-    detail: Detail,
+    coats: Coats,
 ):
-    """As `displace` in kernels/mesh/displace.py, on the surface with detail; normals are those of all octaves."""
+    """As `displace` in kernels/mesh/displace.py, on the surface with detail; normals are those of all coats."""
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
@@ -45,5 +45,5 @@ def displace_detail(
             k = point_base + wp.int64(u)
             fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             p = pair_at(points.point, k)
-            put_vertex(points, vertex_base + u, domain, p, with_detail(domain, detail, p, surface_at(domain, p)))
+            put_vertex(points, vertex_base + u, domain, p, with_detail(domain, coats, p, surface_at(domain, p)))
         v = stop

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A height below the raster's cells: octaves of noise, as the displacement adds them to the surface.
+"""A height below the raster's cells: octaves of noise or an image, as the displacement adds them to the surface.
 
 Places are metres from the terrain's middle in float64, so what is far away is as exact as what is near.
 kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
@@ -14,22 +14,46 @@ wp.set_module_options({"enable_backward": False})
 # Octaves have hashes of their own, lie at other places and are turned by the angle of (3, 4, 5): no lattice shows.
 SHIFT_X = wp.constant(wp.float64(0.37109375))
 SHIFT_Y = wp.constant(wp.float64(0.71484375))
+SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+BYTE = wp.constant(wp.float64(1.0 / 255.0))
 
 
 @wp.struct
 class Detail:
-    """Octave k has the amplitude `amplitude * gain^k` and `frequency * 2^k` lattice points a metre."""
+    """Noise: octave k has the amplitude `amplitude * gain^k` and `frequency * 2^k` lattice points a metre. Or, where
+    there are columns, an image: `frequency` control heights a metre, of an amplitude of 1."""
 
-    octaves: wp.int32  # 0: there is no detail
+    octaves: wp.int32
     seed: wp.uint32
     amplitude: wp.float64  # metres
     gain: wp.float64
     frequency: wp.float64  # 1 / metre
+    columns: wp.int32  # of an image; 0: there is none
+    rows: wp.int32
+    pixel: wp.int64  # the first of its control heights
+    masked: wp.int32  # 1: it lies where its mask says
+    mask: wp.int64  # the first byte of that
+
+
+@wp.struct
+class Coats:
+    """Details that are added up, and what they read."""
+
+    count: wp.int32
+    coat: wp.array(dtype=Detail)
+    pixels: wp.array(dtype=wp.float32)
+    masks: wp.array(dtype=wp.uint8)  # of each sample of the raster: 255 is all
+    columns: wp.int32  # samples in a row of the raster
+    rows: wp.int32
+    west: wp.float64  # metres
+    south: wp.float64
+    per_x: wp.float64  # samples a metre
+    per_y: wp.float64
 
 
 @wp.func
-def detail_at(d: Detail, x: wp.float64, y: wp.float64):
-    """Metres of height at (x, y) metres, and its slopes: (height, metres a metre along x, along y)."""
+def noise_detail(d: Detail, x: wp.float64, y: wp.float64):
+    """Metres of height of octaves at (x, y) metres, and its slopes: (height, metres a metre along x, along y)."""
     found = wp.vec3d()
     a = d.amplitude
     c = d.frequency
@@ -43,4 +67,90 @@ def detail_at(d: Detail, x: wp.float64, y: wp.float64):
         s = wp.float64(1.6) * s + wp.float64(1.2) * c
         c = turned
         a = a * d.gain
+    return found
+
+
+@wp.func
+def basis(t: wp.float64) -> wp.vec4d:
+    """Uniform cubic B-splines: weights of four control heights, t from the second to the third."""
+    one = wp.float64(1.0)
+    r = one - t
+    second = SIXTH * (wp.float64(4.0) + t * t * (wp.float64(3.0) * t - wp.float64(6.0)))
+    third = SIXTH * (wp.float64(4.0) + r * r * (wp.float64(3.0) * r - wp.float64(6.0)))
+    return wp.vec4d(SIXTH * r * r * r, second, third, SIXTH * t * t * t)
+
+
+@wp.func
+def slope_basis(t: wp.float64) -> wp.vec4d:
+    """Their derivatives."""
+    half = wp.float64(0.5)
+    r = wp.float64(1.0) - t
+    second = t * (wp.float64(1.5) * t - wp.float64(2.0))
+    third = r * (wp.float64(2.0) - wp.float64(1.5) * r)
+    return wp.vec4d(-half * r * r, second, third, half * t * t)
+
+
+@wp.func
+def image_detail(c: Coats, d: Detail, x: wp.float64, y: wp.float64):
+    """As `noise_detail`, of an image that repeats."""
+    u = x * d.frequency
+    v = y * d.frequency
+    fu = wp.floor(u)
+    fv = wp.floor(v)
+    i = wp.int32(wp.int64(fu) % wp.int64(d.columns))
+    j = wp.int32(wp.int64(fv) % wp.int64(d.rows))
+    across = basis(u - fu)
+    across1 = slope_basis(u - fu)
+    up = basis(v - fv)
+    up1 = slope_basis(v - fv)
+    found = wp.vec3d()
+    for b in range(4):
+        row = d.pixel + wp.int64((j + b + wp.int32(2) * d.rows - wp.int32(1)) % d.rows) * wp.int64(d.columns)
+        z = wp.float64(0.0)
+        z1 = wp.float64(0.0)
+        for a in range(4):
+            column = (i + a + wp.int32(2) * d.columns - wp.int32(1)) % d.columns
+            h = wp.float64(c.pixels[row + wp.int64(column)])
+            z += across[a] * h
+            z1 += across1[a] * h
+        found += wp.vec3d(up[b] * z, up[b] * z1 * d.frequency, up1[b] * z * d.frequency)
+    return d.amplitude * found
+
+
+@wp.func
+def mask_at(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64):
+    """How much of a coat lies at (x, y) metres, 0 .. 1, and how that changes a metre along x and y."""
+    s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
+    t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
+    i = wp.min(wp.int32(s), c.columns - 2)
+    j = wp.min(wp.int32(t), c.rows - 2)
+    s -= wp.float64(i)
+    t -= wp.float64(j)
+    at = first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)
+    north = at + wp.int64(c.columns)
+    a = wp.float64(c.masks[at])
+    b = wp.float64(c.masks[at + wp.int64(1)]) - a
+    e = wp.float64(c.masks[north])
+    f = wp.float64(c.masks[north + wp.int64(1)]) - e
+    low = a + b * s
+    rise = e + f * s - low
+    return BYTE * wp.vec3d(low + rise * t, (b + (f - b) * t) * c.per_x, rise * c.per_y)
+
+
+@wp.func
+def detail_at(c: Coats, x: wp.float64, y: wp.float64):
+    """Metres of height of all coats at (x, y) metres, and their slopes: (height, metres a metre along x, along y)."""
+    found = wp.vec3d()
+    for k in range(c.count):
+        d = c.coat[k]
+        m = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+        if d.masked == 1:
+            m = mask_at(c, d.mask, x, y)
+        if m[0] > wp.float64(0.0):
+            own = wp.vec3d()
+            if d.columns > 0:
+                own = image_detail(c, d, x, y)
+            else:
+                own = noise_detail(d, x, y)
+            found += wp.vec3d(m[0] * own[0], m[0] * own[1] + m[1] * own[0], m[0] * own[2] + m[2] * own[0])
     return found

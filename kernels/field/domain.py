@@ -37,6 +37,10 @@ class Domain:
     detailed: wp.int32  # 1: a detail is added to the surface, see cbt_terrain/field/detail.py
     detail_most: wp.float64  # metres that it rises or falls, at most
     detail: wp.array(dtype=wp.vec2f)  # ... and for each depth: what a leaf misses of it, and what its edges climb
+    masked: wp.int32  # parts of it with a mask; their tables follow, for one of 255 parts of the mask
+    mask_most: wp.array(dtype=wp.uint8)  # ... the most of each mask: of cells, of 2 x 2 cells and so on
+    mask_first: wp.array(dtype=wp.int64)  # where those of each level begin, and how many there are
+    mask_top: wp.int32  # the last level
     detail_rim: wp.int32  # deepest leaves whose triangles may reach over the raster's rim
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     base: wp.array(dtype=wp.int64)  # of each group of depths, the cells and the bends: its first entry

@@ -8,13 +8,14 @@ one statement, which some processors would round otherwise.
 import warp as wp
 
 from ..effects.routing import ROOT, Grid, axis, towards
+from ..field.noise import value_noise
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func_native("""
     const double* __restrict a = area.data + (size_t)y * width;
-    const float* __restrict p = part.data + (size_t)y * width;
+    const float* __restrict p = soft.data + (size_t)y * width;
     const unsigned char* __restrict k = to.data + (size_t)y * width;
     float* __restrict out = rate.data + (size_t)y * width;
     const float ew = nearness[0], ns = nearness[1], across = nearness[2];
@@ -35,7 +36,7 @@ def rate_of_row(
     strength: wp.float32,
     to: wp.array(dtype=wp.uint8),
     area: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float32),
+    soft: wp.array(dtype=wp.float32),
     rate: wp.array(dtype=wp.float32),
 ): ...
 
@@ -49,14 +50,14 @@ def find_rates(
     strength: float,
     to: wp.array(dtype=wp.uint8),
     area: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float32),
+    soft: wp.array(dtype=wp.float32),
     rate: wp.array(dtype=wp.float32),
 ):
     """Row `offset + tid`: how many samples a wave of erosion runs up in the step, the factor F of Braun and Willett.
 
-    `area`: in samples of `cell` m2; `strength`: erodibility times years; `part`: of it that is wanted, 0 to 1.
+    `area`: in samples of `cell` m2; `strength`: erodibility times years; `soft`: times it, by the rock.
     """
-    rate_of_row(offset + wp.tid(), grid.width, grid.nearness, cell, hillslope, strength, to, area, part, rate)
+    rate_of_row(offset + wp.tid(), grid.width, grid.nearness, cell, hillslope, strength, to, area, soft, rate)
 
 
 @wp.kernel
@@ -138,6 +139,7 @@ def lay_down(
     order: wp.array(dtype=wp.int32),
     area: wp.array(dtype=wp.float64),
     part: wp.array(dtype=wp.float32),
+    rate: wp.array(dtype=wp.float32),
     before: wp.array(dtype=wp.float32),
     filled: wp.array(dtype=wp.float32),
     load: wp.array(dtype=wp.float64),
@@ -146,8 +148,9 @@ def lay_down(
     """Serial, from the springs down: what the step has taken is carried along, and a part of it laid down.
 
     A lake (where `filled`, the surface before the step, is above the ground then) catches all that fits below its
-    surface; a channel lays down `deposition` over its area in samples of what it carries (Davy and Lague 2009), but no
-    more than half of what it was just cut by and a twentieth of the load. `before`: heights before the step, lifted.
+    surface; a channel lays down `deposition` over its area in samples of what it carries (Davy and Lague 2009; Yuan et
+    al. 2019, equation 7), but no more than half of what it was just cut by and a twentieth of the load; of that the cut
+    leaves 1 / (1 + F), as of any height above its receiver. `before`: heights before the step, lifted.
     `load`: 0 before; after it metres times samples that have come to each; at roots, what has left. The differences of
     stored heights are what is carried, so that mass is lost to no rounding of heights.
     """
@@ -160,7 +163,37 @@ def lay_down(
             laid = wp.min(most, wp.max(wp.float64(filled[i]) - wp.float64(h[i]), wp.float64(0.0)))
             if filled[i] <= before[i]:
                 limit = wp.float64(0.5) * wp.max(cut, wp.float64(0.0)) + wp.float64(0.05) * most
-                laid = wp.min(most * wp.min(deposition / area[i], wp.float64(1.0)), limit)
+                laid = most * wp.min(deposition / area[i], wp.float64(1.0))
+                laid = wp.min(laid, limit) / (wp.float64(1.0) + wp.float64(rate[i]))
             h[i] = wp.float32(wp.float64(h[i]) + laid * wp.float64(part[i]))
             j = towards(i, wp.int32(to[i]), grid.width)
             load[j] = load[j] + come + (wp.float64(before[i]) - wp.float64(h[i]))
+
+
+@wp.kernel
+def vary_rock(
+    offset: int,
+    grid: Grid,
+    first: wp.vec2i,
+    steps: wp.vec2d,
+    longest: wp.float64,
+    octaves: int,
+    half: wp.float64,
+    seed: wp.uint32,
+    soft: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid`: `soft` times the rock's softness there, about exp(2 half * noise): `octaves` of noise, alike
+    strong, the first with waves of `longest` metres. A function of the place in metres."""
+    y = offset + wp.tid()
+    for x in range(grid.width):
+        east = wp.float64(first[1] + x) * steps[0] / longest
+        north = wp.float64(first[0] + y) * steps[1] / longest
+        total = wp.float64(0.0)
+        scale = wp.float64(1.0)
+        for octave in range(octaves):
+            noise = value_noise(east * scale, north * scale, seed + wp.uint32(octave) * wp.uint32(-0x61C88647))
+            total += noise[2]
+            scale *= wp.float64(2.0)
+        part = wp.clamp(half * total, wp.float64(-0.8), wp.float64(0.8))
+        i = y * grid.width + x
+        soft[i] = soft[i] * wp.float32((wp.float64(1.0) + part) / (wp.float64(1.0) - part))

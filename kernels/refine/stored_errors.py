@@ -9,11 +9,12 @@ import warp as wp
 from ..field.codes import error_of
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import entry_at, number_at, prefetch_byte
+from ..unchecked import byte_at, entry_at, number_at, prefetch_byte
 
 wp.set_module_options({"enable_backward": False})
 
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
+UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # ... of a dozen
 
 
 @wp.func
@@ -96,6 +97,30 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 
 @wp.func
+def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
+    """The most of a mask over the box of the diamond split at (x, y): 255 is all.
+
+    It is looked up in blocks of cells that are as wide as the box, or more, so there are two by two of them at most.
+    Boxes are nested, and blocks are: so is this.
+    """
+    bits = domain.unit_bits - domain.levels
+    reach = reach_of(domain.unit_bits, depth)
+    level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
+    columns = (domain.width - 2) >> level
+    rows = (domain.height - 2) >> level
+    first = wp.int64(mask) * entry_at(domain.mask_first, domain.mask_top + 1) + entry_at(domain.mask_first, level)
+    shift = bits + level
+    i1 = wp.min((x + reach - 1) >> shift, columns)
+    j1 = wp.min((y + reach - 1) >> shift, rows)
+    most = wp.int32(0)
+    for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
+        for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
+            at = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
+            most = wp.max(most, wp.int32(byte_at(domain.mask_most, at)))
+    return most
+
+
+@wp.func
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """What leaves at `leaf_depth` in the diamond split at (x, y) miss of a detail, at most: metres, before scaling.
 
@@ -106,7 +131,13 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
         reach = reach_of(domain.unit_bits, depth)
         if x + reach > domain.east or y + reach > domain.north:
             at = 0
-    return domain.detail[at][0]
+    missed = domain.detail[at][0]
+    for k in range(domain.masked):
+        part = wp.float32(most_of_mask(domain, k, x, y, depth))
+        missed += part * domain.detail[64 * (k + 1) + at][0]
+    if domain.masked > 0:
+        missed = missed * UP_MASKS
+    return missed
 
 
 @wp.func

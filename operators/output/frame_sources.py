@@ -223,7 +223,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "crs": field.crs,
         "height_field": field.key,
         "interpolation": field.interpolation,
-        "detail": asdict(field.detail) if field.detail else None,
+        "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
     }
 
 

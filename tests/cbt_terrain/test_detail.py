@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail as details
+from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
@@ -21,6 +22,7 @@ from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.refine.domain import depth_limit, usual_depth
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from detail_scenes import WEIGHTS, check, ground_view, places_in
 from detail_surface import detail_heights, value_noise
 from fields import bezier, extent, project, reference_heights, rough
 from invariants import arrays, assert_invariants
@@ -39,45 +41,6 @@ def field_of(kind="padded", detail=DETAILS["soft"], interpolation="bilinear"):
     rng = np.random.default_rng(len(kind))
     z = np.cumsum(np.cumsum(rng.standard_normal(shape), 0), 1) * (0.0 if kind == "flat" else 0.1)
     return with_detail(interpolated(from_array(z.astype(np.float32), 2.0, 3.0), interpolation), detail)
-
-
-def ground_view(field, kind=PERSPECTIVE, above=2.0, at=(0.1, -0.2)):
-    """A view along the ground from `above` it."""
-    eye = np.array([*(extent(field)[:2] * at), 0.0])
-    eye[2] = reference_heights(field, eye[None, :2])[0] + above
-    fov = 360.0 if kind == PANORAMIC else 60.0
-    return View.look(
-        eye, eye + [6, 9, -2.0], kind=kind, fov_deg=fov, ortho_width=12.0, resolution=(480, 270), clip=(0.1, 1e6)
-    )
-
-
-# Weights of places in a triangle: corners, edges and inside.
-WEIGHTS = np.array([(a, b, 6 - a - b) for a in range(7) for b in range(7 - a)]) / 6
-
-
-def places_in(surface):
-    """float64 [n, 3]: places on the delivered triangles."""
-    corners = surface.positions.astype(np.float64)[surface.triangles]
-    return np.einsum("wc,tcx->twx", WEIGHTS, corners).reshape(-1, 3)
-
-
-def check(found, field, views, placement=None, scale=1.0, offset=0.0):
-    """Nothing delivered is further from the surface than is said. Returns the largest part of a bound that was seen."""
-    below = places_in(found.surface)
-    truth = below.copy()
-    truth[:, 2] = reference_heights(field, below[:, :2]) * scale + offset
-    parts = [0.0]
-    if found.bound_m is not None:
-        parts.append(np.abs(below - truth).max() / found.bound_m)
-    if found.bound_px is not None:
-        for view in views:
-            (a, seen), (b, _) = project(view, truth, placement), project(view, below, placement)
-            off = np.linalg.norm(a - b, axis=1)[seen]
-            if view.kind == PANORAMIC:
-                off = 2 * np.arcsin(np.minimum(off / 2, 1)) / view.radians_per_pixel
-            parts.append(off.max(initial=0.0) / max(found.bound_px, 1e-30))
-    assert max(parts) <= 1.0
-    return max(parts)
 
 
 def test_the_noise_bends_and_climbs_no_more_than_its_constants():
@@ -149,7 +112,7 @@ def test_no_triangle_misses_more_than_is_said_and_the_bound_is_near(name, steps)
     it against the table's."""
     detail, levels, rng = DETAILS[name], 5, np.random.default_rng(59)
     waves = detail.waves(1e-4)
-    table, ratios = details.tables(waves, steps, levels, 0), []
+    table, ratios = bounds.tables(detail.parts(1e-4), steps, levels, 0), []
     at = [int(np.flatnonzero((WEIGHTS == corner).all(1))[0]) for corner in np.eye(3)]
     for depth in range(1, 30, 3):
         half = np.array(steps) * 2.0 ** (levels - (depth - 1) // 2) / 2
@@ -198,7 +161,7 @@ def test_no_error_is_above_its_bound(kind, interpolation):
         meshlet = int(rng.integers(3))
         for asked in (
             {"error_px": 1.0, "meshlet": meshlet},
-            {"error_px": 0.0, "error_m": 0.3 * details.highest(field.waves) * abs(scale)},
+            {"error_px": 0.0, "error_m": 0.3 * bounds.highest(field.parts) * abs(scale)},
             {"error_px": 2.0, "max_depth": 12},
             {"error_px": 0.0, "error_m": 0.01, "max_depth": 9},
         ):
@@ -254,7 +217,7 @@ def test_vertices_are_on_the_surface_and_normals_are_its_own():
         p, normals = (a[(np.abs(p[:, :2]) < extent(field)[:2] / 2 - 0.1).all(1)] for a in (p, surface.normals))
         slopes, h = -normals[:, :2].astype(np.float64) / normals[:, 2:], 1e-4
         ahead, behind = (
-            np.stack([detail_heights(field.detail, len(field.waves), p[:, :2] + s * h * axis) for axis in np.eye(2)], 1)
+            np.stack([detail_heights(field.detail, len(field.parts), p[:, :2] + s * h * axis) for axis in np.eye(2)], 1)
             for s in (1, -1)
         )
         assert np.abs(slopes - (ahead - behind) / (2 * h) - raster_slopes(field, p[:, :2])).max() < 1e-3

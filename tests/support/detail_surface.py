@@ -2,6 +2,8 @@
 """A detail below the raster's cells, evaluated in numpy from nothing but its description."""
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.field.coats import Coats
+from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 
 MASK = np.uint64(0xFFFFFFFF)
 
@@ -38,3 +40,47 @@ def detail_heights(detail, count, plane):
         z += longest * detail.roughness**k * value_noise(x, y, detail.seed + k * 0x9E3779B9)
         p = 2 * np.stack([0.8 * p[:, 0] - 0.6 * p[:, 1], 0.6 * p[:, 0] + 0.8 * p[:, 1]], 1)
     return z
+
+
+def image_heights(tiled, plane):
+    """Metres at points [n, 2] of an image: every pixel's bump, a cubic B-spline, of all that repeat."""
+    net = 2.0 * tiled.image.values.astype(np.float64) - 1.0
+    rows, columns = net.shape
+    (i, across), (j, up) = (_bumps(plane[:, axis] * columns / tiled.size) for axis in (0, 1))
+    heights = net[j[:, :, None] % rows, i[:, None, :] % columns]
+    return tiled.amplitude * (heights * across[:, None, :] * up[:, :, None]).sum((1, 2))
+
+
+def _bumps(place):
+    """Numbers [n, 4] of the pixels about places, and how much of their bumps is there."""
+    numbers = np.floor(place).astype(np.int64)[:, None] + np.arange(-1, 3)
+    off = np.abs(place[:, None] - numbers)
+    return numbers, np.where(off < 1, (4 - 6 * off**2 + 3 * off**3) / 6, np.maximum(2 - off, 0) ** 3 / 6)
+
+
+def mask_values(mask, lattice, plane):
+    """How much of a mask is at points [n, 2]."""
+    m = mask.values / 255.0
+    s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
+    t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
+    i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
+    s, t = s - i, t - j
+    return (m[j, i] * (1 - s) + m[j, i + 1] * s) * (1 - t) + (m[j + 1, i] * (1 - s) + m[j + 1, i + 1] * s) * t
+
+
+def ground_heights(field, plane):
+    """Metres at points [n, 2] of all that is added to a field's surface."""
+    ground = field.detail
+    if isinstance(ground, Coats):
+        whole = np.zeros(len(plane))
+        for coat in ground.coats:
+            own = one_height(coat.detail, field.finest_edge, plane)
+            whole += own if coat.mask is None else own * mask_values(coat.mask, field.lattice, plane)
+        return whole
+    return one_height(ground, field.finest_edge, plane)
+
+
+def one_height(detail, finest, plane):
+    if isinstance(detail, Tiled):
+        return image_heights(detail, plane)
+    return detail_heights(detail, len(detail.parts(finest)), plane)

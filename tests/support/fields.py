@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, with_det
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from detail_surface import detail_heights
+from detail_surface import ground_heights
 from diamond_entries import range_index
 from matplotlib.tri import Triangulation
 
@@ -106,7 +106,7 @@ def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
     """The reference surface at points [n, 2] of the terrain's own space."""
     if field.detail:
         plain = with_detail(field, None)
-        return reference_heights(plain, plane) + detail_heights(field.detail, len(field.waves), plane)
+        return reference_heights(plain, plane) + ground_heights(field, plane)
     if field.interpolation == "bicubic":
         return bezier(field, plane)[0]
     lattice = field.lattice

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views of a terrain with detail, and what of its bounds is seen in them."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, PERSPECTIVE, View
+from fields import extent, project, reference_heights
+
+
+def ground_view(field, kind=PERSPECTIVE, above=2.0, at=(0.1, -0.2)):
+    """A view along the ground from `above` it."""
+    eye = np.array([*(extent(field)[:2] * at), 0.0])
+    eye[2] = reference_heights(field, eye[None, :2])[0] + above
+    fov = 360.0 if kind == PANORAMIC else 60.0
+    return View.look(
+        eye, eye + [6, 9, -2.0], kind=kind, fov_deg=fov, ortho_width=12.0, resolution=(480, 270), clip=(0.1, 1e6)
+    )
+
+
+# Weights of places in a triangle: corners, edges and inside.
+WEIGHTS = np.array([(a, b, 6 - a - b) for a in range(7) for b in range(7 - a)]) / 6
+
+
+def places_in(surface):
+    """float64 [n, 3]: places on the delivered triangles."""
+    corners = surface.positions.astype(np.float64)[surface.triangles]
+    return np.einsum("wc,tcx->twx", WEIGHTS, corners).reshape(-1, 3)
+
+
+def check(found, field, views, placement=None, scale=1.0, offset=0.0):
+    """Nothing delivered is further from the surface than is said. Returns the largest part of a bound that was seen."""
+    below = places_in(found.surface)
+    truth = below.copy()
+    truth[:, 2] = reference_heights(field, below[:, :2]) * scale + offset
+    parts = [0.0]
+    if found.bound_m is not None:
+        parts.append(np.abs(below - truth).max() / found.bound_m)
+    if found.bound_px is not None:
+        for view in views:
+            (a, seen), (b, _) = project(view, truth, placement), project(view, below, placement)
+            off = np.linalg.norm(a - b, axis=1)[seen]
+            if view.kind == PANORAMIC:
+                off = 2 * np.arcsin(np.minimum(off / 2, 1)) / view.radians_per_pixel
+            parts.append(off.max(initial=0.0) / max(found.bound_px, 1e-30))
+    assert max(parts) <= 1.0
+    return max(parts)

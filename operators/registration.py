@@ -8,7 +8,7 @@ import bpy
 from . import handlers
 from .effects import bake_maps, land_presets, splat_layers, terrain_material
 from .mesh import freed_memory
-from .output import bake_terrain, export_terrain
+from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
 from .scene import (
     add_terrain,
@@ -35,6 +35,7 @@ MODULES = (
     update_terrain,
     freeze_detail,
     bake_terrain,
+    bake_land,
     bake_maps,
     terrain_material,
     splat_layers,

@@ -61,10 +61,12 @@ def folder_beside(source: str) -> Path:
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
-    """What the stack of a terrain makes of its source; None without a stack, and for a terrain that nobody sees: for
-    that one nothing is ever made. Raises TerrainError."""
+    """What the stack of a terrain makes of its source; None without a stack. None, too, where a preview would do and the
+    viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
     settings = evaluated.adaptive_terrain
-    if not settings.store or not any(entry.on for entry in settings.land.entries) or not evaluated.is_evaluated:
+    if not settings.store or not any(entry.on for entry in settings.land.entries):
+        return None
+    if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
     source = bpy.path.abspath(settings.store)
     folder = folder_beside(source)

@@ -10,10 +10,6 @@ from . import live, session
 from .land_request import Land, land_of, made, raster_of, remove_old
 
 POLL_S = 0.1
-HIDDEN = (
-    "The terrain {!r} has nothing to shape: its stack is empty or switched off, or it is hidden. Add an effect, or "
-    "show the terrain."
-)
 _jobs: dict[int, ShapeJob] = {}  # by the object's session_uid
 _progress: dict[int, tuple[float, str]] = {}
 
@@ -32,8 +28,17 @@ def wanted_land(obj, depsgraph) -> Land:
     """What is to be shaped. Raises TerrainError where there is nothing."""
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     if land is None:
-        raise TerrainError(HIDDEN.format(obj.name))
+        raise TerrainError(
+            f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off; add an effect."
+        )
     return land
+
+
+def _check_is_seen(obj, depsgraph) -> None:
+    if obj.hide_render and not obj.visible_get(view_layer=depsgraph.view_layer):
+        raise TerrainError(
+            f"The terrain {obj.name!r} is hidden in viewports and in renders, and is not shaped: show it."
+        )
 
 
 class ShapeLand(bpy.types.Operator):
@@ -52,6 +57,7 @@ class ShapeLand(bpy.types.Operator):
         obj = context.object
         self.uid = obj.session_uid
         try:
+            _check_is_seen(obj, context.evaluated_depsgraph_get())
             self.land = wanted_land(obj, context.evaluated_depsgraph_get())
             _jobs[self.uid] = ShapeJob(self.land.source, self.land.stack, self.land.folder, tiles=self.land.tiles)
         except TerrainError as error:
@@ -87,6 +93,7 @@ class ShapeLand(bpy.types.Operator):
     def execute(self, context):
         obj = context.object
         try:
+            _check_is_seen(obj, context.evaluated_depsgraph_get())
             raster_of("", wanted_land(obj, context.evaluated_depsgraph_get()), session.open_field)
         except TerrainError as error:
             return self._failed(obj, str(error))

@@ -50,8 +50,15 @@ def store_of(obj) -> str:
     """The folder of the heights that a terrain's mesh shows, or of its source where it shows a preview or nothing."""
     source = bpy.path.abspath(obj.adaptive_terrain.store)
     request = session.record_of(obj).status.request
-    shaped = request is not None and Path(request.store).parent == land_request.folder_beside(source)
-    return request.store if shaped else source
+    shown = _shown(request) if request is not None else ""
+    return shown if Path(shown).parent == land_request.folder_beside(source) else source
+
+
+def _shown(request) -> str:
+    """The store that a request's mesh is made of; "" of a preview."""
+    if request.land is None:
+        return request.store
+    return request.land.folder if request.land.waits else ""
 
 
 def active_numbers(land) -> list[int]:
@@ -65,11 +72,12 @@ def state_of(obj) -> State:
     if not numbers:
         return State()
     request = session.record_of(obj).status.request
-    if request is not None and request.land is not None:
+    if request is not None and request.land is not None and not request.land.waits:
         found = land_request.preview_of(request.land)
         if found is not None:
-            return State(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), NOTES[PREVIEW])
-    made = _made_of(request.store) if request is not None and request.land is None else None
+            note = f"{found.without} takes too long for a preview: Shape Now" if found.without else NOTES[PREVIEW]
+            return State(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
+    made = _made_of(_shown(request)) if request is not None and _shown(request) else None
     if made is None:
         return State(True, note=NOTES[SOURCE])
     tiles, note = (sum(map(len, made.tiles)), sum(made.tile_counts)), ""

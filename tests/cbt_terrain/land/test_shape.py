@@ -8,7 +8,6 @@ from adaptive_terrain.cbt_terrain.land import level_plan
 from adaptive_terrain.cbt_terrain.land.land_effect import Ground
 from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
-from adaptive_terrain.cbt_terrain.land.preview import preview
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
@@ -193,15 +192,6 @@ def test_finishing_early_gives_the_levels_that_are_complete(land):
     made = shape(land, Stack((Entry("smooth"),)), all_tiles(land.lattice), finish=finish)
     coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
     assert made.finished_early and made.level == 1 and made.change.tobytes() == coarse.change.tobytes()
-
-
-def test_a_preview_is_the_finest_whole_level(land):
-    found = preview(land, STACK)
-    made = shape(land, STACK, some_tiles(land))
-    assert found.samples.shape == (351, 501) and set(found.layers) == set(made.layers)
-    expected = (land.heights() + made.change)[::2, ::2]
-    assert abs(found.heights()[:350, :500] - expected).max() < 1e-4
-    assert found.key != preview(land, Stack(STACK.entries[:2])).key
 
 
 def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_level(monkeypatch):

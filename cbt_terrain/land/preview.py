@@ -81,9 +81,10 @@ def preview(
     threads: int = 1,
     seconds: float = SECONDS,
 ) -> Preview:
-    """The whole terrain with the coarsest level of a stack, at MOST_SHOWN samples along the longer side at most. Of
-    entries that begin as those of the last preview of the same source only the others are applied. The bound on its mesh
-    is against these heights.
+    """The whole terrain with the coarsest level of a stack, at MOST_SHOWN samples along the longer side at most.
+
+    Of entries that begin as those of the last preview of the same source only the others are applied. The bound on its
+    mesh is against these heights.
 
     images: of masks, by file name, float32 [rows, columns], row 0 south. seconds: that effects may take.
     """

@@ -61,8 +61,8 @@ def folder_beside(source: str) -> Path:
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
-    """What the stack of a terrain makes of its source; None without a stack. None, too, where a preview would do and the
-    viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
+    """What the stack of a terrain makes of its source; None without a stack. None, too, where a preview would do and
+    the viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):
         return None

@@ -68,7 +68,7 @@ class Shaped:
 class State:
     """What a level leaves to the next finer one. `changes`: of each entry, [1 + its layers, rows, columns], without its
     mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared. `unsure`: where an
-    effect has added nothing, though its mask let it: finer waves than this level knows may be to come, or only layers."""
+    effect has added nothing, though its mask let it: finer waves than this level knows may come, or only layers."""
 
     level: Level
     changes: list[np.ndarray | None]
@@ -107,7 +107,7 @@ class Shaping:
         """What an effect tells how far it is, of work that costs so much."""
 
         def said(part: float) -> None:
-            if self.finish():
+            if level is not self.plan.levels[-1] and self.finish():  # the coarsest is there at least
                 raise Finished
             total = max(self.plan.total, 1.0)
             text = f"{entry.declaration.label}, {level.columns} x {level.rows}"

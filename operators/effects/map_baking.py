@@ -21,7 +21,8 @@ from ...cbt_terrain.maps.tiling import tiling_of
 @dataclass(frozen=True, eq=False)
 class MapRequest:
     """One bake. `views`: that the maps are to be fine enough for, none for all that the height map has; `placement`
-    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. Others as of `maps.bake.bake`."""
+    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. `store`, `land`: of the
+    heights, as of a scene's Request. Others as of `maps.bake.bake`."""
 
     asked: tuple[Asked, ...]
     folder: Path
@@ -32,6 +33,8 @@ class MapRequest:
     form: str = PNG
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
+    store: str = ""
+    land: object = None
 
 
 def carry_out(

@@ -21,6 +21,7 @@ from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
 from .ground_properties import ground_of
+from .land_request import Land, land_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
@@ -51,10 +52,12 @@ class Request:
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
-    `effects`: those whose attributes the mesh gets.
+    `effects`: those whose attributes the mesh gets. `store`: folder of the height field, which is the shaped one where
+    there is one. `land`: what is to be made of it first, or None.
     """
 
     store: str
+    land: Land | None
     interpolation: str
     ground: Detail | None
     criterion: Criterion
@@ -73,7 +76,7 @@ class Request:
     def key(self) -> tuple:
         """Equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects
-        return self.store, self.interpolation, self.ground, *self._shape(), *shown
+        return self.store, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -128,11 +131,15 @@ def gather(
     if criterion.needs_view:
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
+    store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    if land is not None and land.is_shaped:
+        store, land = land.folder, None
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
-        store=bpy.path.abspath(settings.store),
+        store=store,
+        land=land,
         interpolation=interpolation,
         ground=overrides.ground or ground_of(settings.ground, obj.name),
         criterion=criterion,

@@ -27,7 +27,7 @@ from ..demand import kept
 from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
-from . import frozen
+from . import frozen, land_request
 from .asked_effects import EffectStatus, statuses
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
@@ -211,7 +211,8 @@ def paint(record: Record, request: Request, update) -> None:
 
 def field_of(request: Request):
     """The height field that a request refines, with its interpolation and its detail."""
-    return with_detail(interpolated(open_field(request.store), request.interpolation), request.ground)
+    raster = land_request.raster_of(request.store, request.land, open_field)
+    return with_detail(interpolated(raster, request.interpolation), request.ground)
 
 
 def open_field(store: str):
@@ -292,3 +293,4 @@ def clear() -> None:
             record.generation += 1
         _records.clear()
         _fields.clear()
+        land_request.forget()

@@ -3,7 +3,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..mesh.surface import Surface
 from .catalogue import EFFECTS
 from .effect import GEOMETRY, Asked, Places
 from .keep import Kept
-from .plan import Plan
+from .plan import Plan, plan
 from .scale import fixed_level, footprint_levels
 
 Group = list[Asked]  # what is made in one call
@@ -115,6 +115,22 @@ class Evaluator:
         found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
         self._kept, self._state = kept, _State(surface, asked, keys, found)
         return found
+
+
+def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
+    """Effects, and what they read, at places that nothing is known of: by name, as `make` gives them."""
+    steps = list(plan(asked).steps)
+    values: dict[str, np.ndarray] = {}
+    while steps:
+        make = EFFECTS[steps[0].name].make
+        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
+        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
+        steps = [step for step in steps if step not in now]
+    return values
+
+
+def _reads(step: Asked) -> set[str]:
+    return set(EFFECTS[step.name].reads_with(step.parameters))
 
 
 def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:

@@ -22,6 +22,7 @@ import warp as wp
 from ...kernels.effects import texels as kernels
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked, Places
+from ..effects.evaluate import values_at
 from ..effects.plan import plan
 from ..effects.scale import STEPS_PER_LEVEL
 from ..errors import TerrainError
@@ -181,19 +182,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 def _values(place: _Place, images: list[_Image], tile: int, side: int, first: int) -> dict[str, np.ndarray]:
     """The effects of the images at a band of a tile's texels, by name."""
-    places = _texel_places(place, tile, side, first, _band(side))
-    steps = list(plan([image.asked for image in images]).steps)
-    values: dict[str, np.ndarray] = {}
-    while steps:
-        make = EFFECTS[steps[0].name].make
-        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
-        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
-        steps = [step for step in steps if step not in now]
-    return values
-
-
-def _reads(step: Asked) -> set[str]:
-    return set(EFFECTS[step.name].reads_with(step.parameters))
+    return values_at(_texel_places(place, tile, side, first, _band(side)), [image.asked for image in images])
 
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:

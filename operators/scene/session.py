@@ -13,15 +13,15 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.effects.evaluate import Evaluator
+from ...cbt_terrain.effects.layered_detail import laid
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
-from ...cbt_terrain.run import warmup
+from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.terrain import Terrain
 from ..demand import kept
 from ..mesh import freed_memory
@@ -211,7 +211,9 @@ def paint(record: Record, request: Request, update) -> None:
 
 def field_of(request: Request):
     """The height field that a request refines, with its interpolation and its detail."""
-    return with_detail(interpolated(open_field(request.store), request.interpolation), request.ground)
+    field = interpolated(open_field(request.store), request.interpolation)
+    placed = request.vertical_scale, request.vertical_offset
+    return laid(field, request.ground, *placed, launch.default_threads())
 
 
 def open_field(store: str):

@@ -24,6 +24,7 @@ from . import (
     hidden_row,
     in_blender,
     in_program,
+    land_rows,
     layer_rows,
     light_rows,
     maps_rows,
@@ -131,6 +132,7 @@ def everything(
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
+    yield partial(land_rows.land_rows)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows

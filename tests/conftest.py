@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from hypothesis import settings
+from real_program import bare_program, dem, extension_zip, program, scene  # noqa: F401
 
 # The same examples in every run; CI asks for twice as many (ADAPTIVE_TERRAIN_FUZZ=1000), `make fuzz` for twenty times.
 EXAMPLES = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)

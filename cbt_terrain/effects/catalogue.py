@@ -6,6 +6,7 @@ from . import (
     color,
     flow,
     height,
+    layers,
     mean_curvature,
     normal,
     occlusion,
@@ -36,5 +37,6 @@ EFFECTS: dict[str, Effect] = {
         sky.SKY,
         occlusion.OCCLUSION,
         sun.SUN,
+        *layers.LAYERS,
     )
 }

@@ -71,7 +71,8 @@ class Effect:
     `name`: of the attribute or map. `about`: one line of meaning. `unit`: of its numbers, of which each element has
     `width`. `make`: see Make; effects with the same `make` are made together, in one call. A function of the place, the
     level, the parameters and what is read alone: which other places are asked for changes nothing. `reads`: names of
-    other effects; where parameters decide which of them, `choose` tells. `halo`: how far around a place it looks.
+    other effects; where parameters decide which of them, `choose` tells. `nothing`: tells for which parameters all its
+    numbers are 0; it is not made then. `halo`: how far around a place it looks.
     `bound`: what it adds to the error of the mesh, "" for nothing. `scaled`: whether the level counts, too; of what it
     reads as well. `span`: between which all its numbers lie, None
     where nobody can say: maps of it hold floats. `cost_ns`: nanoseconds an element on one thread, measured. `source`:
@@ -95,10 +96,15 @@ class Effect:
     source: str = ""
     version: int = 1
     choose: Callable[[Mapping[str, object]], tuple[str, ...]] | None = None
+    nothing: Callable[[Mapping[str, object]], bool] | None = None
 
     def reads_with(self, values: Iterable[tuple[str, object]]) -> tuple[str, ...]:
         """Names of the effects that it reads with parameters that differ from their defaults so."""
         return self.reads if self.choose is None else self.choose(self.defaults() | dict(values))
+
+    def is_nothing(self, values: Iterable[tuple[str, object]]) -> bool:
+        """Whether all its numbers are 0 with parameters that differ from their defaults so."""
+        return self.nothing is not None and self.nothing(self.defaults() | dict(values))
 
     def defaults(self) -> dict[str, float]:
         return {parameter.name: parameter.default for parameter in self.parameters}

@@ -110,20 +110,25 @@ class Evaluator:
             fresh[family] = kept.fresh(levels, before)
         if not all(EFFECTS[step.name].scaled for step in plan.steps):
             fresh[ANY_LEVEL] = kept.new()
-        once = _held_once(plan, len(positions), self.most_bytes)
+        made = [step for step in plan.steps if not EFFECTS[step.name].is_nothing(step.parameters)]
+        once = _held_once(made, len(positions), self.most_bytes)
         kept.forget(once)
-        stay = {name for name, key in keys.items() if last.keys.get(name) == key} - once
-        for group in _made_together(plan, stay):
+        stay = {step.name for step in made if last.keys.get(step.name) == keys[step.name]} - once
+        which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in made}
+        which |= dict.fromkeys(which.keys() - stay)
+        values |= kept.take({name: EFFECTS[name].width for name, some in which.items() if some is not None})
+        for step in set(plan.steps) - set(made):
+            values[step.name] = kept.zeros(EFFECTS[step.name].width)
+            self.runs[step.name] += 0
+            self.ran[step.name] = Ran(0.0, 0, 0)
+        for group in _made_together(made, stay):
             start = time.perf_counter()
-            family = group[0].family
-            scale_of = family if EFFECTS[group[0].name].scaled else ANY_LEVEL
-            which = fresh[scale_of] if group[0].name in stay else None
-            computed = _make(group, places[family], which, values, kept, once)
+            computed = _make(group, places[group[0].family], which[group[0].name], values, kept, once)
             ms = (time.perf_counter() - start) * 1e3 / len(group)
             for step in group:
                 self.runs[step.name] += computed > 0
                 self.ran[step.name] = Ran(ms, values[step.name].nbytes, computed)
-        kept.forget_others({*keys, *places})
+        kept.forget_others({*which, *places})
         found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
         self._kept, self._state = kept, _State(surface, asked, keys, found)
         return found
@@ -145,10 +150,10 @@ def _reads(step: Asked) -> set[str]:
     return set(EFFECTS[step.name].reads_with(step.parameters))
 
 
-def _held_once(plan: Plan, count: int, most: int) -> set[str]:
+def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
     """Names of the effects of which only this surface's values are held, because those of the last one, too, would take
     more than `most` bytes at so many places: what is cheapest to compute for its size goes first."""
-    effects = [EFFECTS[step.name] for step in plan.steps]
+    effects = [EFFECTS[step.name] for step in steps]
     # Two copies of places and of the levels of both families.
     left = most - NUMBER * count * (2 * (3 + 2) + sum(effect.width for effect in effects))
     once = set()
@@ -171,13 +176,13 @@ def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
     return keys
 
 
-def _made_together(plan: Plan, stay: set[str]) -> list[Group]:
+def _made_together(steps: Sequence[Asked], stay: set[str]) -> list[Group]:
     """Steps in groups that one call makes: of one function and family, of which all are known of the same places."""
     group_of: dict[str, int] = {}
     order: list[tuple[tuple, Group]] = []
-    for step in plan.steps:
+    for step in steps:
         kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in stay)
-        after = max((group_of[name] for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
+        after = max((group_of.get(name, -1) for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
         number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
             order.append((kind, []))
@@ -190,7 +195,7 @@ def _make(
     group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept, once: set[str]
 ) -> int:
     """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
-    not known, None for all of them. once: see `_held_once`."""
+    not known, where `values` has the others; None for all of them. once: see `_held_once`."""
     effects = [EFFECTS[step.name] for step in group]
     wanted = {step.name: effect.defaults() | dict(step.parameters) for step, effect in zip(group, effects, strict=True)}
     read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
@@ -200,8 +205,6 @@ def _make(
             kept.put(name, array, name in once)
             values[name] = array
         return len(places)
-    for effect in effects:
-        values[effect.name] = kept.take(effect.name, effect.width)
     if len(which):
         some = {name: array[which] for name, array in read.items()}
         for name, array in effects[0].make(places.only(which), wanted, some).items():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Values that stay: of every named array two, that of this surface and that of the last one, which take turns."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import warp as wp
 
@@ -19,6 +21,7 @@ class Kept:
         self._threads = threads
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # room for this surface, for the last one
         self._count = self._last_count = 0
+        self._zeros: dict[int, np.ndarray] = {}  # by width
         self._runs = np.empty((0, 3), np.int32)
 
     @property
@@ -47,14 +50,22 @@ class Kept:
         """An array of this surface that was made as a whole. `once`: that of the last one is let go of."""
         self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
-    def take(self, name: str, width: int) -> np.ndarray:
-        """As `turn`, with the values of those places that the last surface has, too."""
-        values, last = self.turn(name, width)
-        if len(self._runs) and last is not None:
-            runs = shared(self._runs, wp.vec3i), len(self._runs)
-            arrays = [*runs, width, flat(last, wp.float32), flat(values, wp.float32)]
+    def take(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
+        """As `turn`, of several arrays, with the values of those places that the last surface has, too."""
+        turned = {name: self.turn(name, width) for name, width in widths.items()}
+        pairs = [_pair(*both, widths[name]) for name, both in turned.items() if both[1] is not None]
+        if len(self._runs) and pairs:
+            arrays = [shared(self._runs, wp.vec3i), len(self._runs)]
+            arrays.append(wp.array(pairs, dtype=kernels.Pair, device=launch.DEVICE))
             launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._pieces()], step="kept")
-        return values
+        return {name: values for name, (values, _) in turned.items()}
+
+    def zeros(self, width: int) -> np.ndarray:
+        """float32 [V, width], for everything of this surface that is 0: nobody writes it, so it takes no memory."""
+        held = self._zeros.get(width)
+        if held is None or len(held) < self._count:
+            self._zeros[width] = held = np.zeros((int(1.25 * self._count), width), np.float32)
+        return held[: self._count]
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
         """int32 [n]: the places that the last surface does not have, or not at their level.
@@ -90,6 +101,12 @@ class Kept:
         pieces = max(1, min(self._threads, self._count // launch.SLICE_ITEMS))
         cuts = [self._count * k // pieces for k in range(pieces + 1)]
         return list(zip(cuts, cuts[1:], strict=False))
+
+
+def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
+    pair = kernels.Pair()
+    pair.last, pair.values, pair.width = flat(last, wp.float32), flat(values, wp.float32), width
+    return pair
 
 
 def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:

@@ -35,6 +35,13 @@ class Drainage:
         launch.once(catchment.fill_lakes, [self.grid, *arrays, flat(out, wp.float32)], step="routing")
         return out
 
+    def catchments(self, own: np.ndarray | None = None) -> np.ndarray:
+        """float64 [n]: how many samples drain through each, all along its one receiver; `own`: what each counts."""
+        area = np.ones(len(self.to)) if own is None else own.astype(np.float64)
+        arrays = flat(self.to, wp.uint8), flat(self.order, wp.int32), flat(area, wp.float64)
+        launch.once(routing.add_areas, [self.grid, *arrays], step="routing")
+        return area
+
     def areas(self, filled: np.ndarray) -> np.ndarray:
         """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
         count = len(self.to)
@@ -56,12 +63,18 @@ class Drainage:
 
 
 def route(
-    heights: np.ndarray, step_x: float, step_y: float, holes: np.ndarray | None = None, threads: int = 1
+    heights: np.ndarray,
+    step_x: float,
+    step_y: float,
+    holes: np.ndarray | None = None,
+    threads: int = 1,
+    draw: "routing.Draw | None" = None,
 ) -> Drainage:
     """The drainage of float32 [rows, columns] metres, samples so many metres apart.
 
     Water leaves at the rim and where `holes` (bool, of the same shape) are; depressions are cut through at their lowest
-    passes, and flats drain along the shortest ways. A function of the arguments alone but for `threads`.
+    passes, and flats drain along the shortest ways. `draw`: noise in the choice of receivers, if any. A function of the
+    arguments alone but for `threads`.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
@@ -69,11 +82,11 @@ def route(
     base[:, [0, -1]] = 1
     base = base.reshape(-1)
     h = heights.reshape(-1) + np.float32(0.0)  # a sort tells -0 from 0
-    grid, to = _grid(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
+    grid, to = grid_of(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
     # The names of one step each: float32 heights, and what is found of them.
     arrays = [flat(h, wp.float32), flat(base, wp.uint8)]
-    inputs = [grid, *arrays, flat(to, wp.uint8)]
-    launch.spread(routing.find_receivers, rows, inputs, step="routing", threads=threads, cost=columns)
+    inputs = [grid, draw or routing.Draw(), *arrays, flat(to, wp.uint8)]
+    launch.spread(routing.find_receivers, rows, inputs, step="routing", threads=threads, cost=columns / 8)
     scratch, pits = np.empty(len(h), np.int32), np.zeros(1, np.int32)
     inputs = [grid, *arrays, flat(scratch, wp.int32), flat(to, wp.uint8), flat(pits, wp.int32)]
     launch.once(routing.cross_flats, inputs, step="routing")
@@ -81,12 +94,13 @@ def route(
         _link(grid, h, base, to, int(pits[0]), scratch, threads)
     donors, order = np.empty(len(h), np.uint8), scratch
     inputs = [grid, flat(to, wp.uint8), flat(donors, wp.uint8)]
-    launch.spread(routing.count_donors, rows, inputs, step="routing", threads=threads, cost=columns)
+    launch.spread(routing.count_donors, rows, inputs, step="routing", threads=threads, cost=columns / 16)
     launch.once(routing.order_downstream, [*inputs, flat(order, wp.int32)], step="routing")
     return Drainage(grid, h, base, to, order, threads)
 
 
-def _grid(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+    """Rows, columns and weights by direction of samples so many metres apart."""
     grid, diagonal = routing.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
     grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)

@@ -150,6 +150,7 @@ SPLATS = tuple(
         span=(0.0, 1.0),
         reads=tuple(sorted(set(READ_FROM.values()))),
         choose=_chosen,
+        nothing=lambda values, first=4 * k: len(values["layers"]) <= first,
         parameters=(
             Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer"),
         ),

@@ -13,16 +13,18 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.painted import Painted
+from .layers import NAMES as LAYER_NAMES
 
 MOST_LAYERS = 12
 # Of a layer's own numbers, and of an edge in any unit.
 MOST, MOST_EDGE = 1e6, 1e30
 # What a rule is about. RELIEF: height, 0 at the lowest and 1 at the highest place of the terrain. ASPECT: the cosine of
 # the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: how much of the ground
-# `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent.
+# `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent. The layers (layers.py) come last.
 HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE = KINDS = (
     *("height", "relief", "slope", "aspect", "curvature", "flow", "wetness", "noise", "layer", "image"),
 )
+KINDS += LAYER_NAMES
 # The effect that each is read from; the others are read from none.
 READ_FROM = {
     HEIGHT: "height",
@@ -32,6 +34,7 @@ READ_FROM = {
     CURVATURE: "mean_curvature",
     FLOW: "flow",
     WETNESS: "wetness",
+    **{name: name for name in LAYER_NAMES},
 }
 
 
@@ -40,8 +43,8 @@ class Rule:
     """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
 
     Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
-    aspect, noise (-1 .. 1), layer and image (0 .. 1) none. `direction`: rad, clockwise from north. `other`: the number
-    of a layer before this one.
+    aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
+    clockwise from north. `other`: the number of a layer before this one.
     """
 
     of: str

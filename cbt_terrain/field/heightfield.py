@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The height field: a terrain's samples on their lattice, with the error hierarchy and the height ranges."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,6 +43,7 @@ class HeightField:
     filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
     valid: None or, where holes are to be cut out, uint8 [height, width]: 0 where a sample was missing; the cells that
     have such a corner are holes (see holes.py).
+    layers: what effects that have shaped the heights (land/) have left, by name: float32 [height, width], row 0 south.
     key: identifies the content: equal keys, equal terrains.
     prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
     found: what was looked for once in the heights, for light and for what hides what (effects/occluder.py,
@@ -64,6 +66,7 @@ class HeightField:
     source_max: float = 0.0
     filled: int = 0
     valid: np.ndarray | None = None
+    layers: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
     provenance: dict = field(default_factory=dict)

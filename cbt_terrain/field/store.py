@@ -10,6 +10,8 @@
     STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
                                 error_c_m1.npy its error hierarchies for meshlets
     STORE/data-*/effect_*.npy   what an effect has made of the whole raster (effects/whole.py)
+    STORE/data-*/layer_*.npy    float32 [height, width], what effects on heights have left beside them (land/)
+    STORE/tiles/*.npy           what effects on heights have made of tiles, by content (land/tile_cache.py)
 
 A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
 while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
@@ -21,6 +23,7 @@ import math
 import os
 import re
 import shutil
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,19 +36,23 @@ from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
 from .store_entries import LATTICE, check_entries, is_data_name
+from .store_layers import LayerFiles, layer_name
 
 VERSION = 6
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
+TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
 MOST_JSON_BYTES = 1 << 22
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
     r"|effect_[a-z_]+_[0-9a-f]{16}\.npy"
+    r"|layer_[a-z][a-z0-9_]{0,40}\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
+_KEPT_TILE = re.compile(r"[0-9a-f]{32}\.npy")
 
 # What an import needs on its way.
 _SCRATCH = ("raster", "errors")
@@ -115,6 +122,7 @@ def _open(path: Path) -> HeightField:
         error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         valid=map_array(folder / "valid.npy", shape, np.uint8) if content["holes"] else None,
+        layers=LayerFiles(folder, content.get("layers", {}), shape),
         **{name: content[name] for name in _NUMBERS},
         key=content["key"],
         origin=np.array(content["origin"], np.float64),
@@ -132,6 +140,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     field = open_store(path)
     folder, found = data_folder(field), {}
     shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
+    shapes |= {layer_name(name): field.layers[name] for name in field.layers}
     for name, array in shapes.items():
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
@@ -208,6 +217,8 @@ def check_target(path: str | os.PathLike) -> None:
 
 def _is_own(folder: Path) -> bool:
     """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
+    if folder.name == TILES and not folder.is_symlink() and folder.is_dir():
+        return all(_KEPT_TILE.fullmatch(entry.name) or _is_own_entry(entry) for entry in folder.iterdir())
     if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
         return False
     try:
@@ -294,8 +305,9 @@ class Draft:
         self._arrays[new] = self._arrays.pop(name)
         os.replace(self.folder / f"{name}.npy", self.folder / f"{new}.npy")
 
-    def publish(self, field: HeightField, digest: str, report: dict) -> None:
-        """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users."""
+    def publish(self, field: HeightField, digest: str, report: dict, layers: Mapping[str, str] | None = None) -> None:
+        """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users;
+        `layers`: the units of those that were allocated, by their names."""
         for name in [name for name in self._arrays if name in _SCRATCH]:
             self.remove(name)
         for name, array in self._arrays.items():
@@ -313,6 +325,7 @@ class Draft:
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,
+            **({"layers": layers} if layers else {}),
             "provenance": field.provenance,
             "report": report,
         }

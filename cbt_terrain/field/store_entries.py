@@ -82,6 +82,16 @@ def _is_steps(value) -> bool:
     return type(value[0]) is int and value[1] != 0 and all(_is_number(v, -1e30, 1e30) for v in value)
 
 
+_LAYER = re.compile(r"[a-z][a-z0-9_]{0,40}")
+MOST_LAYERS = 64
+
+
+def _is_layers(value) -> bool:
+    if not isinstance(value, dict) or len(value) > MOST_LAYERS:
+        return False
+    return all(_LAYER.fullmatch(name) and _is_text(unit) for name, unit in value.items())
+
+
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
 _SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
@@ -110,6 +120,8 @@ _ENTRIES = {
     "provenance": (_is_provenance, "an object with the settings of the import"),
     "report": (_is_report, "an object with the figures and warnings of the import"),
 }
+# What only some stores have.
+_OPTIONAL = {"layers": (_is_layers, f"an object of at most {MOST_LAYERS} layers and their units")}
 
 
 def check_entries(file: Path, content: dict) -> None:
@@ -118,7 +130,7 @@ def check_entries(file: Path, content: dict) -> None:
     def damaged(what: str) -> TerrainError:
         return TerrainError(f"The store {file} is damaged: {what}; import it again.")
 
-    for name, (good, expected) in _ENTRIES.items():
+    for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
             raise damaged(f"{name!r} is missing, expected {expected}")
         if not good(content[name]):

@@ -5,7 +5,6 @@ import dataclasses
 import hashlib
 import json
 import os
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +16,9 @@ from ..field import cleaning, codes, store
 from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
-from ..field.lattice import Lattice
-from .raster import ISLAND, ImportSettings, Raster
+from ..field.lands import LANDS
+from .drafts import drafted, figures
+from .raster import ImportSettings, Raster
 from .sources import check_file, open_source
 
 READING = "Reading"  # the part of an import in which files from outside are read
@@ -46,7 +46,6 @@ def run_import(
     store.check_target(path)
     raster = open_source(settings)
     path = Path(path)
-    draft = None
     try:
         digest = source_digest(settings, raster.sources)
         # What a file of files is made of is known only now; of others, the caller has already asked this.
@@ -55,45 +54,44 @@ def run_import(
             return report
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
-        _check_room(path, lattice_for(width, height, place.step_x, place.step_y, settings.source))
-        draft = store.Draft(path, folder)
-        steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
-        name = "samples" if steps is None else "raster"
-        heights = draft.allocate(name, (height, width), np.dtype(np.float32))
-        missing, source_max, lowest = _read_heights(
-            raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
-        )
-        field = build(
-            heights,
-            place.step_x,
-            place.step_y,
-            missing=missing,
-            holes=settings.holes,
-            source_max=source_max,
-            name=settings.source,
-            allocate=draft.allocate,
-            on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
-        )
-        if steps is not None:
-            _keep_steps(field, draft, steps)
-        del heights
-        field.origin = np.array([*place.middle, 0.0])
-        field.crs = place.crs
-        field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
-        field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
-        report = _report(field, raster, place)
-        report["warnings"] += _undeclared(raster, settings, lowest)
-        report["seconds"] = round(time.monotonic() - started, 3)
-        draft.publish(field, digest, report)
+        with drafted(path, folder, lattice_for(width, height, place.step_x, place.step_y, settings.source)) as draft:
+            field, lowest = _build(settings, raster, place, draft, (height, width), on_progress)
+            report = _report(field, raster, place)
+            report["warnings"] += _undeclared(raster, settings, lowest)
+            report["seconds"] = round(time.monotonic() - started, 3)
+            draft.publish(field, digest, report)
         return report
-    except OSError as reason:
-        raise TerrainError(
-            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
-        ) from reason
     finally:
         raster.close()
-        if draft is not None:
-            draft.discard_unless_published()
+
+
+def _build(
+    settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress
+) -> tuple[HeightField, float]:
+    """The height field of a raster in the arrays of a draft, and its lowest height, metres."""
+    steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
+    heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
+    missing, source_max, lowest = _read_heights(
+        raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
+    )
+    field = build(
+        heights,
+        place.step_x,
+        place.step_y,
+        missing=missing,
+        holes=settings.holes,
+        source_max=source_max,
+        name=settings.source,
+        allocate=draft.allocate,
+        on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
+    )
+    if steps is not None:
+        _keep_steps(field, draft, steps)
+    field.origin = np.array([*place.middle, 0.0])
+    field.crs = place.crs
+    field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
+    field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
+    return field, lowest
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
@@ -101,7 +99,7 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
     and `sources`, the files that it names. Raises TerrainError if it is missing."""
     settings.check()
     parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
-    if settings.source != ISLAND:
+    if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
         files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
@@ -159,19 +157,6 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
     return dataclasses.replace(place, step_x=step_x, step_y=step_y, size_warnings=())
 
 
-def _check_room(path: Path, lattice: Lattice) -> None:
-    """Refuse what the disk cannot hold before a byte is written."""
-    needed = 6 * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
-    existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
-    free = shutil.disk_usage(existing).free
-    if needed > free:
-        raise TerrainError(
-            f"A terrain of {lattice.width} x {lattice.height} samples needs {needed / 1e9:.2f} GB in {path}, where "
-            f"{free / 1e9:.2f} GB are free: make room, choose another folder, or check that the file's header tells "
-            "its true size."
-        )
-
-
 def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
     """What a source's values are multiplied by and what is then added, metres."""
     return raster.scale * settings.height_scale, raster.offset * settings.height_scale + settings.height_offset
@@ -220,7 +205,7 @@ def _read_heights(
             end = heights.shape[0] - first
             heights[end - len(rows) : end] = rows[::-1]
         on_progress((first + count) / raster.height)
-    source_max = 0.0 if settings.source == ISLAND else _source_step(raster, settings, largest) + converted
+    source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
     return missing, source_max, lowest
 
 
@@ -253,7 +238,6 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
 
 
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
-    lattice = field.lattice
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     if raster.stored == "float16":
         largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
@@ -264,16 +248,7 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     return {
         "format": raster.format,
         "raster": [raster.width, raster.height],
-        "samples": [lattice.width, lattice.height],
-        "squares": [lattice.columns, lattice.rows],
-        "step_m": [lattice.step_x, lattice.step_y],
-        "extent_m": [lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)],
-        "lowest_m": field.min_height,
-        "highest_m": field.max_height,
-        "filled": 0 if field.valid is not None else field.filled,
-        "cut_out": field.filled if field.valid is not None else 0,
-        "source_step_m": field.source_max,
-        "crs": field.crs,
+        **figures(field),
         "bounds_against": against,
         "warnings": warnings,
     }

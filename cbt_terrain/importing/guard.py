@@ -29,11 +29,15 @@ def guard(suffix: str, folder: Path | None) -> dict[str, str]:
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
     """Before an import into the store `path`, whose folder is made. Raises TerrainError."""
-    from ...kernels.field import codes, expand, fill, hierarchy, holes, island, ranges
+    from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges
+    from ..field.lands import LANDS
+    from ..run import launch
     from ..run.warmup import load
 
-    for module in (codes, expand, fill, hierarchy, island, ranges, *([holes] if settings.holes else [])):
+    for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else [])):
         load(module)
+    if settings.source in LANDS:
+        launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
     store.check_target(path)
     try:
         path.mkdir(parents=True, exist_ok=True)

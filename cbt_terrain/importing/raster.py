@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
+from ..field.lands import LANDS
 
 ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
@@ -25,13 +26,14 @@ RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "
 class ImportSettings:
     """What to import and how.
 
-    source: path of a file, or "island". raw_size (columns, rows; None: a square), raw_dtype (one of RAW_TYPES) and
-    raw_little_endian describe a RAW file. extent: metres from the first to the last sample in x and y, instead of what
-    the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that stands for missing
-    samples, instead of the file's own; NaN: no value does. holes: cut them out instead of filling them. size, seed:
-    samples a side and seed of the island. band: number of the band, from 1. channel: name of an EXR channel, "" for the
-    first that looks like a height. first_row_south: for files that do not say where north is; pictures begin in the
-    north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it is.
+    source: path of a file, or name of a built-in land. raw_size (columns, rows; None: a square), raw_dtype (one of
+    RAW_TYPES) and raw_little_endian describe a RAW file. extent: metres from the first to the last sample in x and y,
+    instead of what the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that
+    stands for missing samples, instead of the file's own; NaN: no value does. holes: cut them out instead of filling
+    them. size, seed: samples a side and seed of a built-in land. band: number of the band, from 1. channel: name of an
+    EXR channel, "" for the first that looks like a height. first_row_south: for files that do not say where north is;
+    pictures begin in the north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it
+    is.
     """
 
     source: str
@@ -66,13 +68,13 @@ class ImportSettings:
             raise TerrainError(f"RAW type {self.raw_dtype!r} is not known: choose one of {', '.join(RAW_TYPES)}.")
         if self.raw_size is not None and min(self.raw_size) < 1:
             raise TerrainError(f"A RAW size of {tuple(self.raw_size)} samples: expected two positive counts.")
-        if self.source == ISLAND and not 2 <= self.size <= 1 << 16:
-            raise TerrainError(f"An island of {self.size} samples a side: expected 2 to 65536.")
+        if self.source in LANDS and not 2 <= self.size <= 1 << 16:
+            raise TerrainError(f"A built-in {self.source} of {self.size} samples a side: expected 2 to 65536.")
         if not _PROJECT.fullmatch(self.project):
             raise TerrainError(
                 f"The coordinate system {shown(self.project)!r} to reproject to: expected utm or EPSG:n, as EPSG:32632."
             )
-        if self.project and (self.source == ISLAND or Path(self.source).suffix.lower() not in PLACED_SUFFIXES):
+        if self.project and (self.source in LANDS or Path(self.source).suffix.lower() not in PLACED_SUFFIXES):
             raise TerrainError(
                 f"{shown(self.source)} has no coordinate system, so it cannot be reprojected: import it as it is."
             )

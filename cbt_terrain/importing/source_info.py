@@ -2,28 +2,22 @@
 """What a height map's header says, and what is installed: both asked of a child process, as an import is."""
 
 import dataclasses
-import json
-import os
 import platform
-import tempfile
-import time
 from importlib import metadata
 from pathlib import Path
 
-from ..errors import TerrainError
-from ..run import child, stopping
-from ..run.stall import STALL_SECONDS, stalled_text
-from .guard import VARIABLES, guard
-from .raster import ISLAND, ImportSettings
+from ..field.lands import LANDS
+from ..run import child
+from .answers import answer, ask
+from .guard import guard
+from .raster import ImportSettings
 from .sources import check_file, open_source
-
-POLL_SECONDS = 0.02
 
 
 def describe_source(settings: ImportSettings) -> dict:
     """What a height map holds by its header, as a flat dict. Raises TerrainError for one that cannot be imported."""
     settings.check()
-    if settings.source != ISLAND:
+    if settings.source not in LANDS:
         check_file(Path(settings.source))
     return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
 
@@ -46,58 +40,21 @@ def _version(name: str) -> str:
 
 
 def _ask(request: dict, what: str) -> dict:
-    """The child's answer. Raises TerrainError, also where it takes too long or ends without one."""
-    with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as errors, stopping.listening():
-        try:
-            streams = {"stdout": said, "stderr": errors}
-            process = child.start(
-                "cbt_terrain.importing.source_info", json.dumps(request), variables=VARIABLES, **streams
-            )
-        except OSError as reason:
-            raise TerrainError(f"No Python process could be started for {what} ({reason}): try again.") from reason
-        end = time.monotonic() + STALL_SECONDS
-        try:
-            while process.poll() is None:
-                stopping.check()
-                if time.monotonic() > end:
-                    raise TerrainError(stalled_text(what))
-                time.sleep(POLL_SECONDS)
-        finally:
-            process.kill()
-            process.wait()
-            process.stdin.close()
-        said.seek(0)
-        lines = said.read().decode(errors="replace").splitlines()
-    answer = json.loads(lines[-1]) if process.returncode == 0 and lines else {}
-    if "answer" not in answer:
-        raise TerrainError(
-            answer.get("error")
-            or f"The process that reads {what} ended with code {process.returncode}: the file may be damaged, or "
-            "memory may have run out."
-        )
-    return answer["answer"]
+    return ask("cbt_terrain.importing.source_info", request, what)
 
 
 def child_main(request: str) -> None:
     """Answer one request on stdout."""
-    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print goes to stderr
-    asked = json.loads(request)["settings"]
-    try:
-        if asked is None:
-            answer = {"answer": _of_this_process()}
-        else:
-            for name in ("raw_size", "extent"):
-                asked[name] = tuple(asked[name]) if asked[name] is not None else None
-            answer = {"answer": _of_source(ImportSettings(**asked))}
-    except TerrainError as error:
-        answer = {"error": str(error)}
-    except MemoryError:
-        answer = {"error": f"Reading {asked['source']} ran out of memory: cut it into tiles or reduce it."}
-    except Exception as error:
-        answer = {"error": f"Reading {asked['source']} failed unexpectedly ({type(error).__name__}: {error})."}
-    with channel:
-        channel.write(json.dumps(answer) + "\n")
+    answer(request, _answer, lambda asked: asked["settings"]["source"])
+
+
+def _answer(asked: dict) -> dict:
+    settings = asked["settings"]
+    if settings is None:
+        return _of_this_process()
+    for name in ("raw_size", "extent"):
+        settings[name] = tuple(settings[name]) if settings[name] is not None else None
+    return _of_source(ImportSettings(**settings))
 
 
 def _of_source(settings: ImportSettings) -> dict:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where heights come from: a file, or the built-in island, opened as a raster."""
+"""Where heights come from: a file, or a built-in land, opened as a raster."""
 
 import math
 import os
@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..field import island
 from ..field.georeference import Georeference
+from ..field.lands import LANDS
 from .exr_source import open_exr
 from .gdal_source import DRIVERS, open_raster
-from .raster import ISLAND, RAW_SUFFIXES, ImportSettings, Raster, blank
+from .raster import RAW_SUFFIXES, ImportSettings, Raster, blank
 
 
 def open_source(settings: ImportSettings) -> Raster:
     """Open what the settings name. Raises TerrainError; to be called in the import's child process."""
     settings.check()
-    if settings.source == ISLAND:
-        return _open_island(settings)
+    if settings.source in LANDS:
+        return _open_land(settings)
     path = Path(settings.source)
     check_file(path)
     suffix = path.suffix.lower()
@@ -54,17 +54,17 @@ def check_file(path: Path) -> None:
         raise TerrainError(f"{path} is empty: expected the file of a height map.")
 
 
-def _open_island(settings: ImportSettings) -> Raster:
-    size = settings.size
+def _open_land(settings: ImportSettings) -> Raster:
+    land, size = LANDS[settings.source], settings.size
 
     def read(first: int, count: int) -> np.ndarray:
         rows = np.empty((count, size), np.float32)
-        island.island_rows(size, first, rows, settings.seed)
+        land.rows(size, first, rows, settings.seed)
         return rows
 
-    step = island.SIDE / (size - 1)
+    step = land.side / (size - 1)
     place = Georeference(step, step, first_row_south=True)
-    return Raster(size, size, read, "float32", ISLAND, georeference=place, block_rows=64)
+    return Raster(size, size, read, "float32", land.name, georeference=place, block_rows=64)
 
 
 def _open_raw(path: Path, settings: ImportSettings) -> Raster:

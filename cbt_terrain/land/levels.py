@@ -33,23 +33,45 @@ def coarser(samples: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(odd[::2, ::2])
 
 
+def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
+    """float32: rows and columns of what `finer` makes of a whole level, bit for bit, from no more than it needs."""
+    south, west = rows.start // 2, columns.start // 2
+    part = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
+    up = finer(part, (2 * part.shape[0] - 1, 2 * part.shape[1] - 1))
+    return up[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
+
+
 def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
     """The change that an effect makes to a whole raster, by way of all its levels.
 
     values: every parameter, as the effect's `defaults`. The heights, the mask and the layers of coarser levels are
     every second sample of the finer one's.
     """
-    ground = replace(ground, whole=ground.heights.shape)
+    change = _unmasked(effect, replace(ground, whole=ground.heights.shape), values)
+    return masked(effect, change, ground.mask)
+
+
+def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+    """A level starts from the whole of its own change at the coarser one: of a masked one each level would take its
+    part again."""
     shape, change = ground.heights.shape, None
+    ground = replace(ground, whole=shape)
     if max(shape) > COARSEST:
-        below = apply_by_levels(effect, _coarser_ground(ground), values)
+        below = _unmasked(effect, _coarser_ground(ground), values)
         change = Change(finer(below.heights, shape), {name: finer(a, shape) for name, a in below.layers.items()})
-    if effect.finest and max(shape) > effect.finest:
+    if change is not None and effect.finest and max(shape) > effect.finest:
         return change
-    made = effect.apply(ground, values, change)
-    if ground.mask is None or effect.masks:
-        return made
-    return replace(made, heights=made.heights * ground.mask)
+    return effect.apply(ground, values, change)
+
+
+def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Change:
+    """The part of a change that a mask lets through, if the effect does not see to that itself: of its heights and of
+    those layers that are depths."""
+    if mask is None or effect.masks:
+        return change
+    depths = {layer.name for layer in effect.layers if layer.per_metre}
+    layers = {name: layer * mask if name in depths else layer for name, layer in change.layers.items()}
+    return Change(change.heights * mask, layers)
 
 
 def _coarser_ground(ground: Ground) -> Ground:

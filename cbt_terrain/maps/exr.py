@@ -20,18 +20,19 @@ COMMENT = "comments"
 
 
 class ExrFile:
-    """A file of `side` x `side` texels of so many channels, of `depth` bits (16: half, 32: float), from the top.
+    """A file of `side` x `side` texels of so many channels, of `depth` bits (16: half, 32: float), from the top; where
+    `lines` is given, of `side` x `lines`.
 
     `text`, `pool`: as of PngFile.
     """
 
-    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
+    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0):
         names = sorted(NAMES[channels])
         self._order = [NAMES[channels].index(name) for name in names]  # channels are kept by the alphabet
         self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []
         kind = HALF if depth == 16 else FLOAT
         listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
-        box = struct.pack("<iiii", 0, 0, side - 1, side - 1)
+        box = struct.pack("<iiii", 0, 0, side - 1, (lines or side) - 1)
         entries = (
             ("channels", "chlist", listed),
             (COMMENT, "string", text.encode("latin-1")),
@@ -46,10 +47,10 @@ class ExrFile:
         self._file, self._line, self._offsets = open(path, "wb"), 0, []
         self._file.write(MAGIC + b"".join(_entry(*entry) for entry in entries) + b"\0")
         self._table = self._file.tell()
-        self._file.write(bytes(8 * (side // BLOCK)))
+        self._file.write(bytes(8 * -(-(lines or side) // BLOCK)))
 
     def add(self, values: np.ndarray) -> None:
-        """The next lines, float32 [lines, side, channels]; whole blocks of them."""
+        """The next lines, float32 [lines, side, channels]; whole blocks of them, but for the last."""
         most = np.finfo(self._dtype).max
         lines = np.clip(values, -most, most).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
         for first in range(0, len(lines), BLOCK):

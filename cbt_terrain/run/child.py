@@ -48,13 +48,14 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
     )
 
 
-def end_with_parent(clean_up: Callable[[], None] = lambda: None) -> None:
+def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable[[], None] = lambda: None) -> None:
     """In the child: from now on, when the parent ends, however it does, `Stopped` is raised where `stopping.check` is
-    called; if that has not ended this process after a while, it cleans up and ends."""
+    called; if that has not ended this process after a while, it cleans up and ends. `heard` is called, on another
+    thread, when the parent writes anything."""
 
     def wait() -> None:
         while os.read(0, 1024):
-            pass
+            heard()
         stopping.ask(signal.SIGTERM)
         time.sleep(stopping.GRACE_SECONDS)
         clean_up()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Catchment areas and wetness at places."""
+"""Catchment areas, wetness and layers at places."""
 
 import warp as wp
 
@@ -27,6 +27,24 @@ def bilinear(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> w
     return low + (c + (d - c) * u - low) * v
 
 
+@wp.func
+def value_at(ground: Ground, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
+    """The value of a pyramid at a place and a level, which is `coarser_by` levels finer than those of `ground`."""
+    last_x = wp.float64(ground.columns[0] - 1)
+    last_y = wp.float64(ground.rows[0] - 1)
+    x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)
+    y = wp.clamp((wp.float64(p[1]) - ground.south) / ground.step_y, wp.float64(0.0), last_y)
+    scale = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(ground.levels - 1))
+    below = wp.int32(scale)
+    part = wp.float64(scale) - wp.float64(below)
+    per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
+    value = bilinear(ground, below, x * per, y * per)
+    if part > wp.float64(0.0):
+        per *= wp.float64(0.5)
+        value += (bilinear(ground, below + 1, x * per, y * per) - value) * part
+    return value
+
+
 @wp.kernel
 def flow_at(
     offset: int,
@@ -36,23 +54,22 @@ def flow_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """m^2 at the places `positions` and their levels, which are `coarser_by` levels finer than those of `ground`, the
-    pyramid of the areas' natural logarithms."""
+    """m^2 at the places `positions` and their levels, from the pyramid of the areas' natural logarithms."""
     v = offset + wp.tid()
-    p = positions[v]
-    last_x = wp.float64(ground.columns[0] - 1)
-    last_y = wp.float64(ground.rows[0] - 1)
-    x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)
-    y = wp.clamp((wp.float64(p[1]) - ground.south) / ground.step_y, wp.float64(0.0), last_y)
-    scale = wp.clamp(levels[v] - coarser_by, wp.float32(0.0), wp.float32(ground.levels - 1))
-    below = wp.int32(scale)
-    part = wp.float64(scale) - wp.float64(below)
-    per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
-    value = bilinear(ground, below, x * per, y * per)
-    if part > wp.float64(0.0):
-        per *= wp.float64(0.5)
-        value += (bilinear(ground, below + 1, x * per, y * per) - value) * part
-    out[v] = wp.float32(exponential(value))
+    out[v] = wp.float32(exponential(value_at(ground, coarser_by, positions[v], levels[v])))
+
+
+@wp.kernel
+def layer_at(
+    offset: int,
+    ground: Ground,
+    positions: wp.array(dtype=wp.vec3f),
+    levels: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """The layer whose pyramid is `ground` at the places `positions` and their levels."""
+    v = offset + wp.tid()
+    out[v] = wp.float32(value_at(ground, wp.float32(0.0), positions[v], levels[v]))
 
 
 @wp.kernel

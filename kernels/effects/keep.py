@@ -152,27 +152,36 @@ def list_fresh(
     found[0] = n
 
 
+@wp.struct
+class Pair:
+    """What the last surface had of one quantity, and room for what this one has: `width` numbers a place."""
+
+    last: wp.array(dtype=wp.float32)
+    values: wp.array(dtype=wp.float32)
+    width: wp.int32
+
+
 @wp.kernel
 def copy_runs(
     first: int,
     end: int,
     runs: wp.array(dtype=wp.vec3i),
     run_count: int,
-    width: int,
-    last_values: wp.array(dtype=wp.float32),
-    values: wp.array(dtype=wp.float32),
+    pairs: wp.array(dtype=Pair),
 ):
-    """Values of the places first .. end that are in a run, `width` numbers each."""
-    for k in range(run_count):
-        run = runs[k]
-        begin = wp.max(run[0], first)
-        stop = wp.min(run[0] + run[2], end)
-        if begin < stop:
-            at = run[1] + begin - run[0]
-            copy_floats(
-                last_values,
-                wp.int64(at) * wp.int64(width),
-                (stop - begin) * width,
-                values,
-                wp.int64(begin) * wp.int64(width),
-            )
+    """Values of the places first .. end that are in a run, of every quantity."""
+    for p in range(pairs.shape[0]):
+        pair = pairs[p]
+        for k in range(run_count):
+            run = runs[k]
+            begin = wp.max(run[0], first)
+            stop = wp.min(run[0] + run[2], end)
+            if begin < stop:
+                at = run[1] + begin - run[0]
+                copy_floats(
+                    pair.last,
+                    wp.int64(at) * wp.int64(pair.width),
+                    (stop - begin) * pair.width,
+                    pair.values,
+                    wp.int64(begin) * wp.int64(pair.width),
+                )

@@ -10,6 +10,9 @@ whose links turn the flow of a basin's own tree around, so that no graph is buil
 
 import warp as wp
 
+from ..field.noise import scramble
+from .rows import count_donors_of_row, find_receivers_of_row
+
 wp.set_module_options({"enable_backward": False})
 
 ROOT = wp.constant(wp.uint8(4))
@@ -28,6 +31,17 @@ class Grid:
     height: wp.int32
     nearness: wp.vec3f
     share: wp.vec3d
+
+
+@wp.struct
+class Draw:
+    """Noise in the choice of receivers: every slope times 1 - jitter / 2 .. 1 + jitter / 2, which breaks the straight
+    lines of eight directions. By the place: `row`, `column` are those of the first sample in the whole raster."""
+
+    jitter: wp.float32
+    seed: wp.uint32
+    row: wp.int32
+    column: wp.int32
 
 
 @wp.func
@@ -50,21 +64,26 @@ def straight_first(q: wp.int32) -> wp.int32:
 
 @wp.kernel
 def find_receivers(
-    offset: int, grid: Grid, h: wp.array(dtype=wp.float32), base: wp.array(dtype=wp.uint8), to: wp.array(dtype=wp.uint8)
+    offset: int,
+    grid: Grid,
+    draw: Draw,
+    h: wp.array(dtype=wp.float32),
+    base: wp.array(dtype=wp.uint8),
+    to: wp.array(dtype=wp.uint8),
 ):
     """Row `offset + tid`: each sample's steepest way down (O'Callaghan and Mark 1984), ROOT where there is none."""
-    first = (offset + wp.tid()) * grid.width
-    for i in range(first, first + grid.width):
-        best = wp.int32(4)
-        if base[i] == wp.uint8(0):
-            steepest = wp.float32(0.0)
-            for k in range(9):
-                if k != 4:
-                    fall = (h[i] - h[towards(i, k, grid.width)]) * grid.nearness[axis(k)]
-                    if fall > steepest:
-                        steepest = fall
-                        best = k
-        to[i] = wp.uint8(best)
+    y = offset + wp.tid()
+    first = y * grid.width
+    if y == 0 or y == grid.height - 1:
+        for i in range(first, first + grid.width):
+            to[i] = ROOT
+    else:
+        to[first] = ROOT
+        to[first + grid.width - 1] = ROOT
+        noise = scramble(wp.uint32(draw.row + y) + draw.seed) + wp.uint32(draw.column)
+        least = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
+        step = draw.jitter * wp.float32(0.00390625)
+        find_receivers_of_row(y, grid.width, grid.nearness, least, step, noise, h, base, to)
 
 
 @wp.func
@@ -253,19 +272,31 @@ def link_basins(
         e += 1
 
 
+@wp.func
+def donors_at(grid: Grid, to: wp.array(dtype=wp.uint8), x: wp.int32, y: wp.int32) -> wp.uint8:
+    """How many neighbours flow to a sample of the rim."""
+    count = wp.int32(0)
+    for k in range(9):
+        xx = x + k % 3 - 1
+        yy = y + k / 3 - 1
+        if k != 4 and xx >= 0 and xx < grid.width and yy >= 0 and yy < grid.height:
+            if to[yy * grid.width + xx] == wp.uint8(8 - k):
+                count += 1
+    return wp.uint8(count)
+
+
 @wp.kernel
 def count_donors(offset: int, grid: Grid, to: wp.array(dtype=wp.uint8), donors: wp.array(dtype=wp.uint8)):
     """Row `offset + tid`: how many neighbours flow to each sample."""
     y = offset + wp.tid()
-    for x in range(grid.width):
-        count = wp.int32(0)
-        for k in range(9):
-            xx = x + k % 3 - 1
-            yy = y + k / 3 - 1
-            if k != 4 and xx >= 0 and xx < grid.width and yy >= 0 and yy < grid.height:
-                if to[yy * grid.width + xx] == wp.uint8(8 - k):
-                    count += 1
-        donors[y * grid.width + x] = wp.uint8(count)
+    if y == 0 or y == grid.height - 1:
+        for x in range(grid.width):
+            donors[y * grid.width + x] = donors_at(grid, to, x, y)
+    else:
+        last = grid.width - 1
+        donors[y * grid.width] = donors_at(grid, to, 0, y)
+        donors[y * grid.width + last] = donors_at(grid, to, last, y)
+        count_donors_of_row(y, grid.width, to, donors)
 
 
 @wp.kernel
@@ -287,3 +318,18 @@ def order_downstream(
             if to[i] != ROOT:
                 i = towards(i, wp.int32(to[i]), grid.width)
                 donors[i] = donors[i] - wp.uint8(1)
+
+
+@wp.kernel
+def add_areas(
+    grid: Grid,
+    to: wp.array(dtype=wp.uint8),
+    order: wp.array(dtype=wp.int32),
+    area: wp.array(dtype=wp.float64),
+):
+    """Serial. Every sample gives all that it has to its receiver. `area`: each one's own before, the sum after."""
+    for q in range(grid.width * grid.height):
+        i = order[q]
+        if to[i] != ROOT:
+            j = towards(i, wp.int32(to[i]), grid.width)
+            area[j] = area[j] + area[i]

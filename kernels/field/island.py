@@ -71,7 +71,7 @@ def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
     for octave in range(octaves):
         if octave == 3:
             weight = weight * detail
-        n = noise(px, py, seed + wp.uint32(octave) * wp.uint32(0x9E3779B9))
+        n = noise(px, py, seed + wp.uint32(octave) * wp.uint32(-0x61C88647))
         sx = sx + n[0] * wp.float64(0.75)
         sy = sy + n[1] * wp.float64(0.75)
         total = total + weight * n[2] / (wp.float64(1.0) + sx * sx + sy * sy)

@@ -22,6 +22,12 @@ MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M, MAX_DETAIL_M = 1e6, 1e9, 1e6
 MAX_BUDGET_MB = 1e9
 FRAMES = "A,B-C,D-E:STEP"
+SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is below 900 m, and the result for QGIS
+
+  {"version": 1, "entries": [{"effect": "rivers", "parameters": {"years": 3e5},
+    "mask": {"rules": [{"of": "height", "high": 900, "edge": 50}]}}]}
+
+  adaptive-terrain shape --store island.store --stack rivers.json --out old.store --export old.tif"""
 AT_MOST = "triangles at most, but not fewer than two for each root square"
 
 
@@ -62,6 +68,7 @@ def _run(argv: list[str] | None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
     from ..output.exporting import FORMATS, parse_formats, parse_frames
 
@@ -71,7 +78,8 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
-    verb.add_argument("source", help="height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or `island`")
+    source = f"height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or a built-in land: {', '.join(LANDS)}"
+    verb.add_argument("source", help=source)
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--extent",
@@ -89,8 +97,8 @@ def build_parser() -> argparse.ArgumentParser:
     project = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
     verb.add_argument("--project", **project)
     _add_raw(verb)
-    verb.add_argument("--size", type=int, metavar="N", help=f"island: samples a side ({DEFAULT_SIZE})")
-    verb.add_argument("--seed", type=int, metavar="N", help=f"island: its shape ({DEFAULT_SEED})")
+    verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
+    verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
 
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path, nargs="?")
@@ -170,6 +178,26 @@ def build_parser() -> argparse.ArgumentParser:
     source.add_argument("--scene", type=path, metavar="X.blend", help="who reads what, and why the rest is skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
     verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+
+    verb = _verb(subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape)
+    verb.epilog = SHAPE_EXAMPLE
+    verb.formatter_class = argparse.RawDescriptionHelpFormatter
+    verb.add_argument("--store", type=path, required=True, metavar="DIR", help="the store to be shaped")
+    verb.add_argument("--stack", type=path, required=True, metavar="FILE.json", help="the effects, in their order")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the store to write")
+    verb.add_argument(
+        "--path", type=path, metavar="FILE.json", help="only tiles that this camera sees (docs/manual.md)"
+    )
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
+    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels of the camera (1920x1080)")
+    verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="what a finer level has to change to count (1)")
+    verb.add_argument("--whole", action="store_true", help="all tiles, of a raster of any size")
+    verb.add_argument(
+        "--finish-early", type=positive(1e9), metavar="SECONDS", help="then be content with the levels that are done"
+    )
+    verb.add_argument(
+        "--export", type=path, metavar="FILE", help="heights as .tif or .exr too; layers beside it, FILE_layer.tif"
+    )
 
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
@@ -54,18 +55,21 @@ def store_subjects(
     resolution: tuple[int, int],
 ) -> list[Subject]:
     """The terrain of a store, seen along a camera path at `frames` (all whole ones of the path), or as a whole."""
-    views = ()
-    if path is not None:
-        flight = read_camera_path(path)
-        if not frames:
-            first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
-            frames = range(first, max(last, first) + 1)
-        if len(frames) > MOST_FRAMES:
-            raise TerrainError(f"The camera path has {len(frames):,} frames; name those that count with --frames.")
-        views = tuple(flight.view(frame, resolution) for frame in frames)
+    views = () if path is None else views_of(path, frames, resolution)
     asked = tuple(Asked(name, (READER,)) for name in known(names))
     request = MapRequest(asked, out, views, only_seen=bool(views))
     return [Subject(StoreFrames.name, open_store(store), request)]
+
+
+def views_of(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
+    """The views of a camera path at `frames`, or at all whole ones of the path."""
+    flight = read_camera_path(path)
+    if not frames:
+        first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
+        frames = range(first, max(last, first) + 1)
+    if len(frames) > MOST_FRAMES:
+        raise TerrainError(f"The camera path has {len(frames):,} frames; name those that count with --frames.")
+    return tuple(flight.view(frame, resolution) for frame in frames)
 
 
 def scene_subjects(

@@ -19,11 +19,12 @@ class UsageError(Exception):
 
 def run_import(arguments) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
+    from ...cbt_terrain.importing.raster import ImportSettings
 
-    if arguments.source != ISLAND and (arguments.size, arguments.seed) != (None, None):
-        raise UsageError(f"--size and --seed are of the built-in `{ISLAND}`; {arguments.source} is taken as it is")
+    if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
     settings = ImportSettings(
         source=arguments.source,
         **_raw_settings(arguments),
@@ -228,6 +229,34 @@ def run_maps(arguments) -> None:
             arguments.store, arguments.out, names, arguments.path, arguments.frames, size
         )
     maps_command.run(subjects, arguments.budget, arguments.format, arguments.progress)
+
+
+def run_shape(arguments) -> None:
+    from . import shape_command
+
+    if arguments.frames and not arguments.path:
+        raise UsageError("--frames are those of a --path FILE.json")
+    if arguments.whole and arguments.path:
+        raise UsageError("--whole and --path contradict each other: all tiles, or those that the camera sees")
+    start = time.monotonic()
+    report = shape_command.run(
+        arguments.store,
+        arguments.stack,
+        arguments.out,
+        path=arguments.path,
+        frames=arguments.frames,
+        resolution=arguments.resolution or DEFAULT_RESOLUTION,
+        pixel_error=arguments.pixel_error or 1.0,
+        whole=arguments.whole,
+        finish_early_s=arguments.finish_early,
+        show_progress=arguments.progress,
+    )
+    levels = report.pop("levels")
+    print_fields(report | {"tiles": f"{report['tiles_built']:,} built of {report['tiles_there_are']:,} there are"})
+    print("\n".join(f"level: {shown(line)}" for line in levels))
+    for file in shape_command.export(arguments.out, arguments.export) if arguments.export else ():
+        print(f"{file} is written")
+    print(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
 
 
 def run_accuracy(arguments) -> None:

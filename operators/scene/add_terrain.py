@@ -1,35 +1,36 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add > Mesh > Adaptive Terrain: a terrain with the built-in island."""
+"""Add > Mesh > Adaptive Terrain: a terrain with a built-in land."""
 
 import bpy
 from bpy_extras.object_utils import AddObjectHelper, object_data_add
 
-from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
+from ...cbt_terrain.field.island import DEFAULT_SEED
 from . import session
-from .properties import ISLAND
+from .properties import ISLAND, land_items, land_of
 
 
 class AddTerrain(bpy.types.Operator, AddObjectHelper):
-    """Add a terrain with the built-in island"""
+    """Add a terrain with a built-in land"""
 
     bl_idname = "mesh.adaptive_terrain_add"
     bl_label = "Adaptive Terrain"
     bl_options = {"REGISTER", "UNDO"}
 
+    land: bpy.props.EnumProperty(name="Land", items=land_items(), default=ISLAND)
     size: bpy.props.FloatProperty(
         name="Size",
-        description="Metres from one side of the island to the other; small by default, as all that Blender adds",
+        description="Metres from one side of the land to the other; small by default, as all that Blender adds",
         default=20.0, min=0.001, soft_max=100_000.0, unit="LENGTH",
     )  # fmt: skip
-    seed: bpy.props.IntProperty(name="Seed", description="Another seed is another island", default=DEFAULT_SEED, min=0)
+    seed: bpy.props.IntProperty(name="Seed", description="Another seed is another land", default=DEFAULT_SEED, min=0)
 
     def execute(self, context):
         obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
         settings = obj.adaptive_terrain
         settings.enabled = True
-        settings.source, settings.seed = ISLAND, self.seed
+        settings.source, settings.seed = self.land, self.seed
         settings.use_extent, settings.extent = True, (self.size, self.size)
-        settings.height_scale = self.size / SIDE  # the island keeps its shape
+        settings.height_scale = self.size / land_of(settings).side  # the land keeps its shape
         # With a window the import runs beside it and the mesh appears when it is done; without, now.
         try:
             bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")

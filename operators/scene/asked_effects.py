@@ -2,7 +2,7 @@
 """Which effects a terrain is asked for: what its scene reads, what is pinned, less what is switched off."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked
 from ...cbt_terrain.effects.evaluate import Ran
+from ...cbt_terrain.effects.layers import lacks
 from ...cbt_terrain.effects.plan import Plan
 from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.field.heightfield import HeightField
 from ..demand import kept
 from ..demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from .decals import decals_given
@@ -35,7 +37,7 @@ class Effects:
 @dataclass(frozen=True)
 class EffectStatus:
     """What the last update made of an effect. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
-    `nbytes` and `computed`: as of Ran in evaluate.py."""
+    `nbytes` and `computed`: as of Ran in evaluate.py. `note`: what else there is to know."""
 
     readers: tuple[str, ...] = ()
     family: str = ""
@@ -43,6 +45,7 @@ class EffectStatus:
     nbytes: int = 0
     computed: int = 0
     skipped: str = ""
+    note: str = ""
 
 
 # Parameters that are no numbers of the settings: by effect, made from (evaluated terrain, its placement, dependency
@@ -77,12 +80,14 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
     return Effects(tuple(asked), tuple(off), settings.effects.geometry_metres)
 
 
-def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran]) -> dict[str, EffectStatus]:
-    """By name, what there is to say of each effect."""
+def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: HeightField) -> dict[str, EffectStatus]:
+    """By name, what there is to say of each effect on a terrain."""
     found = {}
     for step in plan.steps:
         took = ran.get(step.name, Ran(0.0, 0, 0))
         found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
+        if why := lacks(heights, step.name):
+            found[step.name] = replace(found[step.name], note=f"0, since {why}")
     off = dict(effects.off)
     for name, why in plan.skipped.items():
         found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)

@@ -9,12 +9,11 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.build_store import source_digest
 from ...cbt_terrain.importing.import_process import ImportJob, import_source
-from ...cbt_terrain.importing.raster import ISLAND as ISLAND_SOURCE
 from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
 from ...cbt_terrain.run import warmup
 from ..text.numbers import SMALLEST, plain
 from . import frame_terrain, imported, live, session
-from .properties import ISLAND
+from .properties import land_of
 
 POLL_S = 0.1
 RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
@@ -37,10 +36,8 @@ def settings_of(obj) -> ImportSettings:
     settings = obj.adaptive_terrain
     extent = tuple(settings.extent) if settings.use_extent else None
     heights = {"height_scale": settings.height_scale, "height_offset": settings.height_offset}
-    if settings.source == ISLAND:
-        return ImportSettings(
-            source=ISLAND_SOURCE, size=settings.island_size, seed=settings.seed, extent=extent, **heights
-        )
+    if (land := land_of(settings)) is not None:
+        return ImportSettings(source=land.name, size=settings.island_size, seed=settings.seed, extent=extent, **heights)
     if not settings.source_path:
         raise TerrainError("No file is chosen to import; choose a height map on the terrain's panel.")
     raw = {}

@@ -11,7 +11,8 @@ import bpy
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT
-from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
+from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.importing.raster import ImportSettings
 from ..text.numbers import length_text
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
@@ -78,7 +79,7 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         return [(name, "-") for name in names]
     source = imported.settings.get("source", "")
     figures = (
-        "Built-in Island" if source == ISLAND else shown(Path(source).name) or "unknown",
+        LANDS[source].label if source in LANDS else shown(Path(source).name) or "unknown",
         _crs_name(imported.crs),
         ", ".join(map(_coordinate, imported.origin)) if imported.crs else "none",
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
@@ -129,7 +130,7 @@ def _same_file(path: str, before: object) -> bool:
     """A file that is no longer where it was imported from may have moved with its .blend file."""
     if path == before or not isinstance(before, str):
         return path == before
-    return ISLAND not in (path, before) and Path(path).name == Path(before).name and not Path(before).exists()
+    return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()
 
 
 def tag_object(obj) -> None:

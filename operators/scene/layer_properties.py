@@ -49,6 +49,16 @@ BANDS = {
                            -10, 10, 0.01, (-10, 10)),
     rules.FLOW: _band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15)),
     rules.WETNESS: _band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
+    **{
+        name: _band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
+        for name, label, what in (
+            ("wear", "Wear", "rock that erosion has removed"),
+            ("sediment", "Sediment", "what rivers have laid down"),
+            ("scree", "Scree", "scree"),
+            ("snow", "Snow", "snow"),
+            ("water_depth", "Water Depth", "water"),
+        )
+    },
     rules.NOISE: _band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
 }  # fmt: skip
 

@@ -17,7 +17,8 @@ from bpy.props import (
 )
 
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-from ...cbt_terrain.field.island import DEFAULT_SEED, SIDE
+from ...cbt_terrain.field.island import DEFAULT_SEED
+from ...cbt_terrain.field.lands import LANDS, Land
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from . import effect_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
@@ -32,9 +33,25 @@ NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
 
+def land_items() -> list[tuple]:
+    """Enum items of the built-in lands. Files hold their numbers: 1 is that of a file as a source."""
+    numbers = (number for number in range(len(LANDS) + 1) if number != 1)
+    return [(name.upper(), land.label, land.about, "NONE", next(numbers)) for name, land in LANDS.items()]
+
+
+def land_of(settings) -> Land | None:
+    """The built-in land that is a terrain's source."""
+    return LANDS.get(settings.source.lower())
+
+
 def _source_chosen(self, _context) -> None:
-    """The size that the Add menu gives the island is not that of a file."""
-    if self.source == FILE and self.use_extent and math.isclose(self.height_scale, self.extent[0] / SIDE, rel_tol=1e-5):
+    """The size that the Add menu gives a land is not that of a file, and keeps the shape of another land."""
+    shapes = [self.extent[0] / land.side for land in LANDS.values()]
+    if not self.use_extent or not any(math.isclose(self.height_scale, shape, rel_tol=1e-5) for shape in shapes):
+        return
+    if (land := land_of(self)) is not None:
+        self.height_scale = self.extent[0] / land.side
+    else:
         self.use_extent, self.height_scale = False, 1.0
 
 
@@ -64,8 +81,8 @@ class TerrainSettings(bpy.types.PropertyGroup):
 
     source: EnumProperty(
         name="Source",
-        items=[(ISLAND, "Built-in Island", "A procedural island; needs no file"),
-               (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY")],
+        items=[*land_items(),
+               (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY", "NONE", 1)],
         update=_source_chosen,
     )  # fmt: skip
     source_path: StringProperty(
@@ -115,9 +132,9 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Cut Out No-Data", description="Make holes where samples are missing instead of filling them"
     )
     island_size: IntProperty(
-        name="Samples", description="Samples on each side of the island", default=1025, min=3, max=16385
+        name="Samples", description="Samples on each side of the land", default=1025, min=3, max=16385
     )
-    seed: IntProperty(name="Seed", description="Another seed is another island", default=DEFAULT_SEED, min=0)
+    seed: IntProperty(name="Seed", description="Another seed is another land of the kind", default=DEFAULT_SEED, min=0)
 
     camera_source: EnumProperty(
         name="Seen From",

@@ -186,7 +186,7 @@ def _make_effects(record: Record, request: Request, update, placed: dict[str, fl
     )
     ran = record.evaluator.ran
     record.effects_serial += names != set(record.effects) or any(step.computed for step in ran.values())
-    record.effects_made = statuses(request.effects, asked, ran)
+    record.effects_made = statuses(request.effects, asked, ran, record.field)
 
 
 def frozen_now(obj) -> str:

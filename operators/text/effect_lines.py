@@ -48,7 +48,8 @@ def readers_text(status) -> str:
     if status.skipped:
         return f"Skipped, {status.skipped}"
     scale = ", at one scale" if status.family == GEOMETRY else ""
-    return f"Read by {' and '.join(status.readers)}{scale}"
+    note = f"; {status.note}" if status.note else ""
+    return f"Read by {' and '.join(status.readers)}{scale}{note}"
 
 
 def cost_text(status) -> str:

@@ -22,6 +22,7 @@ from adaptive_terrain.benchmarks import (
     hidden_row,
     in_blender,
     in_program,
+    land_rows,
     layer_rows,
     light_rows,
     maps_rows,
@@ -208,6 +209,7 @@ def small_suite(monkeypatch):
         measure: {"BLOCKS": 1, "SHORT_BLOCKS": 1, "RUNS": 2},
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
+        land_rows: {"SAMPLES": SAMPLES},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
@@ -225,6 +227,7 @@ def small_suite(monkeypatch):
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
+ENGINE_ROWS += ["land_relief"]
 ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 

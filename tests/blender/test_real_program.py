@@ -13,8 +13,7 @@ from adaptive_terrain.benchmarks import in_program
 from hostile_files import source, vrt
 from PIL import Image
 from program_window import SCREEN, read_screen, wait_for, window
-
-SCRIPTS = Path(__file__).parent / "scripts"
+from real_program import SCRIPTS
 
 
 def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
@@ -126,7 +125,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     pictures.mkdir(parents=True, exist_ok=True)
     arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
     arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
-    with window(program, arguments, tmp_path) as blender:
+    with window(program, arguments, tmp_path, kernels=tmp_path / "kernels") as blender:
         try:
             for moment in ("updated", "sweeping", "reported", "budget", "measured"):
                 wait_for(tmp_path / moment, blender, 300)

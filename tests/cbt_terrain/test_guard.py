@@ -27,20 +27,21 @@ from adaptive_terrain.cbt_terrain.importing import guard
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-guard.guard_import(ImportSettings(source=sys.argv[1]), Path(sys.argv[2]))
+settings = ImportSettings(source=sys.argv[1], size=33)
+guard.guard_import(settings, Path(sys.argv[2]))
 before = {kernel.module.name for kernel in launch._loaded}
-run_import(ImportSettings(source=sys.argv[1]), sys.argv[2])
-run_import(ImportSettings(source="island", size=33), sys.argv[2])
+run_import(settings, sys.argv[2])
 print(sorted({kernel.module.name for kernel in launch._loaded} - before))
 """
 
 
-def test_every_kernel_of_an_import_is_loaded_before(tmp_path):
+@pytest.mark.parametrize("source", ["a.npy", "island", "dunes", "canyon"])
+def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path):
     heights = hills(70, 50)
     heights[3:5, 7] = np.nan  # to be filled; and it fits no lattice
     np.save(tmp_path / "a.npy", heights)
-    command = [sys.executable, "-c", LOADED, str(tmp_path / "a.npy"), str(tmp_path / "store")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-c", LOADED, source, str(tmp_path / "store")]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
 
 

@@ -31,7 +31,15 @@ def test_a_recorded_launch_takes_new_values_structs_and_arrays():
     assert len(recorded) == 2
 
 
-def test_an_interrupted_wait_ends_after_all_jobs():
+@pytest.fixture
+def interruptible():
+    """What a shell starts in the background ignores Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupted_wait_ends_after_all_jobs(interruptible):
     """Ctrl-C, twice, while the calling thread waits for the other job."""
     ended = threading.Event()
 

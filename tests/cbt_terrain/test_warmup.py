@@ -79,7 +79,8 @@ def prepared(tmp_path_factory):
         return json.loads(done.stdout.splitlines()[-1])
 
     first, second = prepare(), prepare()
-    for file in cache.glob("*/*/*.o"):
+    compiled = sorted(cache.glob("*/*/*.o"), key=lambda file: file.stat().st_size)
+    for file in compiled[: len(compiled) // 2]:  # of the others it left the same as this one would
         file.rename(file.with_name(f"{file.name.split('.cpu')[0]}.cpu01234567.o"))
     return first, second, prepare()
 

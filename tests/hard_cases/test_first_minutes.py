@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from blender.conftest import SCRIPTS, bare_program, dem, extension_zip, program  # noqa: F401
-from blender.test_real_program import SCREEN, read_screen, wait_for, window
+from program_window import SCREEN, read_screen, wait_for, window
+from real_program import SCRIPTS
 
 LIT = 100  # of 255: the grid and the background of a factory scene are darker, a terrain in solid shading is lighter
 
@@ -20,7 +20,7 @@ def lit_part(picture, viewport: list[int]) -> float:
 
 
 @pytest.fixture(scope="module")
-def pictures(program, dem, tmp_path_factory):  # noqa: F811
+def pictures(program, dem, tmp_path_factory):
     """The screen after the import, the same with a factory scene's view, and what the script wrote down."""
     folder = tmp_path_factory.mktemp("first_import")
     arguments = ["--window-geometry", "0", "0", *map(str, SCREEN)]

@@ -36,8 +36,9 @@ def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list
     levels, before = kept.turn("level")
     levels[:] = second[:, 2] > 1400
     fresh = kept.fresh(levels, before)
-    for name, width, places in (("one", 1, second[:, 0]), ("three", 3, second)):
-        values = kept.take(name, width)
+    both = kept.take({"one": 1, "three": 3})
+    for name, places in (("one", second[:, 0]), ("three", second)):
+        values = both[name]
         values[fresh] = places[fresh] * 2 + 1
         found.append(values.copy())
     return found, len(fresh)

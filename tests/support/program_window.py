@@ -15,11 +15,16 @@ SCREEN = 1600, 1000
 
 
 @contextmanager
-def window(program, arguments: list[str], framebuffer: Path):
-    """The program with a window on a screen that is a file; ends both."""
+def window(program, arguments: list[str], framebuffer: Path, kernels: Path | None = None):
+    """The program with a window on a screen that is a file; ends both.
+
+    kernels: a folder of its own for compiled kernels: where it is empty every kernel must be compiled, as in a fresh
+    install, which takes most of a minute of a core. None: those that the program has compiled in earlier tests serve.
+    """
     display = f":{os.getpid() % 40000 + 200}"
-    # A cache of its own: every kernel must be compiled, as in a fresh install.
-    environment = {**program.environment(), "DISPLAY": display, "WARP_CACHE_PATH": str(framebuffer / "kernels")}
+    environment = {**program.environment(), "DISPLAY": display}
+    if kernels is not None:
+        environment["WARP_CACHE_PATH"] = str(kernels)
     screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
     xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
     blender = None

@@ -10,6 +10,8 @@ from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked, Effect
 from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.plan import Plan, plan
+from adaptive_terrain.cbt_terrain.effects.splat import SPLATS
+from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from padded import raster
@@ -104,6 +106,23 @@ def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_tog
     assert calls[1:] == [["aspect"]], "what was known stays"
     found, _, _ = flown(evaluator, heights, terrain, 0.0, Plan())
     assert found == {} and len(calls) == 2
+
+
+def test_splats_of_layers_that_are_not_there_are_zeros_that_nobody_makes():
+    """Whatever layers came before, and at every step of a flight."""
+    heights, evaluator = field(), Evaluator(threads=2)
+    terrain = Terrain(heights)
+    names = [splat.name for splat in SPLATS]
+    for frame, count in enumerate((3, 3, 5, 5, 4, 3, 12, 1, 9)):
+        layers = tuple(Layer(str(k), strength=1.0 + k) for k in range(count))
+        wanted = plan([Asked(name, ("x",), parameters=(("layers", layers),)) for name in names])
+        found, surface, _ = flown(evaluator, heights, terrain, 0.5 * frame, wanted)
+        weights = np.concatenate([found[name].array for name in names], axis=1)
+        assert weights.shape == (len(surface.positions), 12) and (weights[:, :count] > 0).all()
+        assert (weights[:, count:] == 0).all() and (weights.sum(axis=1) == 1).all()
+        unmade = {name for k, name in enumerate(names) if 4 * k >= count}
+        assert {name for name in names if evaluator.ran[name].computed == 0} == unmade
+        assert {name for name in names if evaluator.ran[name].nbytes == 0} == unmade
 
 
 def test_for_geometry_no_value_depends_on_the_camera():

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own.
+"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own: once a
+session, for tests/blender and those hard cases that need it (tests/conftest.py names the fixtures).
 
 `ADAPTIVE_TERRAIN_BLENDER` is the wrapper that tools/get_blender.sh writes; `.ci/run` sets it, and without it these
 tests are skipped.
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = Path(__file__).parent / "scripts"
+SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 MARK = "RESULT "
 
 
@@ -76,9 +77,11 @@ def extension_zip(bare_program, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def program(bare_program, extension_zip):
-    """The program with the extension installed and enabled, and no splash screen."""
+    """The program with the extension installed and enabled, no splash screen, and viewports that are drawn once: eight
+    times for smooth edges, by software, is two thirds of the time of tests with a window."""
     bare_program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
-    quiet = "import bpy; bpy.context.preferences.view.show_splash = False; bpy.ops.wm.save_userpref()"
+    quiet = "import bpy; preferences = bpy.context.preferences; preferences.view.show_splash = False; "
+    quiet += "preferences.system.viewport_aa = 'OFF'; bpy.ops.wm.save_userpref()"
     bare_program.run("-b", "--python-expr", quiet)
     return bare_program
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The built-in lands: terrains at any resolution that need no file. Effects on heights make more of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field.island import raise_island
+from ...kernels.land.ranges import ARCHIPELAGO, CANYON, MOUNTAINS, raise_land
+from ...kernels.land.sand import raise_dunes
+from ..run import launch
+from ..run.buffers import flat
+from . import island
+
+
+@dataclass(frozen=True, eq=False)
+class Land:
+    """One built-in land. `name`: as a source to import. `label`, `about`: in menus. `side`: metres, of its square.
+    `kernel`: raises its rows. `inputs(size, first_row, seed)`: what the kernel takes between offset and samples.
+    `preset`: of stacks of effects, the one that suits it, "" for none. `cost`: of a sample, in lookups."""
+
+    name: str
+    label: str
+    about: str
+    side: float
+    kernel: wp.Kernel
+    inputs: Callable[[int, int, wp.uint32], list]
+    preset: str = ""
+    cost: float = 30.0
+
+    def rows(self, size: int, first_row: int, rows: np.ndarray, seed: int, threads: int | None = None) -> None:
+        """Fill `rows` (float32 [n, size], metres) with rows first_row .. first_row + n of `size`, row 0 south.
+
+        Heights depend only on the seed and on the place, so that resolutions agree where their samples coincide.
+        """
+        inputs = [*self.inputs(size, first_row, wp.uint32(seed & 0xFFFFFFFF)), flat(rows, wp.float32)]
+        threads = threads or launch.default_threads()
+        launch.spread(self.kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
+
+    def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:
+        """float32 [size, size] heights in metres, row 0 south."""
+        samples = np.empty((size, size), np.float32)
+        self.rows(size, 0, samples, seed)
+        return samples
+
+
+def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> Land:
+    half = wp.float64(0.5 * side)
+    return Land(name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset)
+
+
+_DUNES = 8192.0
+LANDS: dict[str, Land] = {
+    land.name: land
+    for land in (
+        Land(
+            "island",
+            "Built-in Island",
+            "A volcano, ridges and beaches",
+            island.SIDE,
+            raise_island,
+            lambda size, row, seed: [size, row, seed],
+            "volcanic_island",
+        ),
+        _of_ranges(
+            "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "alpine"
+        ),
+        Land(
+            "dunes",
+            "Dunes",
+            "Sand in crests across the wind, slip faces to the east",
+            _DUNES,
+            raise_dunes,
+            lambda size, row, seed: [size, row, wp.float64(0.5 * _DUNES), seed],
+        ),
+        _of_ranges("canyon", "Canyon", "A plateau of hard and soft beds, cut by a river", 16_384.0, CANYON, "desert"),
+        _of_ranges(
+            "archipelago",
+            "Archipelago",
+            "Islands and volcanoes in a shallow sea",
+            32_768.0,
+            ARCHIPELAGO,
+            "volcanic_island",
+        ),
+    )
+}

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A store while it is written, whatever it is made from: room for it, errors of the disk in one sentence, and what a
+report says of any terrain."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import TerrainError
+from ..field import store
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+
+
+@contextmanager
+def drafted(path: Path, folder: str | None, lattice: Lattice, layers: int = 0) -> Iterator[store.Draft]:
+    """A new version of the store at `path`, which is taken away again unless the block publishes it.
+
+    folder: name of the folder for the new arrays, if the caller wants to know it. layers: how many there will be.
+    Raises TerrainError where the disk cannot hold it, before a byte is written where that is known, and for any OSError
+    of the block.
+    """
+    draft = None
+    try:
+        _check_room(path, lattice, layers)
+        draft = store.Draft(path, folder)
+        yield draft
+    except OSError as reason:
+        raise TerrainError(
+            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
+        ) from reason
+    finally:
+        if draft is not None:
+            draft.discard_unless_published()
+
+
+def _check_room(path: Path, lattice: Lattice, layers: int) -> None:
+    """Refuse what the disk cannot hold before a byte is written."""
+    needed = (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+    existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
+    free = shutil.disk_usage(existing).free
+    if needed > free:
+        raise TerrainError(
+            f"A terrain of {lattice.width} x {lattice.height} samples needs {needed / 1e9:.2f} GB in {path}, where "
+            f"{free / 1e9:.2f} GB are free: make room, choose another folder, or check that the file's header tells "
+            "its true size."
+        )
+
+
+def figures(field: HeightField) -> dict:
+    """What a report says of any terrain."""
+    lattice = field.lattice
+    return {
+        "samples": [lattice.width, lattice.height],
+        "squares": [lattice.columns, lattice.rows],
+        "step_m": [lattice.step_x, lattice.step_y],
+        "extent_m": [lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)],
+        "lowest_m": field.min_height,
+        "highest_m": field.max_height,
+        "filled": 0 if field.valid is not None else field.filled,
+        "cut_out": field.filled if field.valid is not None else 0,
+        "source_step_m": field.source_max,
+        "crs": field.crs,
+    }

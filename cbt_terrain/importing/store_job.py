@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A store that is made in a child process: started, watched and ended by the parent; and what the child says.
+
+The request is one JSON object in a line on the child's stdin. It prints one JSON object a line: {"fraction",
+"message"}, and at the end {"report"} or {"error"}. The stdin stays open: when it ends, the parent has, and what else is
+written there is a wish to finish early.
+"""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import TerrainError
+from ..field import store as stores
+from ..run import child, stopping
+from ..run.stall import Stall, stalled_text
+
+POLL_SECONDS = 0.02
+PROGRESS_SECONDS = 0.05
+
+Tell = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a job is: `fraction` 0 .. 1; when `done`, either `error` or `report` is set."""
+
+    fraction: float = 0.0
+    message: str = "Starting"
+    done: bool = False
+    error: str | None = None
+    report: dict | None = None
+
+
+class StoreJob:
+    """A child process that makes a store.
+
+    module: whose `child_main` does it, with `request` as what it is asked for. what: "The import of a.tif", in errors;
+    blame: what may be wrong where the child just ends. reading, watched: what is read from outside while messages are
+    among `watched`: the child is then ended where it stays silent for too long. report: of a store that is whole
+    already; then there is nothing to do. Raises TerrainError.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        store: str | os.PathLike,
+        request: dict,
+        *,
+        what: str,
+        blame: str = "memory may have run out",
+        reading: str = "",
+        watched: tuple[str, ...] = (),
+        variables: dict[str, str] | None = None,
+        report: dict | None = None,
+    ):
+        self._store, self._what, self._blame = Path(store), what, blame
+        self._reading, self._watched = reading, watched
+        self._progress, self.cancelled, self._lines = Progress(), False, []
+        self._process, self._stall, self._stalled = None, Stall(), False
+        if report is not None:
+            self._progress = Progress(1.0, "Done", True, None, report)
+            return
+        self._folder = stores.new_data_name()
+        self._made = stores.missing_folders(self._store)
+        place = {"store": str(self._store.absolute()), "folder": self._folder, "made": list(map(str, self._made))}
+        self._start(module, request | place, variables or {})
+
+    def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
+        self._errors = tempfile.TemporaryFile()
+        try:
+            pipe = subprocess.PIPE
+            self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()
+        except OSError as reason:
+            raise TerrainError(
+                f"No Python process could be started for {_inside(self._what)} ({reason}): try again."
+            ) from reason
+        self._reader = threading.Thread(target=self._read_lines, daemon=True)
+        self._reader.start()
+
+    def _read_lines(self) -> None:
+        for line in self._process.stdout:
+            try:
+                told = json.loads(line)
+            except ValueError:
+                continue  # cut off by a kill
+            self._lines.append(told)
+
+    def poll(self) -> Progress:
+        """How far the job is; never waits."""
+        if self._progress.done:
+            return self._progress
+        reading = self._progress.message in self._watched
+        if reading and not self._stalled and self._stall.is_over(len(self._lines)):
+            self._stalled = True
+            self._process.kill()
+            self._process.wait()
+        ended = self._process.poll() is not None
+        if ended:
+            self._reader.join()
+        told = [line for line in self._lines if "fraction" in line]
+        if told:
+            self._progress = Progress(told[-1]["fraction"], told[-1]["message"])
+        if ended:
+            self._finish()
+        return self._progress
+
+    def cancel(self) -> None:
+        """Stop the job now; the store stays as it was. Does nothing to one that is done."""
+        if self.poll().done:
+            return
+        self._process.kill()
+        self.cancelled = True
+        self._process.wait()
+        self.poll()
+
+    def _say(self, text: str) -> None:
+        """Write a line to the child, if it lives."""
+        try:
+            self._process.stdin.write(text.encode() + b"\n")
+            self._process.stdin.flush()
+        except OSError:
+            pass  # it has just ended, which the next poll sees
+
+    def _reason_of_end(self) -> str:
+        if self.cancelled:
+            return f"{self._what} was cancelled; the store is as it was before."
+        if self._stalled:
+            return stalled_text(self._reading)
+        code = self._process.returncode
+        self._errors.seek(0)
+        said = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
+        how = f"exit code {code}" + (f" ({said[-1]})" if said else "")
+        if code < 0:
+            how = f"signal {signal.Signals(-code).name}"
+        return f"{self._what} ended with {how} before it was done, and the store is as it was before: {self._blame}."
+
+    def _finish(self) -> None:
+        """The child has ended: with a report, with an error, or killed, perhaps just after it published the store."""
+        self._process.stdin.close()
+        self._process.stdout.close()
+        last = self._lines[-1] if self._lines else {}
+        report, error = last.get("report"), last.get("error")
+        if report is None and error is None:
+            try:
+                content = stores.read_json(self._store)
+                report = content["report"] if content["data"] == self._folder else None
+            except TerrainError:
+                pass
+            error = self._reason_of_end() if report is None else None
+        if report is not None:
+            self._progress = Progress(1.0, "Done", True, None, report)
+            self.cancelled = False
+        else:
+            self._progress = dataclasses.replace(self._progress, done=True, error=error)
+            stores.discard(self._store, self._folder, self._made)
+        self._errors.close()
+
+
+def _inside(what: str) -> str:
+    """Of "The import of a.tif", inside a sentence."""
+    return what[0].lower() + what[1:]
+
+
+def wait_for(start: Callable[[], StoreJob], on_progress: Tell = lambda _fraction, _message: None) -> dict:
+    """Start a job and wait for it; returns its report.
+
+    on_progress(fraction, message) is called as it goes on; what it raises stops the job. Raises TerrainError. The store
+    is then as it was before.
+    """
+    with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
+        job = start()
+        try:
+            while not (progress := job.poll()).done:
+                stopping.check()
+                on_progress(progress.fraction, progress.message)
+                time.sleep(POLL_SECONDS)
+        finally:
+            job.cancel()
+    if progress.error is not None:
+        raise TerrainError(progress.error)
+    on_progress(1.0, progress.message)
+    return progress.report
+
+
+# A request, how to say how far it is, and what is to be called when the process may start threads; -> the report.
+Serve = Callable[[dict, Tell, Callable[[], None]], dict]
+
+
+def serve(work: Serve, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
+    """In the child: read a request from stdin, do it, and say on stdout how it goes. what: as of StoreJob; heard: is
+    called when the parent writes something more."""
+    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print goes to stderr
+    request = json.loads(sys.stdin.readline())
+    said = 0.0
+
+    def say(content: dict) -> None:
+        channel.write(json.dumps(content) + "\n")
+        channel.flush()
+
+    def on_progress(fraction: float, message: str) -> None:
+        nonlocal said
+        stopping.check()
+        if time.monotonic() - said > PROGRESS_SECONDS:
+            said = time.monotonic()
+            say({"fraction": fraction, "message": message})
+
+    def clean_up() -> None:
+        stores.discard(Path(request["store"]), request["folder"], list(map(Path, request["made"])))
+
+    try:
+        say({"report": work(request, on_progress, lambda: child.end_with_parent(clean_up, heard))})
+    except TerrainError as error:
+        say({"error": str(error)})
+    except MemoryError:
+        say({"error": f"{what(request)} ran out of memory: cut it into tiles or reduce it."})
+    except Exception as error:
+        say({"error": f"{what(request)} failed unexpectedly ({type(error).__name__}: {error})."})
+        raise

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights and layers of a store as rasters for other programs: float32 GeoTIFF with the georeference, or OpenEXR.
+
+One file each: `heights.tif`, and beside it `heights_NAME.tif` for every layer. The first row is the northern one, a
+pixel's middle is a sample, holes are NaN. GDAL, which does not go well with Blender, writes in a child process.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.georeference import degree_lengths, ellipsoid_of
+from ..field.heightfield import HeightField
+from ..field.store import open_store
+from ..importing.answers import answer, ask
+from ..maps.exr import ExrFile
+from ..run import child
+from ..run.partial_files import written_beside
+
+MODULE = "cbt_terrain.land.export"
+TIFF, EXR = (".tif", ".tiff"), (".exr",)
+LINES = 256  # whole blocks of either format
+HEIGHTS = "heights"
+
+
+def export_raster(
+    store: str | os.PathLike, file: str | os.PathLike, names: tuple[str, ...] | None = None
+) -> list[Path]:
+    """Write the heights of a store into `file`, its layers beside it; returns the files. Raises TerrainError.
+
+    names: HEIGHTS and layers that are wanted, None for all.
+    """
+    file = Path(file)
+    if file.suffix.lower() not in (*TIFF, *EXR):
+        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
+    field = open_store(store)
+    known = (HEIGHTS, *field.layers)
+    for name in names or ():
+        if name not in known:
+            raise TerrainError(f"The store {store} has no layer {name!r}; expected some of {', '.join(known)}.")
+    files = {name: _file_of(file, name) for name in names or known}
+    if file.suffix.lower() in EXR:
+        for name, path in files.items():
+            _write_exr(field, name, path)
+    else:
+        request = {"store": str(Path(store).absolute()), "files": {name: str(path) for name, path in files.items()}}
+        ask(MODULE, request, f"the store {store}")
+    return list(files.values())
+
+
+def _file_of(file: Path, name: str) -> Path:
+    return file if name == HEIGHTS else file.with_name(f"{file.stem}_{name}{file.suffix}")
+
+
+def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
+    """float32 [LINES at most, columns] from line `first` on, counted from the north."""
+    end = field.lattice.height - first
+    rows = slice(max(end - LINES, 0), end)
+    found = np.array(field.heights(rows) if name == HEIGHTS else field.layers[name][rows], np.float32)
+    if field.valid is not None:
+        found[field.valid[rows] == 0] = np.nan
+    return found[::-1]
+
+
+def _write_exr(field: HeightField, name: str, path: Path) -> None:
+    lattice = field.lattice
+    try:
+        with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
+            exr = ExrFile(partial, lattice.width, 1, 32, "", pool, lattice.height)
+            try:
+                for first in range(0, lattice.height, LINES):
+                    exr.add(_rows(field, name, first)[..., None])
+                exr.close()
+            finally:
+                exr.leave()
+    except OSError as reason:
+        raise _not_written(path, reason) from reason
+
+
+def _not_written(path: Path, reason: OSError) -> TerrainError:
+    return TerrainError(f"{path} cannot be written ({reason.strerror or reason}): make room or choose another folder.")
+
+
+def child_main(request: str) -> None:
+    """Answer one request on stdout."""
+    answer(request, _write_tiffs, lambda asked: f"the store {asked['store']}")
+
+
+def _write_tiffs(asked: dict) -> list[str]:
+    child.end_with_parent()
+    field = open_store(asked["store"])
+    for name, path in asked["files"].items():
+        try:
+            _write_tiff(field, name, Path(path))
+        except OSError as reason:
+            raise _not_written(Path(path), reason) from reason
+    return list(asked["files"].values())
+
+
+def _write_tiff(field: HeightField, name: str, path: Path) -> None:
+    import rasterio
+    from rasterio.windows import Window
+
+    lattice = field.lattice
+    transform, crs = _georeference(field)
+    options = {"driver": "GTiff", "width": lattice.width, "height": lattice.height, "count": 1, "dtype": "float32"}
+    options |= {"transform": transform, "crs": crs, "nodata": float("nan") if field.valid is not None else None}
+    options |= {"compress": "deflate", "predictor": 3, "tiled": True, "BIGTIFF": "IF_SAFER"}
+    with written_beside(path) as partial:
+        try:
+            with rasterio.open(partial, "w", **options) as file:
+                file.set_band_description(1, name)
+                for first in range(0, lattice.height, LINES):
+                    rows = _rows(field, name, first)
+                    file.write(rows, 1, window=Window(0, first, lattice.width, len(rows)))
+        except rasterio.errors.RasterioError as reason:
+            raise OSError(f"GDAL: {reason}") from reason
+
+
+def _georeference(field: HeightField):
+    """The transform from pixels to the coordinate system, and that system; of a terrain that has none, or whose extent
+    someone has given in metres, metres from its middle and none."""
+    from rasterio.crs import CRS
+    from rasterio.transform import Affine
+
+    lattice, step_x, step_y = field.lattice, field.lattice.step_x, field.lattice.step_y
+    x, y, crs = 0.0, 0.0, None
+    if field.crs and field.provenance.get("settings", {}).get("extent") is None:
+        crs = CRS.from_string(field.crs)
+        x, y = (float(c) for c in field.origin[:2])
+        if crs.is_geographic:
+            degrees = np.degrees(crs.units_factor[1])
+            lengths = degree_lengths(y * degrees, ellipsoid_of(crs.to_wkt()))
+            step_x, step_y = step_x / (degrees * lengths[0]), step_y / (degrees * lengths[1])
+        elif crs.is_projected:
+            step_x, step_y = step_x / crs.linear_units_factor[1], step_y / crs.linear_units_factor[1]
+    west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y
+    return Affine(step_x, 0.0, west, 0.0, -step_y, north), crs

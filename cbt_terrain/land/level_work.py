@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One effect at one level: what it gets to see of a tile or of the whole, and what it makes of it, kept by content."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from .land_effect import Change, Ground, LandEffect
+from .level_plan import LevelPlan
+from .levels import finer_window
+from .stack import Entry
+from .tile_cache import TileCache, content_key
+from .tiles import BAND, Level, Window
+
+# Changed when the same content would give other numbers though no effect's version has changed.
+METHOD = 1
+Tell = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class LevelGround:
+    """A raster's samples at a level. `heights`: float32 metres. `missing`: bool, or None. `layers`: of the source."""
+
+    heights: np.ndarray
+    missing: np.ndarray | None
+    layers: Mapping[str, np.ndarray]
+
+    @classmethod
+    def of(cls, field: HeightField, level: Level) -> "LevelGround":
+        missing = None if field.valid is None else _every(field.valid, level) == 0
+        heights = _every(field.samples, level)
+        heights = heights if field.steps is None else field.steps.heights(heights)
+        return cls(heights, missing, {name: _every(field.layers[name], level) for name in field.layers})
+
+
+def _every(samples: np.ndarray, level: Level) -> np.ndarray:
+    """The samples of a level; one beyond the rim is the last."""
+    if level.number == 0:
+        return samples
+    some = samples[:: 1 << level.number, :: 1 << level.number]
+    short = [(0, n - found) for n, found in zip(level.shape, some.shape, strict=True)]
+    padded = np.ascontiguousarray(np.pad(some, short))
+    if short[0][1]:
+        padded[-1, : some.shape[1]] = samples[-1, :: 1 << level.number]
+    if short[1][1]:
+        padded[: some.shape[0], -1] = samples[:: 1 << level.number, -1]
+    if short[0][1] and short[1][1]:
+        padded[-1, -1] = samples[-1, -1]
+    return padded
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """An effect at a level. `total`: metres that effects before it have added; `layers`: what they have left, of which
+    `depths` are depths. `mask`: float32 of the whole level, or None."""
+
+    cache: TileCache
+    plan: LevelPlan
+    level: Level
+    source: LevelGround
+    entry: Entry
+    total: np.ndarray
+    layers: Mapping[str, np.ndarray]
+    depths: set[str]
+    mask: np.ndarray | None
+    threads: int
+
+    def ground(self, window: Window, tell: Tell) -> Ground:
+        """What the effect sees of a window."""
+        level, source, effect = self.level, self.source, self.entry.declaration
+        names = [name for name in effect.reads if name in self.layers or name in source.layers]
+        return Ground(
+            heights=source.heights[window] + self.total[window],
+            step_x=level.step_x,
+            step_y=level.step_y,
+            first=(window[0].start, window[1].start),
+            whole=level.shape,
+            level=level.number,
+            missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
+            mask=None if self.mask is None else np.ascontiguousarray(self.mask[window]),
+            layers={name: self._layer(name, window) for name in names},
+            seed=self.entry.seed,
+            threads=self.threads,
+            progress=tell,
+        )
+
+    def _layer(self, name: str, window: Window) -> np.ndarray:
+        """What is there before the effect: of the source, and of the effects before it, which add depths and replace
+        states."""
+        own, before = self.layers.get(name), self.source.layers.get(name)
+        if own is not None and before is not None and name in self.depths:
+            return own[window] + before[window]
+        return np.ascontiguousarray((before if own is None else own)[window])
+
+    def key(self, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
+        """Of all that the result is a function of."""
+        effect = self.entry.declaration
+        about = METHOD, kind, effect.name, effect.version, sorted(self.entry.values.items()), ground.seed
+        place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y
+        mask = ground.mask if effect.masks else None
+        arrays = [ground.heights, ground.missing, mask, coarser]
+        layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]
+        return content_key(about, place, *arrays, *layers)
+
+
+def unpacked(effect: LandEffect, change: np.ndarray) -> Change:
+    """A change of float32 [1 + layers, rows, columns]: its heights first, then its layers as they are declared."""
+    return Change(change[0], {layer.name: change[k] for k, layer in enumerate(effect.layers, 1)})
+
+
+def _packed(effect: LandEffect, change: Change) -> np.ndarray:
+    none = np.zeros_like(change.heights)
+    return np.stack(
+        [change.heights, *(change.layers.get(layer.name, none) for layer in effect.layers)], dtype=np.float32
+    )
+
+
+def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarray:
+    """The change of a whole level, [1 + layers, rows, columns]. coarser: the coarser level's, brought to this one."""
+    effect, level = work.entry.declaration, work.level
+    ground = work.ground((slice(0, level.rows), slice(0, level.columns)), tell)
+
+    def make() -> np.ndarray:
+        below = None if coarser is None else unpacked(effect, coarser)
+        return _packed(effect, effect.apply(ground, work.entry.values, below))
+
+    shape = 1 + len(effect.layers), *level.shape
+    return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
+
+
+def apply_tile(work: Work, tile: int, coarse: np.ndarray, tell: Tell) -> np.ndarray | None:
+    """What a tile adds to the coarser level's change, over its window with a BAND all round, [1 + layers, rows,
+    columns]; None where its mask lets nothing through.
+
+    coarse: [1 + layers, rows, columns] of the next coarser level.
+    """
+    effect, level = work.entry.declaration, work.level
+    band = level.window(tile, BAND, BAND)
+    if work.mask is not None and not effect.masks and not work.mask[band].any():
+        return None
+    rows, columns = work.plan.halo(work.entry, level)
+    window = level.window(tile, BAND + rows, BAND + columns)
+    ground = work.ground(window, tell)
+    coarser = np.stack([finer_window(array, *window) for array in coarse])
+    inner = tuple(slice(b.start - w.start, b.stop - w.start) for b, w in zip(band, window, strict=True))
+
+    def make() -> np.ndarray:
+        made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)))
+        return (made - coarser)[(slice(None), *inner)]
+
+    shape = 1 + len(effect.layers), *(part.stop - part.start for part in band)
+    return work.cache.take(effect.name, work.key(ground, coarser, "tile"), shape, make)

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Masks: how much of an effect is wanted where, by a painted image and by rules over the ground that it finds."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from .tiles import Level, Window
+
+HEIGHT, SLOPE, ASPECT = RULES = ("height", "slope", "aspect")
+UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""}
+LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0}
+LEAST_EDGE = 1e-9
+BAND_ROWS = 256
+
+
+@dataclass(frozen=True)
+class GroundRule:
+    """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
+
+    `of`: height in metres, slope in degrees, or aspect, the cosine of the angle between downhill and `direction`
+    (degrees, clockwise from north), which is 0 on level ground. The ground is that which the effect finds.
+    """
+
+    of: str
+    low: float = -math.inf
+    high: float = math.inf
+    edge: float = 0.0
+    direction: float = 0.0
+
+    def check(self, where: str) -> None:
+        """Raise TerrainError for what cannot be; `where`: whose rule it is."""
+        if self.of not in RULES:
+            raise TerrainError(f"{where} has a rule about {shown(repr(self.of))}; expected one of: {', '.join(RULES)}.")
+        limit = LIMITS[self.of]
+        known = [value for value in (self.low, self.high) if not math.isinf(value)]
+        if any(math.isnan(v) or abs(v) > limit for v in known) or not 0.0 <= self.edge <= 2 * limit:
+            raise TerrainError(
+                f"{where} has a rule about {self.of} from {self.low:g} to {self.high:g} with an edge of {self.edge:g}; "
+                f"expected numbers within {-limit:g} and {limit:g} {UNITS[self.of]}".rstrip()
+                + "."
+            )
+        if self.low > self.high or not -3600.0 <= self.direction <= 3600.0:
+            raise TerrainError(
+                f"{where} has a rule about {self.of} from {self.low:g} to {self.high:g}, towards {self.direction:g} "
+                "degrees; expected a low limit below the high one, and a direction within 3600 degrees."
+            )
+
+
+@dataclass(frozen=True)
+class Mask:
+    """`image`: a file of one channel, white where all of the effect is wanted, over the raster's extent with its first
+    row in the north; "" for none. It counts times all `rules`, times `factor`."""
+
+    image: str = ""
+    rules: tuple[GroundRule, ...] = ()
+    factor: float = 1.0
+
+    def check(self, where: str) -> None:
+        if not 0.0 <= self.factor <= 1.0:
+            raise TerrainError(f"{where} has a factor of {self.factor}; expected 0 to 1.")
+        for rule in self.rules:
+            rule.check(where)
+
+
+def whole_mask(
+    mask: Mask, image: np.ndarray | None, level: Level, heights: Callable[[Window], np.ndarray]
+) -> np.ndarray:
+    """float32 [rows, columns] of a level, 0 to 1.
+
+    image: float32 [rows, columns], row 0 south, or None. heights(window) gives float32 metres of the ground.
+    """
+    out = np.full(level.shape, mask.factor, np.float32)
+    for first in range(0, level.rows, BAND_ROWS):
+        rows = slice(first, min(first + BAND_ROWS, level.rows))
+        if image is not None:
+            out[rows] *= _image_at(image, level, rows)
+        if mask.rules:
+            out[rows] *= _ruled(mask.rules, level, rows, heights)
+    return out
+
+
+def _image_at(image: np.ndarray, level: Level, rows: slice) -> np.ndarray:
+    """Bilinear between the middles of pixels, over the raster's extent, as painted rules of splat layers."""
+    south, north, v = _pixels(np.arange(rows.start, rows.stop), level.rows, image.shape[0])
+    west, east, u = _pixels(np.arange(level.columns), level.columns, image.shape[1])
+
+    def along(row: np.ndarray) -> np.ndarray:
+        line = image[row]
+        return line[:, west] + (line[:, east] - line[:, west]) * u
+
+    low, high = along(south), along(north)
+    return low + (high - low) * v[:, None]
+
+
+def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of samples of `count`: the pixels on both sides, and how far they are from the first to the second."""
+    place = np.clip(at * (pixels / (count - 1)) - 0.5, 0.0, pixels - 1.0)
+    first = np.minimum(place.astype(np.int64), pixels - 1)
+    return first, np.minimum(first + 1, pixels - 1), (place - first).astype(np.float32)
+
+
+def _ruled(
+    rules: tuple[GroundRule, ...], level: Level, rows: slice, heights: Callable[[Window], np.ndarray]
+) -> np.ndarray:
+    """The product of rules at some rows of a level."""
+    wide = slice(max(rows.start - 1, 0), min(rows.stop + 1, level.rows))
+    ground = heights((wide, slice(0, level.columns)))
+    inner = slice(rows.start - wide.start, rows.stop - wide.start)
+    north, east = np.gradient(ground, np.float32(level.step_y), np.float32(level.step_x))
+    north, east = north[inner], east[inner]
+    tangent = np.sqrt(north * north + east * east)
+    out = np.ones_like(tangent)
+    for rule in rules:
+        if rule.of == HEIGHT:
+            out *= _between(ground[inner], rule.low, rule.high, rule.edge)
+        elif rule.of == SLOPE:
+            out *= _between_slopes(tangent, rule)
+        else:
+            angle = math.radians(rule.direction)
+            downhill = -(east * np.float32(math.sin(angle)) + north * np.float32(math.cos(angle)))
+            cosine = np.divide(downhill, tangent, out=np.zeros_like(tangent), where=tangent > 0)
+            out *= _between(cosine, rule.low, rule.high, rule.edge)
+    return out
+
+
+def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
+    half = 0.5 * max(edge, LEAST_EDGE)
+    return _rising(values, low - half, low + half) * _rising(-values, -high - half, -high + half)
+
+
+def _between_slopes(tangent: np.ndarray, rule: GroundRule) -> np.ndarray:
+    """Soft edges are straight in tangents, which need no function that differs from machine to machine."""
+    half = 0.5 * max(rule.edge, LEAST_EDGE)
+    low = [_tangent(rule.low - half), _tangent(rule.low + half)]
+    high = [_tangent(rule.high - half), _tangent(rule.high + half)]
+    return _rising(tangent, *low) * _rising(-tangent, -high[1], -high[0])
+
+
+def _tangent(degrees: float) -> float:
+    return math.inf if degrees >= 90.0 else -math.inf if degrees <= -90.0 else math.tan(math.radians(degrees))
+
+
+def _rising(values: np.ndarray, first: float, last: float) -> np.ndarray:
+    """0 up to `first`, 1 from `last` on, float32, smooth in between."""
+    if math.isinf(first) or math.isinf(last):
+        return np.full_like(values, 0.0 if first == math.inf else 1.0 if first == -math.inf else 0.0)
+    part = np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32)
+    return part * part * (3.0 - 2.0 * part)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The image of a mask: read by a child process that gives up what it does not need, and kept as an array."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.store_arrays import all_checksums, header, map_array
+from ..importing.answers import answer, ask
+from ..importing.guard import guard
+from ..importing.raster import ImportSettings
+from ..importing.sources import check_file, open_source
+from ..run import child, partial_files
+from .tile_cache import content_key
+
+MODULE = "cbt_terrain.land.mask_image"
+MOST_SAMPLES = 1 << 28
+
+
+def load_image(file: str, folder: Path) -> np.ndarray:
+    """float32 [rows, columns], 0 to 1, row 0 south, of any file that an import reads. Raises TerrainError.
+
+    Whole numbers are taken as parts of the largest of their type; what is missing counts as 0. folder: where what was
+    read is kept.
+    """
+    check_file(Path(file))
+    found = os.stat(file)
+    key = content_key("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
+    request = {"file": file, "folder": str(folder.absolute()), "key": key}
+    kept = folder / f"{key}.npy"
+    shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
+    os.utime(kept)
+    return map_array(kept, shape, np.float32)
+
+
+def child_main(request: str) -> None:
+    """Answer one request on stdout."""
+    answer(request, _read, lambda asked: f"the mask {shown(asked['file'])}")
+
+
+def _read(asked: dict) -> list[int]:
+    """Write the image into the folder; its rows and columns."""
+    path, kept = Path(asked["file"]), Path(asked["folder"]) / f"{asked['key']}.npy"
+    guard(path.suffix.lower(), kept.parent)
+    child.end_with_parent()
+    raster = open_source(ImportSettings(str(path)))
+    try:
+        if raster.width * raster.height > MOST_SAMPLES:
+            raise TerrainError(
+                f"The mask {shown(path)} has {raster.width} x {raster.height} pixels; expected {MOST_SAMPLES:,} at "
+                "most: reduce it."
+            )
+        stored = np.dtype(raster.stored)
+        largest = float(np.iinfo(stored).max) if stored.kind in "iu" else 1.0
+        rows = raster.read(0, raster.height).astype(np.float32) / np.float32(largest)
+        if raster.georeference is not None and raster.georeference.first_column_east:
+            rows = rows[:, ::-1]
+        if raster.georeference is None or not raster.georeference.first_row_south:
+            rows = rows[::-1]
+    finally:
+        raster.close()
+    image = np.ascontiguousarray(np.clip(np.nan_to_num(rows), 0.0, 1.0), np.float32)
+    with partial_files.written_beside(kept) as partial, partial.open("wb") as handle:
+        handle.write(header(image.shape, image.dtype))
+        image.tofile(handle)
+        handle.write(all_checksums(image))
+    return list(image.shape)

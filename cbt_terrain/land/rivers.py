@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rivers: a terrain ages, or a range grows from uplift, over years. A step is in fluvial.py."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..effects.effect import Parameter
+from ..effects.routing import route
+from .fluvial import Bed, step, vary_rock
+from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .levels import COARSEST, apply_by_levels
+
+# The coarsest level takes all years, in steps of so many or shorter ones.
+STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
+# A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
+# no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
+AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
+# Samples of halo around a tile: its middle is then as if the whole level had been made, but for 4 % of what moved.
+HALO = 64
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+    """See Apply in land_effect.py."""
+    years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), LEAST_STEPS), MOST_STEPS)
+    if coarser is not None:
+        years, steps = _years_again(values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
+    bed, origin = _begin(ground, values, coarser)
+    rim, inner, cut = _edges(ground, bed)
+    start = bed.heights.copy()
+    for number in range(steps if years > 0.0 else 0):
+        ground.progress(number / steps)
+        step(bed, years / steps, values, number)
+        # A raster's rim is no dam: it falls with the sample inside it. A cut goes the coarser level's way.
+        bed.heights[rim] = origin[rim] + np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
+        if len(cut):
+            end = origin[cut] + coarser.heights.reshape(-1)[cut]
+            bed.heights[cut] = start[cut] + (end - start[cut]) * np.float32((number + 1) / steps)
+    area = bed.drain().catchments(bed.own) * (ground.step_x * ground.step_y)
+    change = bed.heights - origin
+    wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
+    wear[bed.fixed] = 0.0
+    layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
+    return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
+
+
+def _years_again(values: Mapping[str, float]) -> float:
+    return min(AGAIN * values["years"], MOST_YEARS_AGAIN)
+
+
+def _halvings(ground: Ground) -> int:
+    """How many times finer than the coarsest one this level is."""
+    side, count = max(ground.whole), 0
+    while side > COARSEST:
+        side, count = (side + 1) // 2, count + 1
+    return count
+
+
+def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> tuple[Bed, np.ndarray]:
+    """The bed to start from, and the heights before the effect, with the sea at its surface; float32 [n]."""
+    sea, shape, n = np.float32(values["sea"]), ground.heights.shape, ground.heights.size
+    missing = np.zeros(n, bool) if ground.missing is None else ground.missing.reshape(-1)
+    before = ground.heights.reshape(-1)
+    fixed = (before <= sea) | missing
+    origin = np.where(missing, before, np.maximum(before, sea))
+    part = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
+    lift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * part)
+    if "uplift" in ground.layers:
+        lift *= ground.layers["uplift"].reshape(-1)
+    for side in _sides(shape):
+        lift.reshape(shape)[side] = 0.0
+    heights, sediment, own = origin, np.zeros(n, np.float32), np.ones(n)
+    if coarser is not None:
+        less = np.float32(1.0 - _years_again(values) / max(values["years"], 1.0))
+        heights = np.where(fixed, origin, np.maximum(origin + less * coarser.heights.reshape(-1), sea))
+        sediment = np.where(fixed, np.float32(0.0), less * coarser.layers["sediment"].reshape(-1))
+        own = _with_inflow(ground, coarser).reshape(-1)
+    steps = ground.step_x, ground.step_y
+    bed = Bed(shape, *steps, heights.copy(), sediment, fixed, part, part.copy(), lift, own, ground.first, ground.seed)
+    bed.threads = ground.threads
+    if values["variety"] > 0.0:
+        vary_rock(bed, values["variety"])
+    return bed, origin
+
+
+def _sides(shape: tuple[int, int]) -> list[tuple]:
+    """South, north, west and east."""
+    return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
+
+
+def _edges(ground: Ground, bed: Bed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the samples on the raster's own rim, of those inside them, and of those where a tile is cut off."""
+    rows, columns = bed.shape
+    rim, cut = np.zeros(bed.shape, bool), np.zeros(bed.shape, bool)
+    for own, side in zip(ground.rims, _sides(bed.shape), strict=True):
+        (rim if own else cut)[side] = True
+    free = ~bed.fixed.reshape(bed.shape)
+    rim &= free & ~cut
+    j, i = np.nonzero(rim)
+    inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
+    return np.flatnonzero(rim), inner, np.flatnonzero(cut & free)
+
+
+def _with_inflow(ground: Ground, coarser: Change) -> np.ndarray:
+    """float64 [rows, columns]: samples that each counts for; those just inside a cut, with what comes over it.
+
+    The samples of the coarser level are every second one, and where their water runs is known from their heights but
+    at the first, whose neighbours are cut off: what runs from the second to the third brings its catchment along.
+    """
+    rows, columns = ground.heights.shape
+    own = np.ones((rows, columns))
+    if all(ground.rims):
+        return own
+    every = tuple(slice(f % 2, None, 2) for f in ground.first)
+    heights = (ground.heights + coarser.heights)[every]
+    missing = None if ground.missing is None else ground.missing[every]
+    to = route(np.ascontiguousarray(heights), 2 * ground.step_x, 2 * ground.step_y, missing).to.reshape(heights.shape)
+    inside = np.zeros(heights.shape, bool)
+    south, north, west, east = (0 if rim else 2 for rim in ground.rims)
+    inside[south : heights.shape[0] - north, west : heights.shape[1] - east] = True
+    j, i = np.nonzero(~inside & (to != 4))
+    direction = to[j, i].astype(int)
+    y, x = j + direction // 3 - 1, i + direction % 3 - 1
+    enters = inside[y, x]
+    flow = coarser.layers["flow"][every][j, i].astype(np.float64) / (ground.step_x * ground.step_y)
+    fine_y, fine_x = (2 * at + f % 2 for at, f in zip((y, x), ground.first, strict=True))
+    np.add.at(own, (fine_y[enters], fine_x[enters]), flow[enters])
+    return own
+
+
+def grow(
+    start: np.ndarray, uplift: np.ndarray, step_m: float, seed: int = 0, threads: int = 1, **parameters: float
+) -> Change:
+    """A range grown out of `start`: what rivers leave of an uplift that lasts for `years`.
+
+    start: float32 [rows, columns] m, samples `step_m` apart; what is not above `sea` stays. uplift: float32 of the same
+    shape, m / year, of the order of 5e-4. parameters: those of rivers but `rise`; the years are 3 million and the
+    erodibility is 1e-5 / year where none are given, which leaves the range about steady.
+    """
+    most = float(uplift.max())
+    values = RIVERS.defaults() | {"years": 3e6, "erodibility": 1e-5, "rise": most} | parameters
+    share = (uplift / np.float32(most or 1.0)).astype(np.float32)
+    ground = Ground(np.asarray(start, np.float32), step_m, step_m, seed=seed, threads=threads)
+    return apply_by_levels(RIVERS, replace(ground, layers={"uplift": share}), values)
+
+
+def example(evaluate: Evaluate) -> None:
+    """A skerry of one sample: of its height F / (1 + F) goes in every step, over one of its sides or corners."""
+    heights = np.full((9, 9), -5.0, np.float32)
+    heights[4, 4] = 8.0
+    values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
+    made = evaluate("rivers", heights, step=20.0, **values)
+    wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0
+    left, most = 8.0 + made.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
+    assert 8.0 / (1.0 + wave) ** 10 - 1e-5 < left < most + 1e-5
+    assert abs(made.layers["wear"][4, 4] - (8.0 - left)) < 1e-5 and made.layers["flow"][4, 4] == 400.0
+    made.heights[4, 4] = 0.0
+    assert not made.heights.any()
+
+
+RIVERS = LandEffect(
+    name="rivers",
+    label="Rivers",
+    about="Streams cut valleys, slopes creep, valley floors and lakes fill; with a rise, a range grows",
+    apply=apply,
+    example=example,
+    parameters=(
+        Parameter("years", 300e3, 0.0, 20e6, "years", "How long it lasts"),
+        Parameter("erodibility", 4e-6, 0.0, 1e-3, "1/year", "How soft the rock is: K of the stream power law"),
+        Parameter("hillslope", 5e3, 0.0, 1e7, "m2", "Area that drains to the foot of a slope without a stream"),
+        Parameter("variety", 0.2, 0.0, 1.0, "", "How much the rock's softness varies, over 60 to 960 m"),
+        Parameter("rise", 0.0, 0.0, 0.02, "m/year", "Uplift; the rim and the sea stay"),
+        Parameter("creep", 5e-4, 0.0, 1.0, "m2/year", "Diffusion of slopes, which rounds them"),
+        Parameter("deposition", 1.0, 0.0, 20.0, "", "How readily streams lay down what they carry: G"),
+        Parameter("steepest", 60.0, 5.0, 89.0, "degrees", "Steepest slope along a stream that does not slide"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, and stays"),
+    ),
+    layers=(
+        Layer("sediment", "m", "Depth of what rivers have laid down"),
+        Layer("wear", "m", "Depth of rock that rivers have removed"),
+        Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
+    ),
+    reads=("uplift",),
+    halo=lambda _values, spacing: HALO * spacing,
+    masks=True,
+    limit="none: a step may have any length; the network lags behind steps of more than 20,000 years",
+    conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
+    source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
+)

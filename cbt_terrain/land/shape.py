@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stack of effects applied to a raster: level by level, effect by effect within a level, tile by tile within a level.
+
+An effect starts from its own change at the coarser level and finds the heights after the effects before it at this one.
+Where a level was not asked for, the changes of the coarser one are taken between its samples. So every tile is a
+function of the samples that it looks at, of parameters and of its place, and is kept by that content (tile_cache.py).
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
+from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
+from .levels import finer, masked
+from .mask import whole_mask
+from .stack import Entry, Stack
+from .tile_cache import TileCache
+from .tiles import BAND, Level, Wanted, Window, levels_of
+
+
+class Finished(Exception):
+    """Who waits is content with the levels that are done."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """What one effect has added at one level to what the coarser one said: metres, over the tiles that were made.
+    `whole`: whether the level was worked on as one piece. `made`: its pieces, of which `computed` were not known
+    before. `ms`: what that took."""
+
+    level: int
+    spacing_m: float
+    entry: int
+    effect: str
+    rms_m: float
+    most_m: float
+    whole: bool
+    made: int
+    computed: int
+    ms: float
+
+
+@dataclass(eq=False)
+class Shaped:
+    """`change`: float32 [rows, columns] metres of the raster's samples. `layers`: of the stack, float32 likewise, what
+    is added to those of the source (`depths`) or replaces them. `level`: the finest that was made anywhere. `tiles`:
+    those that were made, by level, of those that there are (`tile_counts`). `added`: see Added. `left_out_m`: root mean
+    square and most of what the last level that was made added, where a finer one was not made: what is missing there is
+    of that size."""
+
+    change: np.ndarray
+    layers: dict[str, np.ndarray]
+    depths: set[str]
+    level: int
+    tiles: list[list[int]]
+    tile_counts: list[int]
+    added: list[Added]
+    left_out_m: tuple[float, float]
+    finished_early: bool = False
+
+
+@dataclass(eq=False)
+class State:
+    """What a level leaves to the next finer one. `changes`: of each entry, [1 + its layers, rows, columns], without its
+    mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared."""
+
+    level: Level
+    changes: list[np.ndarray | None]
+    total: np.ndarray
+    layers: dict[str, np.ndarray]
+    most: np.ndarray
+    squares: np.ndarray
+
+
+@dataclass(eq=False)
+class Shaping:
+    """One run over all levels."""
+
+    heights: HeightField
+    entries: Sequence[Entry]
+    images: Mapping[str, np.ndarray]
+    wanted: Wanted
+    cache: TileCache
+    threads: int
+    on_progress: Callable[[float, str], None] = lambda _fraction, _message: None
+    finish: Callable[[], bool] = lambda: False
+    added: list[Added] = field(default_factory=list)
+    done: float = 0.0
+
+    def __post_init__(self):
+        self.plan = LevelPlan(levels_of(self.heights.lattice), self.entries, self.wanted)
+        self.tiles: list[list[int]] = [[] for _ in self.plan.levels]
+
+    @property
+    def depths(self) -> set[str]:
+        """Names of the layers that are depths."""
+        return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.per_metre}
+
+    def progress(self, cost: float, level: Level, entry: Entry) -> Callable[[float], None]:
+        """What an effect tells how far it is, of work that costs so much."""
+
+        def said(part: float) -> None:
+            if self.finish():
+                raise Finished
+            total = max(self.plan.total, 1.0)
+            text = f"{entry.declaration.label}, {level.columns} x {level.rows}"
+            self.on_progress(min((self.done + min(max(part, 0.0), 1.0) * cost) / total, 1.0), text)
+
+        return said
+
+
+def shape(
+    heights: HeightField,
+    stack: Stack,
+    wanted: Wanted,
+    *,
+    images: Mapping[str, np.ndarray] | None = None,
+    cache: TileCache | None = None,
+    threads: int = 1,
+    on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
+    finish: Callable[[], bool] = lambda: False,
+) -> Shaped:
+    """What a stack makes of a raster: the same for any threads, and whatever the order in which tiles were asked for.
+
+    wanted: of each level the tiles (tiles.py). images: of masks, by file name, float32 [rows, columns], row 0 south.
+    on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the levels that are
+    complete.
+    """
+    run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
+    state, early = run_levels(run)
+    return _result(run, state, early)
+
+
+def run_levels(run: Shaping) -> tuple[State | None, bool]:
+    """The last level that was made, and whether that was not all."""
+    state = None
+    for level in reversed(run.plan.levels):
+        tiles = run.plan.tiles_at(level, None if state is None else state.most)
+        if not run.entries or not (level.is_whole or tiles):
+            break
+        try:
+            state = _level(run, level, sorted(tiles), state)
+        except Finished:
+            return state, True
+    return state, False
+
+
+def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) -> State:
+    ground = LevelGround.of(run.heights, level)
+    total, layers, added = np.zeros(level.shape, np.float32), {}, []
+    most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
+    changes = []
+    for number, entry in enumerate(run.entries):
+        mask = None
+        if entry.mask is not None:
+            image = run.images.get(entry.mask.image)
+            mask = whole_mask(entry.mask, image, level, partial(_heights, ground, total))
+        work = Work(run.cache, run.plan, level, ground, entry, total, layers, run.depths, mask, run.threads)
+        coarse = None if below is None else below.changes[number]
+        change, tile_most, tile_squares, figures = _entry(run, work, number, tiles, coarse)
+        total += _put_on(entry, change, mask, ground, layers)
+        most += tile_most
+        squares += tile_squares
+        added += [figures] if figures is not None else []
+        # The finest level leaves nothing to a finer one.
+        changes.append(change if level.number else None)
+        if below is not None:
+            below.changes[number] = coarse = None  # memory
+    run.added += added
+    run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
+    if below is not None and not level.is_whole:
+        for tile in set(range(level.tile_count)) - set(tiles):  # nobody knows better than the coarser level
+            most[tile], squares[tile] = below.most[level.parent(tile)], below.squares[level.parent(tile)]
+    return State(level, changes, total, layers, most, squares)
+
+
+def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarray:
+    return ground.heights[window] + total[window]
+
+
+def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: np.ndarray | None):
+    """The change of an entry at a level, [1 + layers, rows, columns]; what it has added in each tile: most and sum of
+    squares by sample; and the figures."""
+    level, entry = work.level, work.entry
+    how = run.plan.how(entry, level)
+    before, start = run.cache.made[entry.effect], time.perf_counter()
+    most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
+    up = None if coarse is None else np.stack([finer(array, level.shape) for array in coarse])
+    if how == UPSAMPLED:
+        return up, most, squares, None
+    if how == TILES:
+        change, made = up, tiles
+        for tile in tiles:
+            cost = run.plan.cost(entry, level, tile)
+            told = run.progress(cost, level, entry)
+            told(0.0)
+            delta = apply_tile(work, tile, coarse, told)
+            run.done += cost
+            if delta is None:
+                continue
+            window = level.window(tile, BAND, BAND)
+            change[(slice(None), *window)] += delta * level.weights(tile)
+            most[tile], squares[tile] = _sizes(delta[0], work.mask, window, level.window(tile))
+    else:
+        cost = run.plan.cost(entry, level, None)
+        told = run.progress(cost, level, entry)
+        told(0.0)
+        change, made = apply_whole(work, up, told), range(level.tile_count)
+        run.done += cost
+        whole = slice(0, level.rows), slice(0, level.columns)
+        delta = change[0] if up is None else change[0] - up[0]
+        for tile in made:
+            most[tile], squares[tile] = _sizes(delta, work.mask, whole, level.window(tile))
+    rms = float(np.sqrt(squares[list(made)].mean())) if len(made) else 0.0
+    computed = run.cache.made[entry.effect] - before
+    spacing = max(level.step_x, level.step_y)
+    count = len(made) if how == TILES else 1
+    ms = (time.perf_counter() - start) * 1e3
+    figures = Added(
+        level.number, spacing, number, entry.effect, rms, float(most.max()), how == WHOLE, count, computed, ms
+    )
+    return change, most, squares, figures
+
+
+def _sizes(delta: np.ndarray, mask: np.ndarray | None, window, core) -> tuple[float, float]:
+    """Most, and mean square, of a tile's own part of what was added in a window, as much of it as the mask lets."""
+    own = tuple(slice(c.start - w.start, c.stop - w.start) for c, w in zip(core, window, strict=True))
+    part = delta[own] if mask is None else delta[own] * mask[core]
+    return float(np.abs(part).max()), float(np.square(part, dtype=np.float64).mean())
+
+
+def _put_on(
+    entry: Entry, change: np.ndarray, mask: np.ndarray | None, ground: LevelGround, layers: dict[str, np.ndarray]
+) -> np.ndarray:
+    """The heights that an entry adds; its layers are put into `layers`."""
+    shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
+    heights = shown.heights if shown.heights is not change[0] else shown.heights.copy()
+    if ground.missing is not None:
+        heights[ground.missing] = 0.0
+    for layer in entry.declaration.layers:
+        array = shown.layers[layer.name]
+        add = layer.per_metre and layer.name in layers
+        layers[layer.name] = layers[layer.name] + array if add else array.copy()
+    return heights
+
+
+def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
+    """What the last level that was made says of the raster's own samples."""
+    levels, shape_ = run.plan.levels, (run.heights.lattice.height, run.heights.lattice.width)
+    depths, counts = run.depths, [level.tile_count for level in levels]
+    if state is None:
+        return Shaped(np.zeros(shape_, np.float32), {}, depths, 0, run.tiles, counts, run.added, (0.0, 0.0), early)
+    left_most, left_squares = _left_out(run, state)
+    total, layers = state.total, state.layers
+    for level in reversed(levels[: state.level.number]):
+        total = finer(total, level.shape)
+        layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
+    if run.heights.valid is not None:
+        total = np.where(run.heights.valid == 0, np.float32(0.0), total)
+    left = float(np.sqrt(left_squares)), float(left_most)
+    return Shaped(
+        np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early
+    )
+
+
+def _left_out(run: Shaping, state: State) -> tuple[float, float]:
+    """Most, and mean square, of what was added where a level is left to be made: over tiles of the finest that was."""
+    if state.level.number:
+        return state.most.max(), state.squares.mean()
+    left = sorted(set(range(state.level.tile_count)) - set(run.tiles[0])) if not state.level.is_whole else []
+    return (state.most[left].max(), state.squares[left].mean()) if left else (0.0, 0.0)

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Snow: falls where it is cold, less where the wind blows, melts in the sun, and slides off what is too steep."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.land import snow as kernels
+from ..effects.effect import Parameter
+from ..effects.light import azimuths
+from ..effects.sky_layer import sweep
+from ..run import launch
+from ..run.buffers import flat
+from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .levels import coarser as halved
+from .levels import finer
+
+# Azimuths of the sky; degrees to both sides of the wind from which shelter counts, too.
+AZIMUTHS, GUSTS = 8, (-20.0, 0.0, 20.0)
+# Sweeps of slides a level, of the coarsest so many times as many; samples around a tile that decide its own, a sweep.
+SWEEPS, AT_FIRST, REACH = 12, 4, 3.2
+# Metres around a tile whose horizons are looked at: from further off come those of the coarser level.
+HORIZON = 300.0
+# Water of this depth, metres, melts what falls into it.
+WET = 0.05
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+    """See Apply in land_effect.py."""
+    fallen, stuck = _fallen(ground, values)
+    if coarser is not None and not all(ground.rims):
+        far = coarser.layers["snow"] - coarser.layers["slides"] - _seen_coarsely(ground, values)
+        fallen = np.maximum(fallen + far, 0.0)
+        fallen[_bare(ground) != 0] = 0.0
+        stuck = np.minimum(stuck, fallen)
+    ground.progress(0.5)
+    loose = fallen - stuck
+    start = loose.copy() if coarser is None else _brought(loose, coarser.layers["slides"], all(ground.rims))
+    slides = _slid(ground, values, stuck, start, SWEEPS if coarser is not None else SWEEPS * AT_FIRST) - loose
+    snow = np.maximum(fallen + slides, 0.0)
+    return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
+
+
+def _fallen(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """float32 [rows, columns] m: the snow that has fallen and stayed, and what of it clings to the ground."""
+    heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
+    found, sky, lee, fallen, stuck = (np.zeros((rows, columns), np.float32) for _ in range(5))
+    size = heights.size
+
+    def look(azimuth: np.ndarray, kernel, share: float, sums: np.ndarray) -> None:
+        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, found)
+        inputs = [share, flat(found, wp.float32), flat(sums, wp.float32)]
+        launch.spread(kernel, size, inputs, step="snow", threads=ground.threads, cost=0.2)
+
+    for azimuth in azimuths()[:AZIMUTHS]:
+        look(azimuth, kernels.add_sky, 1.0 / AZIMUTHS, sky)
+    for gust in GUSTS:
+        windward = _towards(values["wind"] + gust)
+        look(windward, kernels.add_shelter, 1.0 / len(GUSTS), lee)
+        look(-windward, kernels.add_shelter, -1.0 / len(GUSTS), lee)
+    arrays = [flat(heights, wp.float32), flat(_bare(ground), wp.uint8), *(flat(a, wp.float32) for a in (sky, lee))]
+    inputs = [_weather(ground, values), *arrays, flat(fallen, wp.float32), flat(stuck, wp.float32)]
+    launch.spread(kernels.lay, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)
+    if ground.mask is not None:
+        fallen *= ground.mask
+        stuck = np.minimum(stuck, fallen)
+    return fallen, stuck
+
+
+def _towards(degrees: float) -> np.ndarray:
+    """float64 [2]: the unit vector towards a compass bearing; rounded, so that every machine has the same."""
+    turned = math.radians(degrees)
+    return np.array([math.sin(turned), math.cos(turned)]).astype(np.float32).astype(np.float64)
+
+
+def _bare(ground: Ground) -> np.ndarray:
+    """uint8 [rows, columns]: 1 for water and holes."""
+    depth = ground.layers.get("water_depth")
+    bare = np.zeros(ground.heights.shape, bool) if depth is None else depth > WET
+    return (bare if ground.missing is None else bare | ground.missing).astype(np.uint8)
+
+
+def _weather(ground: Ground, values: Mapping[str, float]) -> kernels.Weather:
+    weather, latitude = kernels.Weather(), math.radians(values["latitude"])
+    weather.height, weather.width = ground.heights.shape
+    weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
+    weather.line, weather.fall, weather.aspect = values["line"], values["fall"], values["aspect"]
+    # Of single precision, which hides the last bits of the C library.
+    weather.sun = wp.vec2d(float(np.float32(math.cos(latitude))), float(np.float32(math.sin(latitude))))
+    return weather
+
+
+def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
+    """What has fallen as the coarser level sees it from the samples of this tile alone, brought to this level.
+
+    The snow of the whole coarser level less this is what comes of ground further off."""
+    odd = [n % 2 for n in ground.first]
+
+    def coarse(samples: np.ndarray | None) -> np.ndarray | None:
+        return None if samples is None else halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
+
+    first = (ground.first[0] // 2, ground.first[1] // 2)
+    layers = {name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"}
+    arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
+    below = Ground(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
+    fallen, _ = _fallen(below, values)
+    shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
+    return finer(fallen, shape)[odd[0] :, odd[1] :]
+
+
+def _brought(loose: np.ndarray, slides: np.ndarray, whole: bool) -> np.ndarray:
+    """The loose snow with what slid at the coarser level.
+
+    Where less lies than slid away, and between samples, snow comes from nowhere; of a whole raster what was laid down
+    makes up for it."""
+    start = np.maximum(loose + slides, 0.0)
+    laid = np.minimum(np.maximum(slides, 0.0), start)
+    if whole and (most := _total(laid)) > 0.0:
+        start -= np.float32(np.clip((_total(start) - _total(loose)) / most, -1.0, 1.0)) * laid
+    return start
+
+
+def _total(samples: np.ndarray) -> float:
+    total = np.zeros(1)
+    launch.once(kernels.add_up, [flat(samples, wp.float32), flat(total, wp.float64)], step="snow")
+    return float(total[0])
+
+
+def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose: np.ndarray, sweeps: int) -> np.ndarray:
+    """float32 [rows, columns] m: where the loose snow lies when slides have come to rest. `loose` is used up."""
+    bed, (rows, columns) = ground.heights + stuck, loose.shape
+    if ground.missing is not None:
+        bed[ground.missing] = np.nan
+    repose = math.tan(math.radians(values["slides"]))
+    falls = wp.vec3f(*(repose * d for d in (ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y))))
+    arrays, rest = [flat(bed, wp.float32), flat(loose, wp.float32)], np.zeros_like(loose)
+    for k in range(sweeps):
+        odd = k % 2
+        # To and fro: with one order always slabs of one parity would give more than the others.
+        for along, parity in ((1, odd), (0, 1 - odd)):
+            first = -((parity + ground.first[0]) % 2)
+            inputs = [first, columns, rows, along, (odd + ground.first[1]) % 2, falls, *arrays]
+            slabs = (rows - first + 1) // 2
+            launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
+            # What is on its way is in rows of one parity after each pass; the mean of four has no such comb.
+            if k >= sweeps - 2:
+                rest += np.float32(0.25) * loose
+        ground.progress(0.5 + 0.5 * (k + 1) / sweeps)
+    return rest
+
+
+def _halo(_values: Mapping[str, float], step: float) -> float:
+    return max(HORIZON, REACH * SWEEPS * step)
+
+
+def example(evaluate: Evaluate) -> None:
+    """On a plane far above the line lies what falls, far below it none; and none is lost where it slides."""
+    for height, depth in ((3000.0, 2.0), (0.0, 0.0)):
+        snow = evaluate("snow", np.full((9, 12), height), step=20.0, line=1500.0, fall=2.0).layers["snow"]
+        assert abs(snow - depth).max() < 1e-3
+    tower = np.full((40, 37), 3000.0)
+    tower[15:25, 15:20] += 200.0
+    layers = evaluate("snow", tower, step=10.0, line=1500.0, fall=2.0).layers
+    slid = layers["slides"].sum(dtype=np.float64)
+    assert layers["slides"].max() > 1.0 and abs(slid) < 1e-6 * abs(layers["slides"]).sum(dtype=np.float64)
+
+
+SNOW = LandEffect(
+    name="snow",
+    label="Snow",
+    about="Snow by height, sun, wind and sky; what lies on steep ground slides",
+    apply=apply,
+    example=example,
+    parameters=(
+        Parameter("line", 600.0, -1000.0, 9000.0, "m", "Height where rain turns to snow"),
+        Parameter("fall", 3.0, 0.0, 50.0, "m", "Snow that falls on open ground far above the line"),
+        Parameter("wind", 225.0, 0.0, 360.0, "deg", "Where the wind comes from, clockwise from north"),
+        Parameter("aspect", 2.0, 0.0, 10.0, "K", "How much warmer a slope is in the noon sun"),
+        Parameter(
+            "latitude", 46.0, -90.0, 90.0, "deg", "Where the noon sun stands: in the south, and negative in the north"
+        ),
+        Parameter("slides", 42.0, 20.0, 60.0, "deg", "Slope on which snow slides"),
+        Parameter("thickness", 1.0, 0.0, 1.0, "", "Part of the depth that raises the ground: 0 is a layer only"),
+    ),
+    layers=(
+        Layer("snow", "m", "Depth of the snow"),
+        Layer("slides", "m", "Snow that slides have brought; where negative, taken"),
+    ),
+    reads=("water_depth",),
+    halo=_halo,
+    masks=True,
+    limit="none: two neighbours at a time come to rest",
+    conserves="slides keep the snow, to 2e-8",
+    converges="",
+    cost_ns=300,
+    source="Winstral et al. 2002 (shelter from wind); Timonen and Westerholm 2010 (horizons)",
+)

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stack: effects on heights one after the other, as data; read from JSON and written to it.
+
+    {"version": 1,
+     "entries": [{"effect": "rivers", "parameters": {"years": 3e5}, "seed": 4},
+                 {"effect": "snow", "on": false, "name": "First snow",
+                  "mask": {"image": "valley.png", "factor": 0.8,
+                           "rules": [{"of": "height", "low": 600, "edge": 50},
+                                     {"of": "slope", "high": 45, "edge": 10},
+                                     {"of": "aspect", "low": 0, "edge": 0.5, "direction": 0}]}}]}
+
+Parameters that are not named have their defaults; they are in the units of the effect's declaration (metres, years,
+degrees). An image is found from the folder of the stack's file. See mask.py for what the rules mean.
+"""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ..errors import TerrainError, shown
+from ..field.store_arrays import open_regular
+from .catalogue import LAND_EFFECTS
+from .land_effect import LandEffect
+from .mask import GroundRule, Mask
+
+VERSION = 1
+MOST_BYTES = 1 << 20
+MOST_ENTRIES, MOST_RULES = 64, 16
+MOST_SEED = 2**31 - 1
+_TOP = ("version", "entries")
+_ENTRY = ("effect", "parameters", "seed", "on", "name", "mask")
+_MASK = ("image", "rules", "factor")
+_RULE = ("of", "low", "high", "edge", "direction")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One effect of a stack. `parameters`: those that differ from their defaults. `name`: of the entry, for users."""
+
+    effect: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+    on: bool = True
+    mask: Mask | None = None
+    name: str = ""
+
+    @property
+    def declaration(self) -> LandEffect:
+        return LAND_EFFECTS[self.effect]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter."""
+        return self.declaration.defaults() | dict(self.parameters)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """`entries`: the first is applied first."""
+
+    entries: tuple[Entry, ...] = ()
+
+    @property
+    def active(self) -> tuple[Entry, ...]:
+        """Those that do anything."""
+        return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
+
+    def check(self, where: str = "The stack") -> None:
+        """Raise TerrainError for an entry that cannot be."""
+        if len(self.entries) > MOST_ENTRIES:
+            raise TerrainError(f"{where} has {len(self.entries)} entries; expected {MOST_ENTRIES} at most.")
+        for number, entry in enumerate(self.entries, 1):
+            _check_entry(f"Entry {number} of {where[0].lower()}{where[1:]}", entry)
+
+    def key(self) -> str:
+        """Hex digest of all that decides what the stack makes of a raster: of images, their files as they are now."""
+        content = []
+        for entry in self.active:
+            mask = entry.mask and (entry.mask, _file_mark(entry.mask.image))
+            values = sorted(entry.values.items())
+            content.append((entry.effect, entry.declaration.version, values, entry.seed, mask))
+        return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
+
+
+def _file_mark(image: str) -> tuple:
+    """What changes when a file does."""
+    if not image:
+        return ()
+    try:
+        found = os.stat(image)
+    except (OSError, ValueError):
+        return (image,)  # whoever reads it says what is wrong
+    return os.path.realpath(image), found.st_size, found.st_mtime_ns
+
+
+def _check_entry(where: str, entry: Entry) -> None:
+    if entry.effect not in LAND_EFFECTS:
+        known = ", ".join(LAND_EFFECTS) or "none, there are none"
+        raise TerrainError(f"{where} has the effect {shown(repr(entry.effect))}; expected one of: {known}.")
+    parameters = {p.name: p for p in entry.declaration.parameters}
+    for name, value in entry.parameters.items():
+        if name not in parameters:
+            raise TerrainError(
+                f"{where}, {entry.effect}, has a parameter {shown(repr(name))}; expected some of: "
+                f"{', '.join(parameters) or 'none, it has no parameters'}."
+            )
+        p = parameters[name]
+        if not p.least <= value <= p.most:
+            expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+            raise TerrainError(f"{where}, {entry.effect}, has {name} {value:g}; expected {expected}.")
+    if not 0 <= entry.seed <= MOST_SEED:
+        raise TerrainError(f"{where}, {entry.effect}, has the seed {entry.seed}; expected 0 to {MOST_SEED}.")
+    if entry.mask is not None:
+        entry.mask.check(f"The mask of {where[0].lower()}{where[1:]}, {entry.effect},")
+
+
+def read_stack(path: str | os.PathLike) -> Stack:
+    """Read and check a stack's file. Raises TerrainError that names the file, the entry and what was expected."""
+    path = Path(path)
+    try:
+        with open_regular(path) as handle:
+            text = handle.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ValueError(f"it is larger than {MOST_BYTES} bytes")
+        content = json.loads(text.decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as reason:
+        said = getattr(reason, "strerror", None) or shown(reason)
+        raise TerrainError(
+            f"The stack {shown(path)} cannot be read ({said}): expected a JSON file of entries."
+        ) from None
+    return stack_from(content, f"The stack {path}", path.absolute().parent)
+
+
+def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
+    """A checked stack from what JSON holds. folder: where relative names of images begin. Raises TerrainError."""
+    top = _object(where, content, _TOP)
+    if top.get("version") != VERSION or type(top.get("version")) is not int:
+        raise TerrainError(f"{where} has version {shown(repr(top.get('version')))}; expected {VERSION}.")
+    entries = _list(where, "entries", top.get("entries"), MOST_ENTRIES)
+    stack = Stack(
+        tuple(_entry(f"Entry {k} of {where[0].lower()}{where[1:]}", e, folder) for k, e in enumerate(entries, 1))
+    )
+    stack.check(where)
+    return stack
+
+
+def _entry(where: str, content: object, folder: Path | None) -> Entry:
+    entry = _object(where, content, _ENTRY)
+    parameters = entry.get("parameters", {})
+    if not isinstance(parameters, dict):
+        raise TerrainError(f"{where} has parameters {shown(repr(parameters))}; expected an object of numbers.")
+    mask = entry.get("mask")
+    return Entry(
+        effect=_typed(where, entry, "effect", str, "", "a text"),
+        parameters={name: _number(where, {name: value}, name, None) for name, value in parameters.items()},
+        seed=_typed(where, entry, "seed", int, 0, "a whole number"),
+        on=_typed(where, entry, "on", bool, True, "true or false"),
+        name=_typed(where, entry, "name", str, "", "a text"),
+        mask=None if mask is None else _mask(f"The mask of {where[0].lower()}{where[1:]}", mask, folder),
+    )
+
+
+def _mask(where: str, content: object, folder: Path | None) -> Mask:
+    mask = _object(where, content, _MASK)
+    image = _typed(where, mask, "image", str, "", "the name of a file")
+    if image and folder is not None:
+        image = str(folder / image)
+    rules = _list(where, "rules", mask.get("rules", []), MOST_RULES)
+    return Mask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
+
+
+def _rule(where: str, content: object) -> GroundRule:
+    rule = _object(where, content, _RULE)
+    limits = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
+    numbers = {name: _number(where, rule, name, default) for name, default in limits.items()}
+    return GroundRule(_typed(where, rule, "of", str, "", "a text"), **numbers)
+
+
+def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
+    if not isinstance(content, dict):
+        raise TerrainError(f"{where} is {shown(repr(content))}; expected an object with {', '.join(known)}.")
+    if unknown := sorted(set(content) - set(known)):
+        raise TerrainError(f"{where} has {shown(repr(unknown[0]))}; expected {', '.join(known)}.")
+    return content
+
+
+def _list(where: str, name: str, content: object, most: int) -> list:
+    if not isinstance(content, list) or len(content) > most:
+        found = f"{len(content)} of them" if isinstance(content, list) else shown(repr(content))
+        raise TerrainError(f"{where} has {name} {found}; expected a list of {most} at most.")
+    return content
+
+
+def _typed(where: str, content: dict, name: str, kind: type, default, expected: str):
+    value = content.get(name, default)
+    if type(value) is not kind:
+        raise TerrainError(f"{where} has {name} {shown(repr(value))}; expected {expected}.")
+    return value
+
+
+def _number(where: str, content: dict, name: str, default: float | None) -> float:
+    value = content.get(name, default)
+    if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
+        raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}; expected a number.")
+    return float(value)
+
+
+def stack_content(stack: Stack) -> dict:
+    """What `stack_from` takes, with only what differs from the defaults."""
+    return {"version": VERSION, "entries": [_entry_content(entry) for entry in stack.entries]}
+
+
+def _entry_content(entry: Entry) -> dict:
+    content = {"effect": entry.effect, "parameters": dict(entry.parameters), "seed": entry.seed}
+    content |= {} if entry.on else {"on": False}
+    content |= {"name": entry.name} if entry.name else {}
+    if entry.mask is not None:
+        plain = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
+        rules = [
+            {"of": rule.of} | {n: getattr(rule, n) for n, default in plain.items() if getattr(rule, n) != default}
+            for rule in entry.mask.rules
+        ]
+        mask = {"image": entry.mask.image} if entry.mask.image else {}
+        content["mask"] = mask | {"rules": rules, "factor": entry.mask.factor}
+    return content
+
+
+def write_stack(stack: Stack, path: str | os.PathLike) -> None:
+    """Write a stack's file; images below its folder are named from there. Raises TerrainError."""
+    from ..run.partial_files import written_beside
+
+    path = Path(path)
+    folder = path.absolute().parent
+    try:
+        with written_beside(path) as partial:
+            text = json.dumps(stack_content(_relative(stack, folder)), indent=1, allow_nan=False)
+            partial.write_text(text + "\n", encoding="utf-8")
+    except OSError as reason:
+        raise TerrainError(
+            f"The stack {path} cannot be written ({reason.strerror or reason}): choose another name."
+        ) from reason
+
+
+def _relative(stack: Stack, folder: Path) -> Stack:
+    def near(entry: Entry) -> Entry:
+        if entry.mask is None or not entry.mask.image or not Path(entry.mask.image).is_relative_to(folder):
+            return entry
+        image = Path(entry.mask.image).relative_to(folder).as_posix()
+        return replace(entry, mask=replace(entry.mask, image=image))
+
+    return Stack(tuple(map(near, stack.entries)))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What effects have made of tiles and levels, kept in files by content: asked twice, made once.
+
+A file is named for the hash of all that its numbers are a function of. It is a guess until it is read: one of another
+shape, or with a block that differs from its checksum, is made again.
+"""
+
+import hashlib
+import os
+import re
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.store_arrays import all_checksums, header, verify_array
+from ..field.store_arrays import map_array as map_checked
+from ..run import partial_files
+
+# Beyond this, files that were not used longest are removed; what the last run has used always stays.
+MOST_BYTES = 4 << 30
+_NAME = re.compile(r"[0-9a-f]{32}\.npy")
+
+
+class TileCache:
+    """`folder`: of the files, or None: nothing is kept. `made`, `kept`: how many results of each effect were computed
+    and how many were found."""
+
+    def __init__(self, folder: Path | None = None):
+        self.folder = folder
+        self.made, self.kept = Counter(), Counter()
+        self._used: set[str] = set()
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            partial_files.remove_abandoned(folder)
+
+    def take(self, effect: str, key: str, shape: tuple[int, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+        """float32 of that shape: what was kept under `key`, or what `make` makes, which is kept then. Read only."""
+        file = None if self.folder is None else self.folder / f"{key}.npy"
+        self._used.add(f"{key}.npy")
+        found = _read(file, shape) if file is not None else None
+        if found is not None:
+            self.kept[effect] += 1
+            return found
+        made = np.ascontiguousarray(make(), np.float32)
+        self.made[effect] += 1
+        if file is not None:
+            _write(file, made)
+        return made
+
+    def trim(self, most_bytes: int = MOST_BYTES) -> None:
+        """Remove the files that were not used longest, until the rest takes no more."""
+        if self.folder is None:
+            return
+        files = []
+        for file in self.folder.iterdir():
+            with suppress(OSError):
+                files.append((file.stat().st_mtime, file.stat().st_size, file))
+        total = sum(size for _, size, _ in files)
+        for _, size, file in sorted(files):
+            if total <= most_bytes:
+                break
+            if file.name not in self._used and _NAME.fullmatch(file.name):
+                file.unlink(missing_ok=True)
+                total -= size
+
+
+def content_key(*parts) -> str:
+    """Hex digest of arrays, and of the `repr` of all else."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(repr((part.shape, part.dtype.str)).encode())
+            digest.update(np.ascontiguousarray(part))
+        else:
+            digest.update(repr(part).encode())
+    return digest.hexdigest()
+
+
+def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
+    try:
+        verify_array(file, shape, np.float32)
+        found = map_checked(file, shape, np.float32)
+        os.utime(file)
+    except (OSError, TerrainError):
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def _write(file: Path, array: np.ndarray) -> None:
+    """Keep an array; a folder that cannot be written is left as it is."""
+    with suppress(OSError), partial_files.written_beside(file) as partial, partial.open("wb") as handle:
+        handle.write(header(array.shape, array.dtype))
+        array.tofile(handle)
+        handle.write(all_checksums(array))

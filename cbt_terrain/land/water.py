@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rivers, lakes and the sea under steady rain, in one pass: discharge, depth and speed. Heights stay as they are."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.land import water as kernels
+from ..effects.effect import Parameter
+from ..effects.routing import Drainage, route
+from ..run import launch
+from ..run.buffers import flat
+from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+
+YEAR = 365.2425 * 86400.0  # seconds
+
+DEPTH = Layer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
+SPEED = Layer("water_speed", "m/s", "Speed of the water", per_metre=False)
+DISCHARGE = Layer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+    """See Apply in land_effect.py. Every level by itself."""
+    heights, threads = np.ascontiguousarray(ground.heights), ground.threads
+    shape, count = heights.shape, heights.size
+    dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)
+    below = (heights <= values["sea"]) | (dry != 0)
+    drainage = route(heights, ground.step_x, ground.step_y, below, threads)
+    filled = drainage.filled()
+    area = drainage.areas(filled)
+    drainage.level_lakes(filled, area)
+    ground.progress(0.8)
+    rain = _rain(ground, values)
+    normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
+    bed = [flat(heights, wp.float32), flat(filled, wp.float32)]
+    made = [flat(normal, wp.float32), flat(surface, wp.float32)]
+    inputs = [rain, *bed, flat(area, wp.float64), *made]
+    launch.spread(kernels.flow_uniformly, shape[0], inputs, step="water", threads=threads, cost=10 * shape[1])
+    # Filling the surface of the flow as routing fills the ground lets lakes stand as high as their outlet flows.
+    dammed = Drainage(drainage.grid, surface, drainage.base, drainage.to, drainage.order, threads).filled()
+    found = [flat(a, wp.float32) for a in (dammed, normal, speed, discharge)]
+    inputs = [rain, *bed, flat(dry, wp.uint8), flat(area, wp.float64), *found]
+    launch.spread(kernels.measure_water, count, inputs, step="water", threads=threads, cost=2)
+    layers = {DEPTH.name: dammed, SPEED.name: speed, DISCHARGE.name: discharge}
+    return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
+
+
+def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
+    rain = kernels.Rain()
+    rain.height, rain.width = ground.heights.shape
+    rain.step_x, rain.step_y = ground.step_x, ground.step_y
+    rain.runoff = ground.step_x * ground.step_y * values["rain"] / YEAR
+    rain.rough, rain.sea = values["roughness"], values["sea"]
+    return rain
+
+
+def example(evaluate: Evaluate) -> None:
+    """A roof of 1 : 100 in steps of 10 m, under 1 m of rain a year: a place has what falls between it and the ridge, as
+    deep as Manning says; a hollow stands full to its rim."""
+    x = np.arange(33, dtype=np.float32)
+    roof = np.tile(10.0 - 0.1 * abs(x - 16.0), (65, 1))
+    layers = evaluate("water", roof, step=10.0, sea=-1.0).layers
+    discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR
+    assert abs(layers["discharge"][32, 2:15] / discharge - 1.0).max() < 1e-4
+    width = 3.0 * np.sqrt(discharge)
+    depth = (0.05 * discharge / width / math.sqrt(0.01)) ** 0.6
+    assert abs(layers["water_depth"][32, 2:15] / depth - 1.0).max() < 1e-4
+    assert abs(layers["water_speed"][32, 2:15] * depth * width / discharge - 1.0).max() < 1e-4
+    roof[30:35, 22:26] = 5.0
+    level = (roof + evaluate("water", roof, step=10.0, sea=-1.0).layers["water_depth"])[30:35, 22:26]
+    assert level.max() == level.min() and 9.0 < level.max() < 9.1
+
+
+WATER = LandEffect(
+    name="water",
+    label="Water",
+    about="Where water is and how fast: rivers, lakes and the sea under steady rain; heights stay",
+    apply=apply,
+    example=example,
+    parameters=(
+        Parameter("rain", 1.0, 0.0, 1000.0, "m/yr", "What runs off: rain less what evaporates and seeps away"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Level of the sea: all ground below it is under water"),
+        Parameter("roughness", 0.05, 0.005, 0.5, "s/m^(1/3)", "Manning's coefficient of the beds"),
+    ),
+    layers=(DEPTH, SPEED, DISCHARGE),
+    halo=lambda _values, _step: math.inf,
+    finest=4097,
+    conserves="discharge at the rim and the sea is the rain, to 1e-8",
+    converges="",
+    cost_ns=200,
+    source="Quinn et al. 1991 (flow to all lower neighbours), Manning's formula, Leopold and Maddock 1953 (width)",
+)

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Snow: what falls and stays by temperature, wind and sky, and what slides off steep ground."""
+
+import warp as wp
+
+from ..effects.logarithm import exponential
+
+wp.set_module_options({"enable_backward": False})
+
+# Kelvin a metre of height: how fast air cools.
+LAPSE = wp.constant(wp.float64(0.0065))
+# Kelvin by which rain goes over into snow, and the part of it that is so little that it melts at once.
+BLEND, MELTS = wp.constant(wp.float64(0.8)), wp.constant(wp.float64(0.02))
+# The part that falls where no sky is seen, and how the wind lays up snow behind ground that shelters from it.
+UNDER_COVER, SHELTER, STEEPENING = (wp.constant(wp.float64(v)) for v in (0.4, 0.8, 2.5))
+# Metres that cling to level ground, and the slopes from which on less does, and from which on nothing.
+CLINGS, LESS_CLINGS, NONE_CLINGS = (wp.constant(wp.float64(v)) for v in (0.35, 0.8, 2.2))
+
+
+@wp.struct
+class Weather:
+    """Of a raster of `width` x `height` samples. `line`: metres where rain turns to snow; `fall`: metres of snow that
+    fall on open, level ground far above. `aspect`: kelvin between sun and shade. `sun`: the sines of the noon sun's
+    height, and its cosine, positive where it stands in the south. `per_x`, `per_y`: 1 / m."""
+
+    width: wp.int32
+    height: wp.int32
+    per_x: wp.float64
+    per_y: wp.float64
+    line: wp.float64
+    fall: wp.float64
+    aspect: wp.float64
+    sun: wp.vec2d
+
+
+@wp.kernel
+def add_sky(offset: int, share: wp.float32, horizons: wp.array(dtype=wp.float32), sky: wp.array(dtype=wp.float32)):
+    """Sample `offset + tid`: the `share` of the sky over an azimuth that is above a horizon of this slope."""
+    i = offset + wp.tid()
+    sky[i] = sky[i] + share / (1.0 + horizons[i] * horizons[i])
+
+
+@wp.kernel
+def add_shelter(offset: int, share: wp.float32, horizons: wp.array(dtype=wp.float32), lee: wp.array(dtype=wp.float32)):
+    """The sine of the horizon's height, `share` times: to windward for shelter, to leeward against it."""
+    i = offset + wp.tid()
+    lee[i] = lee[i] + share * horizons[i] / wp.sqrt(1.0 + horizons[i] * horizons[i])
+
+
+@wp.kernel
+def lay(
+    offset: int,
+    weather: Weather,
+    heights: wp.array(dtype=wp.float32),
+    bare: wp.array(dtype=wp.uint8),
+    sky: wp.array(dtype=wp.float32),
+    lee: wp.array(dtype=wp.float32),
+    fallen: wp.array(dtype=wp.float32),
+    stuck: wp.array(dtype=wp.float32),
+):
+    """Row `offset + tid`: metres of snow that fall, and those of them that cling; 0 where `bare`."""
+    one = wp.float64(1.0)
+    y = offset + wp.tid()
+    south = wp.max(y - 1, 0)
+    north = wp.min(y + 1, weather.height - 1)
+    for x in range(weather.width):
+        i = y * weather.width + x
+        west = wp.max(x - 1, 0)
+        east = wp.min(x + 1, weather.width - 1)
+        row = y * weather.width
+        to_east = wp.float64(heights[row + east] - heights[row + west]) * weather.per_x / wp.float64(east - west)
+        to_north = wp.float64(heights[north * weather.width + x] - heights[south * weather.width + x])
+        to_north *= weather.per_y / wp.float64(north - south)
+        steep = to_east * to_east + to_north * to_north
+        lit = wp.clamp((to_north * weather.sun[1] + weather.sun[0]) / wp.sqrt(one + steep), wp.float64(0.0), one)
+        warm = (weather.line - wp.float64(heights[i])) * LAPSE + weather.aspect * (lit - weather.sun[0])
+        cold = one / (one + exponential(wp.clamp(warm / BLEND, wp.float64(-50.0), wp.float64(50.0))))
+        cold = wp.max(cold - MELTS, wp.float64(0.0)) / (one - MELTS)
+        drift = STEEPENING * wp.float64(lee[i])
+        drift = wp.clamp(one + SHELTER * drift / wp.sqrt(one + drift * drift), wp.float64(0.1), wp.float64(2.0))
+        open = UNDER_COVER + (one - UNDER_COVER) * wp.float64(sky[i])
+        snow = weather.fall * cold * open * drift
+        if bare[i] != wp.uint8(0):
+            snow = wp.float64(0.0)
+        holds = (NONE_CLINGS - wp.sqrt(steep)) / (NONE_CLINGS - LESS_CLINGS)
+        fallen[i] = wp.float32(snow)
+        stuck[i] = wp.min(fallen[i], wp.float32(CLINGS * wp.clamp(holds, wp.float64(0.0), one)))
+
+
+# One pair after the other: what one loses the other gains. Eight at once, in C.
+_SLIDE = """
+#pragma clang fp contract(off)
+    const int at = y * width, next = at + width;
+    const float *b = ground.data;
+    float *s = snow.data, *__restrict low = s + at, *__restrict high = s + next;
+    auto settle = [&](float &si, float &sj, float between, float fall) __attribute__((always_inline)) {
+        const float drop = between + (si - sj), size = drop < 0.0f ? -drop : drop;
+        const float upper = drop < 0.0f ? sj : si, lower = drop < 0.0f ? si : sj;
+        float q = 0.5f * (size - fall);
+        q = q < upper ? q : upper;
+        q = q > 0.0f ? q : 0.0f;  // and for NaN, which nothing passes
+        const float kept = upper - q, got = lower + (upper - kept);
+        si = drop < 0.0f ? got : kept;
+        sj = drop < 0.0f ? kept : got;
+    };
+    for (int row = y; along && row < y + 2 && row < height; ++row) {
+        if (row < 0) continue;
+        for (int p = 0; p < 2; ++p) {
+            const int start = row * width + ((p ^ turn) & 1), end = row * width + width - 1;
+            #pragma clang loop vectorize(enable)
+            for (int i = start; i < end; i += 2) settle(s[i], s[i + 1], b[i] - b[i + 1], to_east);
+        }
+    }
+    if (y < 0 || y + 1 >= height) return;
+    #pragma clang loop vectorize(enable)
+    for (int x = 0; x < width; ++x) settle(low[x], high[x], b[at + x] - b[next + x], to_north);
+    #pragma clang loop vectorize(enable)
+    for (int x = 0; x < width - 1; ++x) settle(low[x], high[x + 1], b[at + x] - b[next + x + 1], across);
+    #pragma clang loop vectorize(enable)
+    for (int x = 1; x < width; ++x) settle(low[x], high[x - 1], b[at + x] - b[next + x - 1], across);
+"""
+
+
+@wp.func_native(_SLIDE)
+def slide_slab(
+    y: int,
+    width: int,
+    height: int,
+    along: int,
+    turn: int,
+    to_east: wp.float32,
+    to_north: wp.float32,
+    across: wp.float32,
+    ground: wp.array(dtype=wp.float32),
+    snow: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def slide(
+    offset: int,
+    first: int,
+    width: int,
+    height: int,
+    along: int,
+    turn: int,
+    falls: wp.vec3f,
+    ground: wp.array(dtype=wp.float32),
+    snow: wp.array(dtype=wp.float32),
+):
+    """Slab `offset + tid`: rows `first` + 2 * that and the one above. Neighbours settle until no more than `falls`
+    metres (east, north, diagonal) are between their surfaces; along the rows only if `along`, first those pairs whose
+    western column is of the parity of `turn`. No two slabs share a row."""
+    y = first + 2 * (offset + wp.tid())
+    slide_slab(y, width, height, along, turn, falls[0], falls[1], falls[2], ground, snow)
+
+
+@wp.kernel
+def add_up(samples: wp.array(dtype=wp.float32), total: wp.array(dtype=wp.float64)):
+    """Serial. total[0]: the sum, one after the other on every machine."""
+    total[0] = wp.float64(0.0)
+    for i in range(samples.shape[0]):
+        total[0] = total[0] + wp.float64(samples[i])

@@ -31,6 +31,7 @@ from adaptive_terrain.benchmarks import (
     scale,
     scenes,
     scree_rows,
+    shading_row,
     start,
     suite,
 )
@@ -250,6 +251,16 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
     assert notes[-1] == "The rows cycles are measured with --with-cycles only."
+
+
+def test_shading_by_a_map_is_nearer_to_the_truth_than_by_vertices(monkeypatch, tmp_path):
+    monkeypatch.setattr(shading_row, "SAMPLES", 257)
+    monkeypatch.setattr(shading_row, "RESOLUTION", (160, 90))
+    error, flicker = shading_row.shading_rows(tmp_path)
+    assert (error.name, flicker.name) == ("shading_error", "shading_flicker")
+    assert {error.name, flicker.name} <= set(MEANING) and error.size > 100 and error.ms > 0
+    assert 0.5 < error.figures["of_255"] < error.figures["vertices_of_255"] < 60 and 0 < error.ratio < 1
+    assert 0 < flicker.figures["of_255"] < 30
 
 
 def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatch):

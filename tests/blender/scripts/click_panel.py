@@ -130,10 +130,12 @@ def measure_accuracy():
 
 
 def coarse_settings(heights, frame):
-    """Of a whole sweep what takes little: every kind, but not the finest errors, where the time goes."""
+    """Of a whole sweep what takes little: every kind, but the finest errors, where the time goes, only in pixels."""
     found = settings_for(heights, frame)
     metres = max(setting.error for setting in found if setting.unit == "m")
-    return [setting for setting in found if setting.error >= {"px": 1.0, "m": metres / 8}[setting.unit]]
+    least = {"px": 1.0, "m": metres / 8}
+    pictured = found[: found.index(next(setting for setting in found if not setting.plain))]
+    return [setting for setting in found if setting in pictured or setting.error >= least[setting.unit]]
 
 
 def write_a_report():

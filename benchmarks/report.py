@@ -48,7 +48,7 @@ MEANING = {
     "splats": "Weights of twelve layers at the vertices of a million triangles, half of them with noise, beside the "
     "jets that their rules read; one thread.",
     "flow": "Catchment areas of 1025² samples, depressions cut through, several directions; beside the errors and "
-    "ranges that an import makes of them, all threads; flow runs on one.",
+    "ranges that an import makes of them; both by all threads.",
     "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, "
     "one thread: the same bits as with every crossing.",
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",

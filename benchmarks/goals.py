@@ -43,7 +43,15 @@ GOALS: dict[tuple[str, int], float] = {
     ("hidden", ANY_SIZE): 0.65,
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
+    ("land_relief", ANY_SIZE): 0.2,
+    ("land_routing", ANY_SIZE): 0.25,
+    ("land_rivers", ANY_SIZE): 0.4,
+    ("land_sediment", ANY_SIZE): 1.5,
+    ("land_scree", ANY_SIZE): 0.06,
     ("maps_normal", ANY_SIZE): 1.0,
+    # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.
+    ("shading_error", ANY_SIZE): 0.36,
+    ("shading_flicker", ANY_SIZE): 0.45,
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,
     ("detail_displace", ANY_SIZE): 6.0,
@@ -60,6 +68,11 @@ GOALS: dict[tuple[str, int], float] = {
 # Rows known to fall short of their goal: the ratio that was measured, and what holds it, for docs/performance.md. Those
 # that are at SLACK times their goal or beyond may not become worse than SLACK times that ratio.
 RECORDED: dict[tuple[str, int], tuple[float, str]] = {
+    ("refine_1t", 500_000): (
+        0.53,
+        "from run to run 0.43 to 0.54, by what the machine leaves of its caches to the two programs; the update takes "
+        "as much of a core as when the goal was set (24 ms, of a million triangles 38).",
+    ),
     ("demand_large", ANY_SIZE): (
         0.15,
         "some 20 microseconds a node, all of it "

@@ -19,7 +19,7 @@ from . import island
 class Land:
     """One built-in land. `name`: as a source to import. `label`, `about`: in menus. `side`: metres, of its square.
     `kernel`: raises its rows. `inputs(size, first_row, seed)`: what the kernel takes between offset and samples.
-    `cost`: of a sample, in lookups (launch.spread)."""
+    `preset`: of stacks of effects, the one that suits it, "" for none. `cost`: of a sample, in lookups."""
 
     name: str
     label: str
@@ -27,6 +27,7 @@ class Land:
     side: float
     kernel: wp.Kernel
     inputs: Callable[[int, int, wp.uint32], list]
+    preset: str = ""
     cost: float = 30.0
 
     def rows(self, size: int, first_row: int, rows: np.ndarray, seed: int, threads: int | None = None) -> None:
@@ -45,9 +46,9 @@ class Land:
         return samples
 
 
-def _of_ranges(name: str, label: str, about: str, side: float, number: int) -> Land:
+def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> Land:
     half = wp.float64(0.5 * side)
-    return Land(name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed])
+    return Land(name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset)
 
 
 _DUNES = 8192.0
@@ -61,8 +62,11 @@ LANDS: dict[str, Land] = {
             island.SIDE,
             raise_island,
             lambda size, row, seed: [size, row, seed],
+            "volcanic_island",
         ),
-        _of_ranges("mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS),
+        _of_ranges(
+            "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "alpine"
+        ),
         Land(
             "dunes",
             "Dunes",
@@ -71,7 +75,14 @@ LANDS: dict[str, Land] = {
             raise_dunes,
             lambda size, row, seed: [size, row, wp.float64(0.5 * _DUNES), seed],
         ),
-        _of_ranges("canyon", "Canyon", "A plateau of hard and soft beds, cut by a river", 16_384.0, CANYON),
-        _of_ranges("archipelago", "Archipelago", "Islands and volcanoes in a shallow sea", 32_768.0, ARCHIPELAGO),
+        _of_ranges("canyon", "Canyon", "A plateau of hard and soft beds, cut by a river", 16_384.0, CANYON, "desert"),
+        _of_ranges(
+            "archipelago",
+            "Archipelago",
+            "Islands and volcanoes in a shallow sea",
+            32_768.0,
+            ARCHIPELAGO,
+            "volcanic_island",
+        ),
     )
 }

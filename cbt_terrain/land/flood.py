@@ -30,9 +30,10 @@ class Flood:
 
     `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
     and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
-    where what is deeper than `most` (m) leaves: the rim, and holes. `left`: float64 [1], the sum of it in metres of
-    samples. `east`, `north`: float64 [rows + 2, columns], m^2/s to the next sample; `part`: scratch. All three have a
-    row before and after the raster's.
+    where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: float64 [1], the sum of
+    what has left there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
+    east and in the north; `pushed`, like them, and `part`, like one, are scratch. They have a row before and after the
+    raster's.
     """
 
     bed: np.ndarray
@@ -41,10 +42,10 @@ class Flood:
     rough: float
     rain: np.ndarray
     outlets: np.ndarray
-    most: np.ndarray
+    deep: np.ndarray
     left: np.ndarray
-    east: np.ndarray
-    north: np.ndarray
+    fluxes: np.ndarray
+    pushed: np.ndarray
     part: np.ndarray
     threads: int = 1
 
@@ -69,32 +70,34 @@ def still(
     """A flood at its beginning: all is at rest, and below the level of the `sea` water stands `surge` metres above it.
 
     bed, metres, rough: as in Flood; rain: m/s, of everywhere or of each sample; missing: bool [rows, columns], holes,
-    where water vanishes. At the rim what is above the level of the sea leaves.
+    where water vanishes. Beyond the rim there is the sea, or land to
+    which what comes leaves.
     """
     bed = np.ascontiguousarray(bed, np.float32)
     holes = np.zeros(bed.shape, bool) if missing is None else missing
     # float64 holds the sum of this depth and its bed, both of single precision, exactly: still water stays so.
-    level = np.float64(np.float32(sea))
-    depth = np.where((bed < level) & ~holes, level + surge - bed.astype(np.float64), 0.0)
+    under = float(np.float32(sea)) - bed.astype(np.float64)
+    depth = np.where((under > 0.0) & ~holes, under + surge, 0.0)
     rim = holes.copy()
     rim[[0, -1]] = True
     rim[:, [0, -1]] = True
     outlets = np.flatnonzero(rim).astype(np.int32)
-    most = np.where(holes, 0.0, np.maximum(level - bed, 0.0)).reshape(-1)[outlets]
-    fluxes = [np.zeros((bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
+    deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
+    fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    made = depth, metres, rough, rains, outlets, most, np.zeros(1), *fluxes, np.ones_like(fluxes[0])
+    made = depth, metres, rough, rains, outlets, deep, np.zeros(1), *fluxes, np.ones_like(fluxes[0][0])
     return Flood(bed, *made, threads)
 
 
 def longest_step(flood: Flood) -> float:
-    """Seconds beyond which a wave on the deepest water would grow: 1 / sqrt(g h (1 / dx^2 + 1 / dy^2)).
+    """Seconds beyond which a wave on the deepest water would grow: sqrt((1 - 2 s) / (g h (1 / dx^2 + 1 / dy^2))).
 
-    The bound of leapfrog steps for the shortest wave that the grid holds, on open water of that depth.
+    The bound of leapfrog steps for the shortest wave that the grid holds, on open water of that depth, where a flux
+    takes the part s of either neighbour.
     """
     dx, dy = flood.metres
     deepest = max(float(flood.water.max()), LEAST_DEPTH)
-    return 1.0 / math.sqrt(GRAVITY * deepest * (1.0 / dx**2 + 1.0 / dy**2))
+    return math.sqrt((1.0 - 2.0 * kernels.SMOOTHING) / (GRAVITY * deepest * (1.0 / dx**2 + 1.0 / dy**2)))
 
 
 def step(flood: Flood, seconds: float) -> None:
@@ -126,26 +129,30 @@ def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
 def _advance(flood: Flood, dt: float) -> None:
     (rows, columns), (dx, dy), threads = flood.bed.shape, flood.metres, flood.threads
     water, outlets = flat(flood.water, wp.float64), flat(flood.outlets, wp.int32)
-    east, north, part = (flat(a[1:], wp.float64) for a in (flood.east, flood.north, flood.part))
+    old, new, part = flood.fluxes, flood.pushed, flood.part
+    was_east, was_north, east, north, part = (flat(a[1:], wp.float64) for a in (*old, *new, part))
     metres, per = wp.vec2d(dx, dy), wp.vec2d(dt / dx, dt / dy)
     numbers = [columns, rows, metres, wp.float64(dt), wp.float64(flood.rough)]
     common = {"step": "flood", "threads": threads, "cost": columns / 4}
-    launch.spread(kernels.push, rows, [*numbers, flat(flood.bed, wp.float32), water, east, north], **common)
+    bed, fluxes = flat(flood.bed, wp.float32), [was_east, was_north, east, north]
+    launch.spread(kernels.push, rows, [*numbers, bed, water, *fluxes], **common)
+    flood.fluxes, flood.pushed = new, old
     launch.spread(kernels.limit, rows, [columns, per, east, north, water, part], **common)
     rain = [wp.float64(dt), flat(flood.rain, wp.float32)]
     launch.spread(kernels.move, rows, [columns, per, *rain, east, north, part, water], **common)
     launch.once(
-        kernels.leave, [outlets, flat(flood.most, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
+        kernels.leave, [outlets, flat(flood.deep, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
     )
 
 
 def speeds(flood: Flood) -> np.ndarray:
-    """float32 [rows, columns] m/s: from the mean of the fluxes on both sides of a sample."""
-    east, north = flood.east[1:-1].copy(), flood.north[1:-1].copy()
-    east[:, 1:] += flood.east[1:-1, :-1]
-    north[1:] += flood.north[1:-2]
-    through = 0.5 * np.sqrt(east * east + north * north)
-    return (through / np.maximum(flood.water, LEAST_DEPTH_OF_SPEED)).astype(np.float32)
+    """float32 [rows, columns] m/s: from the mean of the fluxes on both sides of a sample; critical at most, as they."""
+    to_east, to_north = flood.fluxes[0, 1:-1], flood.fluxes[1, 1:-1]
+    x, y = to_east.copy(), to_north + flood.fluxes[1, :-2]
+    x[:, 1:] += to_east[:, :-1]
+    through = 0.5 * np.sqrt(x * x + y * y)
+    critical = np.sqrt(GRAVITY * flood.water)
+    return np.minimum(through / np.maximum(flood.water, LEAST_DEPTH_OF_SPEED), critical).astype(np.float32)
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
@@ -195,9 +202,9 @@ FLOOD = LandEffect(
     halo=lambda _values, _step: math.inf,
     finest=513,
     masks=True,
-    limit="step of time at most 1 / sqrt(g h (1 / dx^2 + 1 / dy^2)); longer ones are divided",
+    limit="steps of 0.95 / sqrt(g h (1 / dx^2 + 1 / dy^2)) seconds at most; longer times are divided",
     conserves="water that stands, has left and has rained: 1e-13",
     converges="",
     cost_ns=0,
-    source="Bates, Horritt and Fewtrell 2010 (local inertia); Mei, Decaudin and Hu 2007 (limited fluxes)",
+    source="Bates, Horritt and Fewtrell 2010; de Almeida et al. 2012; Mei, Decaudin and Hu 2007 (limited fluxes)",
 )

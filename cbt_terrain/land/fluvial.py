@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A step of rivers over a whole level: rock is cut and creeps, what was taken is carried and laid down in part.
 
-dh / dt = rise - K (A + A0)^(1/2) S + D lap h + deposition, slopes capped: stream power with a hillslope's area A0, which
-makes it converge with the spacing (without it every halving adds as much relief as the last).
+dh / dt = rise - K (A + A0)^(1/2) S + D lap h + deposition, slopes capped: stream power with a hillslope's area A0,
+which makes it converge as the spacing shrinks (without it every halving adds as much relief as the last).
 """
 
 from dataclasses import dataclass
@@ -12,12 +12,14 @@ import warp as wp
 
 from ...kernels.effects.routing import Draw
 from ...kernels.land import fluvial as kernels
-from ..effects.routing import Drainage, route
+from ..effects.routing import Drainage, grid_of, route
 from ..run import launch
 from ..run.buffers import flat
 
 # Slopes count 0.2 to 1.8 times what they are, drawn anew in every step: without it D8 leaves straight lines and facets.
 JITTER = 1.6
+# Metres: the longest waves in which rock varies, and how many halvings of them; five octaves have a deviation of 1.
+ROCK, ROCK_OCTAVES = 960.0, 5
 # Of what an explicit step of diffusion may move at most, 0.5 being the limit of its stability.
 CREEP = 0.4
 
@@ -27,8 +29,9 @@ class Bed:
     """The state of a level, arrays of n samples in C order, and what drives it.
 
     `heights`: float32 metres. `sediment`: float32 metres, of the heights. `fixed`: bool, water leaves there, nothing
-    changes. `part`: float32, 0 to 1, of the effect. `lift`: float32 metres a year. `own`: float64, samples that each
-    counts for, with those beyond the cut of a tile. `first`, `seed`: of the noise, as a ground's.
+    changes. `part`: float32, 0 to 1, of the effect. `soft`: float32, the same times the rock's softness. `lift`:
+    float32 metres a year. `own`: float64, samples that each counts for, with those beyond the cut of a tile. `first`,
+    `seed`: of the noise, as a ground's.
     """
 
     shape: tuple[int, int]
@@ -38,6 +41,7 @@ class Bed:
     sediment: np.ndarray
     fixed: np.ndarray
     part: np.ndarray
+    soft: np.ndarray
     lift: np.ndarray
     own: np.ndarray
     first: tuple[int, int] = (0, 0)
@@ -46,7 +50,7 @@ class Bed:
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
         heights, fixed = self.heights.reshape(self.shape), self.fixed.reshape(self.shape)
-        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw)
+        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
@@ -56,14 +60,22 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     None without deposition.
     """
     drainage = bed.drain(_draw(bed, number))
-    area = drainage.catchments(bed.own)
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
-    _cut(bed, drainage, area, years, values)
     _creep(bed, drainage, years * values["creep"])
-    load = _lay_down(bed, drainage, area, raised, values["deposition"]) if values["deposition"] > 0.0 else None
+    rate, filled = _cut(bed, drainage, years, values)
+    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
+
+
+def vary_rock(bed: Bed, variety: float) -> None:
+    """Make the rock softer here and harder there; `variety`: standard deviation of the logarithm."""
+    grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
+    place = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
+    inputs = [grid, *place, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.soft, wp.float32)]
+    rows, columns = bed.shape
+    launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)
 
 
 def _draw(bed: Bed, number: int) -> Draw:
@@ -73,16 +85,20 @@ def _draw(bed: Bed, number: int) -> Draw:
     return draw
 
 
-def _cut(bed: Bed, drainage: Drainage, area: np.ndarray, years: float, values: dict[str, float]) -> None:
-    grid, rate, arrays = drainage.grid, np.empty_like(bed.heights), [flat(drainage.to, wp.uint8)]
+def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Returns the factor F of every sample, and, where sediment is wanted, the water's surface."""
+    grid, rate, to = drainage.grid, np.empty_like(bed.heights), flat(drainage.to, wp.uint8)
     numbers = [bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years]
-    inputs = [grid, *numbers, *arrays, flat(area, wp.float64), flat(bed.part, wp.float32), flat(rate, wp.float32)]
+    arrays = [flat(drainage.catchments, wp.float64), flat(bed.soft, wp.float32), flat(rate, wp.float32)]
     rows, columns = bed.shape
+    inputs = [grid, *numbers, to, *arrays]
     launch.spread(kernels.find_rates, rows, inputs, step="rivers", threads=bed.threads, cost=columns / 8)
-    steepest = np.tan(np.radians(values["steepest"]))
-    drop = wp.vec3f(*(steepest / np.array([*grid.nearness])))
-    arrays += [flat(drainage.order, wp.int32), flat(bed.part, wp.float32), flat(rate, wp.float32)]
-    launch.once(kernels.cut_down, [grid, drop, *arrays, flat(bed.heights, wp.float32)], step="rivers")
+    drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*grid.nearness])))
+    filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
+    arrays = [flat(a, wp.float32) for a in (bed.part, rate, rate if filled is None else filled, bed.heights)]
+    inputs = [grid, drop, int(filled is not None), to, flat(drainage.order, wp.int32), *arrays]
+    launch.once(kernels.cut_down, inputs, step="rivers")
+    return rate, filled
 
 
 def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
@@ -98,10 +114,10 @@ def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
         bed.heights, other = other, bed.heights
 
 
-def _lay_down(bed: Bed, drainage: Drainage, area: np.ndarray, raised: np.ndarray, deposition: float) -> np.ndarray:
-    load = np.zeros(len(area))
-    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(area, wp.float64)]
-    arrays += [flat(a, wp.float32) for a in (bed.part, raised, drainage.filled())]
+def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
+    load = np.zeros(len(rate))
+    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
+    arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]
     launch.once(kernels.lay_down, inputs, step="rivers")
     return load

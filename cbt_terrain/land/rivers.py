@@ -2,22 +2,22 @@
 """Rivers: a terrain ages, or a range grows from uplift, over years. A step is in fluvial.py."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..effects.effect import Parameter
 from ..effects.routing import route
-from .fluvial import Bed, step
+from .fluvial import Bed, step, vary_rock
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
 
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
-# A finer level starts from the coarser change less its part for the last years, which it takes again: this part of
-# them, in so many steps, the fewer the finer.
-AGAIN, STEPS_AGAIN = 1.0 / 6.0, (20, 12, 8, 6, 5)
+# A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
+# no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
+AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
 # Samples of halo around a tile: its middle is then as if the whole level had been made, but for 4 % of what moved.
 HALO = 64
 
@@ -26,24 +26,23 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     """See Apply in land_effect.py."""
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), LEAST_STEPS), MOST_STEPS)
     if coarser is not None:
-        years, steps = years * AGAIN, STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
+        years, steps = _years_again(values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
-    rim, inner, cut = _edges(ground, bed)
-    start = bed.heights.copy()
+    move_edges = _edges(bed, origin, coarser)
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
         step(bed, years / steps, values, number)
-        # A raster's rim is no dam: it falls with the sample inside it. A cut goes the coarser level's way.
-        bed.heights[rim] = origin[rim] + np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
-        if len(cut):
-            end = origin[cut] + coarser.heights.reshape(-1)[cut]
-            bed.heights[cut] = start[cut] + (end - start[cut]) * np.float32((number + 1) / steps)
-    area = bed.drain().catchments(bed.own) * (ground.step_x * ground.step_y)
+        move_edges((number + 1) / steps)
+    area = bed.drain().catchments * (ground.step_x * ground.step_y)
     change = bed.heights - origin
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
     return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
+
+
+def _years_again(values: Mapping[str, float]) -> float:
+    return min(AGAIN * values["years"], MOST_YEARS_AGAIN)
 
 
 def _halvings(ground: Ground) -> int:
@@ -69,13 +68,15 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         lift.reshape(shape)[side] = 0.0
     heights, sediment, own = origin, np.zeros(n, np.float32), np.ones(n)
     if coarser is not None:
-        less = np.float32(1.0 - AGAIN)
+        less = np.float32(1.0 - _years_again(values) / max(values["years"], 1.0))
         heights = np.where(fixed, origin, np.maximum(origin + less * coarser.heights.reshape(-1), sea))
         sediment = np.where(fixed, np.float32(0.0), less * coarser.layers["sediment"].reshape(-1))
         own = _with_inflow(ground, coarser).reshape(-1)
     steps = ground.step_x, ground.step_y
-    bed = Bed(shape, *steps, heights.copy(), sediment, fixed, part, lift, own, ground.first, ground.seed)
+    bed = Bed(shape, *steps, heights.copy(), sediment, fixed, part, part.copy(), lift, own, ground.first, ground.seed)
     bed.threads = ground.threads
+    if values["variety"] > 0.0:
+        vary_rock(bed, values["variety"])
     return bed, origin
 
 
@@ -84,17 +85,36 @@ def _sides(shape: tuple[int, int]) -> list[tuple]:
     return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
 
 
-def _edges(ground: Ground, bed: Bed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the samples on the raster's own rim, of those inside them, and of those where a tile is cut off."""
-    rows, columns = bed.shape
-    rim, cut = np.zeros(bed.shape, bool), np.zeros(bed.shape, bool)
-    for own, side in zip(ground.rims, _sides(bed.shape), strict=True):
-        (rim if own else cut)[side] = True
-    free = ~bed.fixed.reshape(bed.shape)
-    rim &= free & ~cut
-    j, i = np.nonzero(rim)
+def _edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
+    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
+
+    At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
+    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
+    """
+    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
+    for which in _sides(bed.shape):
+        side[which] = True
+    side &= ~bed.fixed.reshape(bed.shape)
+    j, i = np.nonzero(side)
+    at = j * columns + i
+    if not len(at):
+        return lambda _done: None
+    if coarser is not None:
+        start = bed.heights[at]
+        way = origin[at] + coarser.heights.reshape(-1)[at] - start
+
+        def follow(done: float) -> None:
+            bed.heights[at] = start + way * np.float32(done)
+
+        return follow
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
-    return np.flatnonzero(rim), inner, np.flatnonzero(cut & free)
+    lowest = origin[at].min()
+
+    def fall(_done: float) -> None:
+        change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
+        bed.heights[at] = np.maximum(origin[at] + change, lowest)
+
+    return fall
 
 
 def _with_inflow(ground: Ground, coarser: Change) -> np.ndarray:
@@ -144,7 +164,7 @@ def example(evaluate: Evaluate) -> None:
     """A skerry of one sample: of its height F / (1 + F) goes in every step, over one of its sides or corners."""
     heights = np.full((9, 9), -5.0, np.float32)
     heights[4, 4] = 8.0
-    values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0}
+    values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
     made = evaluate("rivers", heights, step=20.0, **values)
     wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0
     left, most = 8.0 + made.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
@@ -163,11 +183,12 @@ RIVERS = LandEffect(
     parameters=(
         Parameter("years", 300e3, 0.0, 20e6, "years", "How long it lasts"),
         Parameter("erodibility", 4e-6, 0.0, 1e-3, "1/year", "How soft the rock is: K of the stream power law"),
-        Parameter("hillslope", 2e4, 0.0, 1e7, "m2", "Area that drains to the foot of a slope without a stream"),
+        Parameter("hillslope", 5e3, 0.0, 1e7, "m2", "Area that drains to the foot of a slope without a stream"),
+        Parameter("variety", 0.2, 0.0, 1.0, "", "How much the rock's softness varies, over 60 to 960 m"),
         Parameter("rise", 0.0, 0.0, 0.02, "m/year", "Uplift; the rim and the sea stay"),
-        Parameter("creep", 0.002, 0.0, 1.0, "m2/year", "Diffusion of slopes, which rounds them"),
+        Parameter("creep", 5e-4, 0.0, 1.0, "m2/year", "Diffusion of slopes, which rounds them"),
         Parameter("deposition", 1.0, 0.0, 20.0, "", "How readily streams lay down what they carry: G"),
-        Parameter("steepest", 35.0, 5.0, 89.0, "degrees", "Steepest slope along a stream that does not slide"),
+        Parameter("steepest", 60.0, 5.0, 89.0, "degrees", "Steepest slope along a stream that does not slide"),
         Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, and stays"),
     ),
     layers=(

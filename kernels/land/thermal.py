@@ -24,7 +24,8 @@ class Slope:
 
     `first_row`, `first_column`: of sample [0, 0] in the whole level. `repose`: of scree. `soft`, `hard`: at which the
     softest and the hardest bed break. `thick`: of a bed. `dip_x`, `dip_y`: of the beds, a sample to the east and north.
-    `part`: of its scree, at most. `share`: of its excess that the upper one of a pair gives. `weather`: of the excess of bare rock that breaks off.
+    `share`: of its excess that the upper one of a pair gives, at most `part` of its scree. `weather`: of the excess of
+    bare rock that breaks off.
     """
 
     width: wp.int32
@@ -108,7 +109,8 @@ SETTLE_SLAB = """
         return (float)(int)(n >> 8) * 5.9604645e-08f;
     };
     auto settle = [&](int i, int j, float run, float dip) {
-        float li = l[i], lj = l[j], zi = b[i] + li, zj = b[j] + lj, si = s[i], sj = s[j], fi = facing[i], fj = facing[j];
+        float li = l[i], lj = l[j], zi = b[i] + li, zj = b[j] + lj, si = s[i], sj = s[j];
+        float fi = facing[i], fj = facing[j];
         float drop = (zi + si) - (zj + sj);
         bool down = drop >= 0.0f;
         float zh = down ? zi : zj, zl = down ? zj : zi, sh = down ? si : sj, sl = down ? sj : si;
@@ -116,8 +118,8 @@ SETTLE_SLAB = """
         run *= down ? fi : fj;
         float move = s0.share * ((down ? drop : -drop) - s0.repose * run);
         float most = s0.part * sh;
-        move = move < most ? move : most;
-        move = move > 0.0f ? move : 0.0f;
+        most = most < move ? most : move;
+        move = most > 0.0f ? most : 0.0f;
         float kept = sh - move;
         sl += sh - kept;
         sh = kept;

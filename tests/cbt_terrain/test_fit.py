@@ -188,7 +188,7 @@ def test_rounded_plane_coordinates_are_part_of_the_bound():
 @pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
 def test_the_bound_is_not_below_what_is_measured(kind):
     """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""
-    for shape, step in (((9, 5), 0.1), ((2, 33), 14.2), ((33, 33), 10.1)):
+    for shape, step in (((9, 5), 0.1), ((2, 33), 14.2), ((17, 17), 10.1)):
         field = from_array(raster(kind, shape), step)
         for scale, offset in ((1.0, 1e7), (-2.0, -1234.5), (1e-9, 1e7), (1e9, 0.0)):
             relief = (field.max_height - field.min_height) * abs(scale)

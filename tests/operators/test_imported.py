@@ -3,37 +3,45 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.operators.scene.imported import Imported, changed_settings, imported_of, lines_of, tag_object
 from adaptive_terrain.operators.ui.height_map_panel import is_stale
 
 
-@pytest.fixture
-def utm(tmp_path):
+@pytest.fixture(scope="module")
+def utm(tmp_path_factory):
     """A GeoTIFF of 40 x 30 samples, 25 m apart, in UTM 16 N."""
     import rasterio
     from rasterio.transform import from_origin
 
-    path = tmp_path / "utm.tif"
+    path = tmp_path_factory.mktemp("utm") / "utm.tif"
     profile = {"driver": "GTiff", "width": 40, "height": 30, "count": 1, "dtype": "float32", "crs": "EPSG:32616"}
     with rasterio.open(path, "w", transform=from_origin(700_000.0, 4_050_000.0, 25.0, 25.0), **profile) as tif:
         tif.write(np.random.default_rng(1).random((1, 30, 40), np.float32))
     return path
 
 
+@pytest.fixture(scope="module")
+def imported(utm):
+    run_import(ImportSettings(source=str(utm)), utm.with_name("utm.store"))
+    return utm.with_name("utm.store")
+
+
 @pytest.fixture
-def terrain(scene, add_terrain, utm, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+def terrain(scene, add_terrain, utm, imported, tmp_path):
+    """A terrain as an import leaves it, with a store of its own."""
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
-    settings.store, settings.source, settings.source_path = "", "FILE", str(utm)
-    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+    settings.store = str(shutil.copytree(imported, tmp_path / "store"))
+    settings.source, settings.source_path = "FILE", str(utm)
     return terrain
 
 
@@ -49,7 +57,13 @@ def test_the_panel_shows_what_was_imported(terrain):
     assert len(lines_of(None)) == 6, "as many lines before an import"
 
 
-def test_the_object_has_the_properties_of_blendergis(terrain):
+def test_the_object_has_the_properties_of_blendergis(scene, add_terrain, utm, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    settings.store, settings.source, settings.source_path = "", "FILE", str(utm)
+    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+    assert not is_stale(terrain)
     assert (terrain["SRID"], terrain["crs x"], terrain["crs y"]) == ("EPSG:32616", 700_500.0, 4_049_625.0)
     terrain.adaptive_terrain.source, terrain.adaptive_terrain.island_size = "ISLAND", 17
     bpy.ops.adaptive_terrain.import_source()

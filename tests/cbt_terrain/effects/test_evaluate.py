@@ -10,6 +10,8 @@ from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked, Effect
 from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.plan import Plan, plan
+from adaptive_terrain.cbt_terrain.effects.splat import SPLATS
+from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from padded import raster
@@ -106,6 +108,23 @@ def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_tog
     assert found == {} and len(calls) == 2
 
 
+def test_splats_of_layers_that_are_not_there_are_zeros_that_nobody_makes():
+    """Whatever layers came before, and at every step of a flight."""
+    heights, evaluator = field(), Evaluator(threads=2)
+    terrain = Terrain(heights)
+    names = [splat.name for splat in SPLATS]
+    for frame, count in enumerate((3, 3, 5, 5, 4, 3, 12, 1, 9)):
+        layers = tuple(Layer(str(k), strength=1.0 + k) for k in range(count))
+        wanted = plan([Asked(name, ("x",), parameters=(("layers", layers),)) for name in names])
+        found, surface, _ = flown(evaluator, heights, terrain, 0.5 * frame, wanted)
+        weights = np.concatenate([found[name].array for name in names], axis=1)
+        assert weights.shape == (len(surface.positions), 12) and (weights[:, :count] > 0).all()
+        assert (weights[:, count:] == 0).all() and (weights.sum(axis=1) == 1).all()
+        unmade = {name for k, name in enumerate(names) if 4 * k >= count}
+        assert {name for name in names if evaluator.ran[name].computed == 0} == unmade
+        assert {name for name in names if evaluator.ran[name].nbytes == 0} == unmade
+
+
 def test_for_geometry_no_value_depends_on_the_camera():
     heights, evaluator = field(), Evaluator()
     wanted = plan([Asked("slope", ("a modifier",), GEOMETRY)])
@@ -145,3 +164,31 @@ def test_another_field_of_the_same_places_takes_over_nothing():
     evaluator = Evaluator()
     assert not evaluator.attributes(EVERY, one, surface)["slope"].array.any()
     assert (evaluator.attributes(EVERY, other, surface)["slope"].array > 0.09).all()
+
+
+def test_values_beyond_the_limit_are_held_once_the_costliest_last():
+    """Half of a flight's memory without a limit: what is cheapest to make for its size is made anew, with the same
+    bytes, and the rest is taken over."""
+    heights, eye = field(), np.array([-900.0, -700.0, 600.0])
+    wanted = plan([Asked(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
+    views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]
+    terrain = Terrain(heights, 2)
+    surfaces = []
+    evaluators = Evaluator(threads=2), Evaluator(threads=2)
+    for view in views:
+        surfaces.append(terrain.update(Criterion(error_px=0.1), [view]).surface)
+        count = len(surfaces[-1].positions)
+        # Places and levels twice, all values once, and two more numbers: those of the two that are costliest.
+        evaluators[1].most_bytes = 4 * count * (2 * 5 + 6 + 2)
+        one, two = (bytes_of(e.attributes(wanted, heights, surfaces[-1], [view])) for e in evaluators)
+        assert one == two
+    free, limited = evaluators
+    assert all(free.ran[name].computed < count for name in free.ran)
+    assert {name for name, ran in limited.ran.items() if ran.computed < count} == {"sky", "sun"}
+    room = 1.25  # buffers have more than is used
+    assert limited.nbytes <= room * limited.most_bytes < free.nbytes
+    evaluators[1].most_bytes = 0
+    assert bytes_of(limited.attributes(wanted, heights, surfaces[0], views[:1])) == bytes_of(
+        Evaluator().attributes(wanted, heights, surfaces[0], views[:1])
+    )
+    assert all(ran.computed == len(surfaces[0].positions) for ran in limited.ran.values())

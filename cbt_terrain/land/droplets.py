@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Droplets: short gullies and small fans, from rain that runs a few hundred metres. A look, for after rivers."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.land import droplets as kernels
+from ..effects.effect import Parameter
+from ..run import launch
+from ..run.buffers import flat
+from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+
+# Places of single gullies differ from level to level, only their amount converges. So each level of at least so many
+# metres between samples is rained on anew; a finer one has the gullies of that, with their edges rounded.
+FINEST_STEP = 8.0
+# Metres over which a droplet turns downhill, takes up or lays down what it lacks or has too much, and dries; around it
+# that it changes. The m3 that it carries on a slope of 1.
+TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
+    """See Apply in land_effect.py."""
+    if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
+        return _layered(_rounded(coarse.heights, ground.missing))
+    if min(ground.heights.shape) < 2:
+        return _layered(np.zeros(ground.heights.shape, np.float32))
+    return _layered(_rounded(rain_on(ground, values)[0].astype(np.float32), ground.missing))
+
+
+def _layered(change: np.ndarray) -> Change:
+    return Change(change, {"sediment": np.maximum(change, 0.0), "wear": np.maximum(-change, 0.0)})
+
+
+def _rounded(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """[1 2 1] / 4 along both sides, and nothing is lost: the washboard that droplets leave on level ground goes, and
+    what is linear between coarse samples becomes smooth."""
+    out = change.copy()
+    still = np.zeros(out.shape, bool) if missing is None else missing
+    for a, b, wall in (
+        (out[:-1], out[1:], still[:-1] | still[1:]),
+        (out[:, :-1], out[:, 1:], still[:, :-1] | still[:, 1:]),
+    ):
+        passed = np.where(wall, np.float32(0.0), np.float32(0.25) * (a - b))
+        a -= passed
+        b += passed
+    if missing is not None:
+        out[missing] = 0.0
+    return out
+
+
+def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
+    """Let all droplets of a level run: float64 [rows, columns] m of change, and the m3 that left over the rim."""
+    rain, down = _rain(ground, values)
+    heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
+    if ground.missing is not None:
+        heights[ground.missing] = np.nan
+    mask = np.ones(heights.shape, np.float32) if ground.mask is None else np.ascontiguousarray(ground.mask, np.float32)
+    arrays = [flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)]
+    carried = 0.0
+    for colour in range(4):
+        tiles = _tiles(rain, down, colour)
+        lost = np.zeros(len(tiles))
+        inputs = [flat(tiles, wp.int32), rain, *arrays, flat(lost, wp.float64)]
+        cost = 5.0 * rain.drops * rain.steps
+        launch.spread(kernels.rain_on_tiles, len(tiles), inputs, step="droplets", threads=ground.threads, cost=cost)
+        carried += math.fsum(lost)
+        ground.progress((colour + 1) / 4)
+    return change, carried
+
+
+def _rain(ground: Ground, values: Mapping[str, float]) -> tuple[kernels.Rain, int]:
+    """The numbers that the kernels want, and the tiles from south to north."""
+    rain, stride = kernels.Rain(), min(ground.step_x, ground.step_y)
+    rain.height, rain.width = ground.heights.shape
+    rain.first_row, rain.first_column = ground.first
+    rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _steps(values, stride)
+    rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
+    rain.rows, rain.columns = (
+        _tile(rain.steps * stride / step, brush)
+        for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
+    )
+    rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
+    rain.across = -(-int(columns) // rain.columns)
+    area = rain.rows * ground.step_y * rain.columns * ground.step_x
+    rain.drops = round(values["droplets"] * 1e-6 * area)
+    rain.capacity, rain.sea = CAPACITY * values["strength"], values["sea"]
+    # float32: exp may differ by a bit from machine to machine
+    rain.keep, kept, wet = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
+    rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
+    rain.load = rain.drop = 1.0 - kept
+    rain.dry = 1.0 - wet
+    return rain, -(-int(rows) // rain.rows)
+
+
+def _steps(values: Mapping[str, float], stride: float) -> int:
+    return max(1, int(values["reach"] / stride))
+
+
+def _tile(reach: float, brush: int) -> int:
+    """Samples along a tile's side: a droplet and its last brush reach less than half of it."""
+    return 1 << math.ceil(math.log2(2.0 * (reach + brush + 3.0)))
+
+
+def _tiles(rain: kernels.Rain, down: int, colour: int) -> np.ndarray:
+    """int32: numbers of the tiles of a colour in the whole level, of those that this ground has samples of."""
+    rows, columns = (
+        np.arange(first // side, (first + count - 1) // side + 1)
+        for first, count, side in (
+            (rain.first_row, rain.height, rain.rows),
+            (rain.first_column, rain.width, rain.columns),
+        )
+    )
+    rows, columns = rows[rows % 2 == colour // 2], columns[columns % 2 == colour % 2]
+    return np.add.outer(rows[rows < down] * rain.across, columns[columns < rain.across]).astype(np.int32).reshape(-1)
+
+
+def _halo(values: Mapping[str, float], step: float) -> float:
+    """Metres. Tiles of droplets that are cut change their neighbours, those the next: beyond 1.25 sides by 1e-3 m."""
+    if step < FINEST_STEP:
+        return 2.0 * step
+    return 1.25 * step * _tile(_steps(values, step), max(1, round(0.5 * BRUSH / step)))
+
+
+def example(shape: Evaluate) -> None:
+    """A funnel fills up from its flanks, nothing is lost; a plain stays as it is."""
+    x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
+    far = np.maximum(x[:, None], x)
+    change = shape("droplets", 10.0 + 5.0 * far, 10.0).heights
+    assert change[far < 3].mean() > 3.0 and change[(far > 12) & (far < 30)].mean() < -0.5
+    assert abs(change.sum(dtype=np.float64)) < 1e-6 * np.abs(change).sum(dtype=np.float64)
+    assert not shape("droplets", np.full((33, 65), 10.0), 10.0).heights.any()
+
+
+DROPLETS = LandEffect(
+    name="droplets",
+    label="Gullies",
+    about="Short gullies and small fans, from droplets that run a few hundred metres",
+    apply=apply,
+    example=example,
+    parameters=(
+        Parameter("droplets", 20000.0, 0.0, 200000.0, "1/km²", "Droplets that fall"),
+        Parameter("reach", 480.0, 50.0, 2000.0, "m", "How far a droplet runs at most"),
+        Parameter("strength", 1.0, 0.0, 10.0, "", "How much a droplet carries: 1 is 250 m³ on a slope of 1"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, where droplets end"),
+    ),
+    layers=(
+        Layer("sediment", "m", "What droplets have laid down"),
+        Layer("wear", "m", "Rock that was removed"),
+    ),
+    halo=_halo,
+    masks=True,
+    limit="None: a droplet digs at most to the height of its next place",
+    conserves="what is taken is laid down or leaves over the rim, to 1e-6 of what moved",
+    cost_ns=2000,
+    source="Beyer 2015, in metres and conserving",
+)

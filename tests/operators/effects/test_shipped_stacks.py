@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stacks that are shipped as presets: each can be read, and makes of its land what it is named for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.lands import LANDS
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.land.stack import read_stack
+
+FOLDER = Path(__file__).resolve().parents[3] / "operators/effects/presets/adaptive_terrain/land"
+NAMES = ("alpine", "desert", "old_hills", "volcanic_island")
+SIZE = 201
+
+
+@pytest.fixture(scope="module")
+def shaped(tmp_path_factory):
+    """Heights before and after, metres between samples, and the report, by the preset's name."""
+    folder, made = tmp_path_factory.mktemp("stacks"), {}
+    for name, land in zip(NAMES, ("mountains", "canyon", "mountains", "island"), strict=True):
+        if not (folder / land).exists():
+            import_source(ImportSettings(land, size=SIZE), folder / land)
+        report = run_shape(folder / land, read_stack(FOLDER / f"{name}.json"), folder / name)
+        before, after = (open_store(folder / n).heights(slice(None), slice(None)) for n in (land, name))
+        made[name] = before, after, LANDS[land].side / (SIZE - 1), report
+    return made
+
+
+def steepness(heights: np.ndarray, step: float) -> float:
+    """Median slope of the steeper half, metres a metre."""
+    north, east = np.gradient(heights.astype(np.float64), step)
+    return float(np.percentile(np.hypot(north, east), 75))
+
+
+def test_all_of_them_are_tested():
+    assert {path.stem for path in FOLDER.glob("*.json")} == set(NAMES)
+    assert {land.preset for land in LANDS.values()} <= {"", *NAMES}
+
+
+def test_every_entry_of_a_preset_has_a_name_and_a_seed_of_its_own():
+    for name in NAMES:
+        entries = read_stack(FOLDER / f"{name}.json").entries
+        assert all(entry.name and entry.on for entry in entries)
+        assert len({entry.seed for entry in entries}) == len(entries)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_heights_stay_finite_and_within_reason(shaped, name):
+    before, after, _, _ = shaped[name]
+    assert np.isfinite(after).all()
+    assert after.max() < before.max() + 600.0
+    assert np.abs(after - before).max() > 20.0
+
+
+def test_the_alps_grow_steep_and_old_hills_gentle(shaped):
+    before, alps, step, _ = shaped["alpine"]
+    _, hills, _, _ = shaped["old_hills"]
+    assert steepness(alps, step) > 1.3 * steepness(before, step)
+    assert steepness(hills, step) < 0.9 * steepness(alps, step)
+    assert hills.max() < alps.max() - 200.0
+
+
+def test_the_island_keeps_its_sea(shaped):
+    before, after, _, _ = shaped["volcanic_island"]
+    sea = before <= -1.0
+    assert np.abs(after - before)[sea].max() < 2.0
+    assert after.max() > 400.0

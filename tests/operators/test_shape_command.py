@@ -3,7 +3,6 @@
 
 import json
 
-import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store

@@ -47,7 +47,11 @@ GOALS: dict[tuple[str, int], float] = {
     ("land_routing", ANY_SIZE): 0.25,
     ("land_rivers", ANY_SIZE): 0.4,
     ("land_sediment", ANY_SIZE): 1.5,
+    ("land_scree", ANY_SIZE): 0.06,
     ("maps_normal", ANY_SIZE): 1.0,
+    # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.
+    ("shading_error", ANY_SIZE): 0.36,
+    ("shading_flicker", ANY_SIZE): 0.45,
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,
     ("detail_displace", ANY_SIZE): 6.0,

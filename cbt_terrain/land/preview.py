@@ -13,14 +13,22 @@ import numpy as np
 from ..field.build import from_array
 from ..field.heightfield import HeightField
 from .land_effect import Change, Ground, LandEffect
+from .level_work import LevelGround
 from .levels import masked
 from .mask import whole_mask
 from .stack import Entry, Stack
+from .stack_layers import joined
+from .tile_cache import content_key
 from .tiles import Level, levels_of
 
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
+SECONDS = 5.0  # after which a preview goes without the effects that are left
 _FOUND = ("land preview",)  # in HeightField.found
+
+
+class _TooSlow(Exception):
+    """An effect takes longer than anyone would wait for a preview."""
 
 
 @dataclass
@@ -36,26 +44,55 @@ class _Applied:
 
 @dataclass
 class Preview:
-    """`field`: heights in memory. `ms`: milliseconds of each active entry. `step_m`: metres between samples of the
-    level that they were applied to."""
+    """`field`: heights in memory. `ms`: milliseconds of each active entry that is in it. `step_m`: metres between
+    samples of the level that they were applied to. `without`: the entry that was too slow, with which it ends, or ""."""
 
     field: HeightField
     ms: list[float] = field(default_factory=list)
     step_m: float = 0.0
+    without: str = ""
+
+
+@dataclass
+class _Layers(Mapping):
+    """Layers of the coarsest level at the places that are shown, made when they are first asked for."""
+
+    coarse: Mapping[str, np.ndarray]
+    rows: np.ndarray
+    columns: np.ndarray
+    made: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.made:
+            self.made[name] = _between(self.coarse[name], self.rows, self.columns)
+        return self.made[name]
+
+    def __iter__(self):
+        return iter(self.coarse)
+
+    def __len__(self) -> int:
+        return len(self.coarse)
 
 
 def preview(
-    source: HeightField, stack: Stack, images: Mapping[str, np.ndarray] | None = None, threads: int = 1
+    source: HeightField,
+    stack: Stack,
+    images: Mapping[str, np.ndarray] | None = None,
+    threads: int = 1,
+    seconds: float = SECONDS,
 ) -> Preview:
-    """The whole terrain with the coarsest level of a stack. Of entries that begin as those of the last preview of the
-    same source only the others are applied. The bound on its mesh is against these heights.
+    """The whole terrain with the coarsest level of a stack, at MOST_SHOWN samples along the longer side at most.
 
-    images: of masks, by file name, float32 [rows, columns], row 0 south.
+    Of entries that begin as those of the last preview of the same source only the others are applied. The bound on its
+    mesh is against these heights.
+
+    images: of masks, by file name, float32 [rows, columns], row 0 south. seconds: that effects may take.
     """
     level = levels_of(source.lattice)[-1]
-    states = _apply(source, level, stack, images or {}, threads)
+    states = _apply(source, level, stack, images or {}, threads, seconds)
     lattice, places = source.lattice, _places(source)
-    heights = _shown(source) + _between(states[-1].change, *(at / (1 << level.number) for at in places))
+    coarse = [at / (1 << level.number) for at in places]
+    heights = _shown(source) + _between(states[-1].change, *coarse)
     step_y = lattice.step_y * (lattice.height - 1) / (len(places[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(places[1]) - 1)
     if source.valid is not None:
@@ -65,11 +102,23 @@ def preview(
         heights, step_x, step_y, source_max=source.source_max, holes=source.valid is not None, threads=threads,
         origin=source.origin, crs=source.crs, provenance=source.provenance,
     )  # fmt: skip
-    return Preview(made, [state.ms for state in states[1:]], max(level.step_x, level.step_y))
+    made.key = content_key(made.key, stack.key())  # its layers count, too
+    made.layers = _Layers(states[-1].ground.layers, *coarse)
+    left = stack.active[len(states) - 1 :]
+    without = (left[0].name or left[0].declaration.label) if left else ""
+    return Preview(made, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without)
 
 
-def _apply(source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int) -> list[_Applied]:
-    """The ground without any entry, and after each of the active ones; kept for the next call."""
+def _apply(
+    source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
+) -> list[_Applied]:
+    """The ground without any entry, and after each of the active ones until time is over; kept for the next call."""
+    end = time.monotonic() + seconds
+
+    def go_on(_part: float) -> None:
+        if time.monotonic() > end:
+            raise _TooSlow
+
     kept = source.found.get(_FOUND, [])
     states = kept[:1] or [_Applied(_ground(source, level), np.zeros(level.shape, np.float32))]
     for number, entry in enumerate(stack.active, 1):
@@ -82,15 +131,33 @@ def _apply(source: HeightField, level: Level, stack: Stack, images: Mapping, thr
         if entry.mask is not None:
             heights = states[-1].ground.heights
             mask = whole_mask(entry.mask, images.get(entry.mask.image), level, lambda window, h=heights: h[window])
-        states.append(_after(states[-1], entry, key, mask, threads))
+        ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=go_on)
+        try:
+            go_on(0.0)
+            states.append(_after(states[-1], ground, entry, key))
+        except _TooSlow:
+            break
     source.found[_FOUND] = states
     return states
 
 
-def _after(before: _Applied, entry: Entry, key: str, mask: np.ndarray | None, threads: int) -> _Applied:
+def _ground(source: HeightField, level: Level) -> Ground:
+    found = LevelGround.of(source, level)
+    heights = np.ascontiguousarray(found.heights)
+    return Ground(
+        heights,
+        level.step_x,
+        level.step_y,
+        whole=level.shape,
+        level=level.number,
+        missing=found.missing,
+        layers=found.layers,
+    )
+
+
+def _after(before: _Applied, ground: Ground, entry: Entry, key: str) -> _Applied:
     start, effect = time.perf_counter(), entry.declaration
-    ground = replace(before.ground, seed=entry.seed, threads=threads, mask=mask)
-    made = masked(effect, effect.apply(ground, entry.values, None), mask)
+    made = masked(effect, effect.apply(ground, entry.values, None), ground.mask)
     heights = made.heights
     if ground.missing is not None:
         heights = np.where(ground.missing, np.float32(0.0), heights)
@@ -99,21 +166,8 @@ def _after(before: _Applied, entry: Entry, key: str, mask: np.ndarray | None, th
 
 
 def _with_layers(ground: Ground, effect: LandEffect, made: Change) -> dict[str, np.ndarray]:
-    """The layers of a stack after one more effect: depths are added up, of states the last one counts."""
-    layers = dict(ground.layers)
-    for layer in effect.layers:
-        before = layers.get(layer.name) if layer.per_metre else None
-        layers[layer.name] = made.layers[layer.name] if before is None else before + made.layers[layer.name]
-    return layers
-
-
-def _ground(source: HeightField, level: Level) -> Ground:
-    """The coarsest level: every 2^n-th sample, and behind an end between two of them the last one."""
-    sides = zip(level.shape, (source.lattice.height, source.lattice.width), strict=True)
-    index = np.ix_(*(np.minimum(np.arange(count) << level.number, n - 1) for count, n in sides))
-    missing = None if source.valid is None else source.valid[index] == 0
-    heights = np.ascontiguousarray(source.heights(*index))
-    return Ground(heights, level.step_x, level.step_y, whole=level.shape, level=level.number, missing=missing)
+    """The layers of a stack after one more effect."""
+    return joined(ground.layers, made.layers, {layer.name for layer in effect.layers if layer.per_metre})
 
 
 def _places(source: HeightField) -> tuple[np.ndarray, np.ndarray]:

@@ -124,10 +124,11 @@ SETTLE_SLAB = """
         sl += sh - kept;
         sh = kept;
         float bare = zh - (zl + sl);
-        float t = (zh + dip) * per_bed, f = __builtin_floorf(t);
-        int n = (int)f;
+        float t = (zh + dip) * per_bed;
+        int n = (int)t;
+        n -= (float)n > t ? 1 : 0;
         float u = hash((unsigned)n), v = hash((unsigned)n + 1u);
-        float w = (t - f) * 4.0f - 3.0f;
+        float w = (t - (float)n) * 4.0f - 3.0f;
         w = w > 0.0f ? w : 0.0f;
         float hardness = u * (1.0f - w) + v * w;
         float fade = s0.thick / (bare > s0.thick ? bare : s0.thick);

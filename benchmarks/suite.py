@@ -33,6 +33,7 @@ from . import (
     scale,
     scenes,
     scree_rows,
+    shading_row,
     start,
 )
 from .baselines import RoamRebuild, build_roam_rebuild
@@ -140,6 +141,7 @@ def everything(
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:
+        yield partial(shading_row.shading_rows, folder)
         yield partial(fit_row.fit_rows, note)
         yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")

@@ -44,6 +44,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
     ("land_relief", ANY_SIZE): 0.2,
+    ("land_water", ANY_SIZE): 0.02,
+    ("land_snow", ANY_SIZE): 0.15,
     ("maps_normal", ANY_SIZE): 1.0,
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,

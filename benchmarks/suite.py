@@ -33,6 +33,7 @@ from . import (
     scale,
     scenes,
     start,
+    water_rows,
 )
 from .baselines import RoamRebuild, build_roam_rebuild
 from .measure import Row
@@ -132,6 +133,7 @@ def everything(
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     yield partial(land_rows.land_rows)
+    yield water_rows.water_rows
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows

@@ -32,6 +32,7 @@ from adaptive_terrain.benchmarks import (
     scenes,
     start,
     suite,
+    water_rows,
 )
 from adaptive_terrain.benchmarks.measure import Row
 from adaptive_terrain.benchmarks.report import MEANING
@@ -209,6 +210,7 @@ def small_suite(monkeypatch):
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         land_rows: {"SAMPLES": SAMPLES},
+        water_rows: {"SAMPLES": SAMPLES, "MARCHED": SAMPLES, "PART": 1.0},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
@@ -226,7 +228,7 @@ def small_suite(monkeypatch):
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["land_relief"]
+ENGINE_ROWS += ["land_relief", "land_water", "land_snow"]
 ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 

@@ -56,8 +56,8 @@ MEANING = {
     "and bend, beside numpy's plain octaves of the same noise; one thread.",
     "land_water": "Depth, speed and discharge of steady rain on the built-in island, 257 x 257 samples, beside an hour "
     "of rain marched as shallow water in our own vector rows; one thread.",
-    "land_snow": "Snow of the built-in island, 513 x 513 samples over two levels, 14 horizons without end and slides, "
-    "beside numpy's whole arrays with horizons of 64 samples; one thread.",
+    "land_snow": "Snow of the built-in island, 257 x 257 samples: 14 horizons of each and 48 sweeps of slides, beside "
+    "both by numpy's whole arrays; one thread.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
     "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "

@@ -9,15 +9,14 @@ from ..cbt_terrain.effects.light import azimuths
 from ..cbt_terrain.field.island import SIDE, island
 from ..cbt_terrain.land import flood
 from ..cbt_terrain.land.land_effect import Ground, LandEffect
-from ..cbt_terrain.land.levels import apply_by_levels, coarser, finer
+from ..cbt_terrain.land.levels import apply_by_levels
 from ..cbt_terrain.land.snow import AT_FIRST, AZIMUTHS, GUSTS, SNOW, SWEEPS
 from ..cbt_terrain.land.water import WATER
 from .measure import Row, alternate, stopwatch
 
-SAMPLES, MARCHED = 513, 257
+SAMPLES = 257
 # Seconds of the hour that are marched: the rest costs the same.
 PART, HOUR = 60.0, 3600.0
-RAY = 64  # samples that a ray in numpy goes
 
 
 def water_rows():
@@ -26,8 +25,8 @@ def water_rows():
     yield _snow()
 
 
-def _ground(samples: int) -> Ground:
-    heights, step = island(samples), SIDE / (samples - 1)
+def _ground() -> Ground:
+    heights, step = island(SAMPLES), SIDE / (SAMPLES - 1)
     return Ground(heights, step, step, whole=heights.shape)
 
 
@@ -38,7 +37,7 @@ def _timed(effect: LandEffect, ground: Ground) -> dict[str, float]:
 
 
 def _steady() -> Row:
-    ground, steps = _ground(MARCHED), 0
+    ground, steps = _ground(), 0
 
     def marched() -> float:
         nonlocal steps
@@ -55,7 +54,7 @@ def _steady() -> Row:
 
 
 def _snow() -> Row:
-    ground = _ground(SAMPLES)
+    ground = _ground()
 
     def plain() -> float:
         with stopwatch() as elapsed:
@@ -68,10 +67,7 @@ def _snow() -> Row:
 
 
 def _plain_snow(heights: np.ndarray, step: float) -> np.ndarray:
-    """Snow on whole arrays, by the same levels: horizons no further than RAY samples, slides of the same sweeps."""
-    snow, sweeps = None, SWEEPS * AT_FIRST
-    if len(heights) > 257:
-        snow, sweeps = finer(_plain_snow(coarser(heights), 2 * step), heights.shape), SWEEPS
+    """Snow on whole arrays: the same horizons, to the end of the raster, and the same sweeps of slides."""
     sky = np.zeros_like(heights)
     for azimuth in azimuths()[: AZIMUTHS + 2 * len(GUSTS)]:
         sky += 1.0 / (1.0 + _plain_horizon(heights, step, azimuth) ** 2)
@@ -79,8 +75,8 @@ def _plain_snow(heights: np.ndarray, step: float) -> np.ndarray:
     sun = (0.7 * north + 0.7) / np.sqrt(1.0 + north * north + east * east)
     fallen = 3.0 * sky / len(azimuths()) / (1.0 + np.exp((600.0 - heights) * 0.008 + 2.0 * sun))
     stuck = np.minimum(fallen, 0.35 * np.clip((2.2 - np.hypot(north, east)) / 1.4, 0, 1)).astype(np.float32)
-    loose = np.float32(fallen if snow is None else 0.5 * (snow + fallen)) - stuck
-    for _ in range(sweeps):
+    loose = np.float32(fallen) - stuck
+    for _ in range(SWEEPS * AT_FIRST):
         _plain_slides(heights + stuck, loose, step)
     return stuck + loose
 
@@ -88,7 +84,7 @@ def _plain_snow(heights: np.ndarray, step: float) -> np.ndarray:
 def _plain_horizon(heights: np.ndarray, step: float, azimuth: np.ndarray) -> np.ndarray:
     """Slopes of horizons by the nearest sample at each step of a ray."""
     out, (rows, columns) = np.zeros_like(heights), heights.shape
-    for k in range(1, RAY):
+    for k in range(1, rows):
         dx, dy = (round(float(k * a)) for a in azimuth)
         here = slice(max(-dy, 0), min(rows, rows - dy)), slice(max(-dx, 0), min(columns, columns - dx))
         there = slice(max(dy, 0), min(rows, rows + dy)), slice(max(dx, 0), min(columns, columns + dx))

@@ -210,7 +210,7 @@ def small_suite(monkeypatch):
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         land_rows: {"SAMPLES": SAMPLES},
-        water_rows: {"SAMPLES": SAMPLES, "MARCHED": SAMPLES, "PART": 1.0},
+        water_rows: {"SAMPLES": SAMPLES, "PART": 1.0},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},

@@ -32,6 +32,8 @@ from . import (
     report,
     scale,
     scenes,
+    scree_rows,
+    shading_row,
     start,
     water_rows,
 )
@@ -133,6 +135,7 @@ def everything(
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     yield partial(land_rows.land_rows)
+    yield partial(scree_rows.scree_rows)
     yield water_rows.water_rows
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
@@ -140,6 +143,7 @@ def everything(
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:
+        yield partial(shading_row.shading_rows, folder)
         yield partial(fit_row.fit_rows, note)
         yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")

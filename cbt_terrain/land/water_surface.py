@@ -44,7 +44,7 @@ def water_surface(
         wet |= (discharge >= LEAST_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
-    deep, level = _to_the_shore(heights, depth, wet, least)
+    deep, level, wet = _to_the_shore(heights, depth, wet, least)
     corners, sides = _triangles(deep, wet, missing)
     used, numbers = _numbered(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
@@ -81,9 +81,9 @@ def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
 
 def _to_the_shore(
     heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, least: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """float64 [rows, columns] m: how far the water's surface is above the ground, below it at dry samples beside wet
-    ones, and the surface's height."""
+    ones, and the surface's height; and what is wet, with the shallow rims of lakes."""
     ground = heights.astype(np.float64)
     surface = ground + depth
     near, beside, _ = _beside(surface, depth, wet)
@@ -94,7 +94,7 @@ def _to_the_shore(
     same = surface >= beside - least
     below = np.where(beside < ground, ground - beside, np.where(same, beside - ground, thick))
     over = np.where(wet, depth, np.where(near, -below, 0.0))
-    return over, np.where(wet, surface, ground + over)
+    return over, np.where(wet, surface, ground + over), wet
 
 
 def _beside(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

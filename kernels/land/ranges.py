@@ -28,7 +28,7 @@ def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.ui
     rough = relief(wx / wp.float64(5200.0), wy / wp.float64(5200.0), wp.float64(0.55) + wp.float64(0.45) * inland, seed)
     chain = smooth(wp.float64(-0.5), wp.float64(0.5), noise(wx / wp.float64(5200.0), wy / wp.float64(3600.0), seed)[2])
     high = wp.float64(420.0) + wp.float64(850.0) * chain
-    foot = wp.float64(290.0) - wp.float64(180.0) * across
+    foot = wp.float64(430.0) - wp.float64(180.0) * across
     high += (wp.float64(500.0) + wp.float64(500.0) * chain) * rough
     return foot + inland * high + wp.float64(150.0) * rough * (one - inland)
 

@@ -13,7 +13,7 @@ from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 
 FIRST_BYTES = {
     "island": "ad5d7a2b4269cd6f",
-    "mountains": "59934c4c0f1133e6",
+    "mountains": "21105061eb982005",
     "dunes": "4898b87ac3a4abbe",
     "canyon": "36a14dfd327ab9d6",
     "archipelago": "fdd57adf909e6f68",

@@ -22,8 +22,8 @@ from ..scene.map_properties import SHOT
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
-from .land import add_water
 from .materials import HAZE, level_material, plain_material, put_haze, sea_material
+from .water import add_water
 
 ZENITH = (0.07, 0.20, 0.56, 1.0)
 PAPER = (0.93, 0.925, 0.90, 1.0)

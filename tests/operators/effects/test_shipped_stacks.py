@@ -88,4 +88,4 @@ def test_snow_lies_on_the_mountain_and_not_on_the_shore(shaped, layer_of):
         snow, heights = layer_of(name, "snow"), shaped[name][1]
         assert 0.01 < (snow > 0.1).mean() < 0.5
         low, high = snow[heights < line - 500.0], snow[heights > line + 100.0]
-        assert np.percentile(low, 99) < 0.05 < np.median(high)  # slides bring some further down
+        assert np.percentile(low, 99) < 0.1 < np.median(high)  # slides bring some further down

@@ -2,7 +2,7 @@
 """What there is to say of a terrain's land: what its mesh shows of the stack, what that took, what it leaves behind."""
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import bpy
@@ -11,11 +11,13 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land.land_effect import Layer
-from ..text.numbers import plain
+from ..text.numbers import length_text, plain
 from . import land_request, session
+from .imported import imported_of
 from .land_properties import EVERYWHERE
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
+SMALL_M = 500.0
 NOTES = {
     SOURCE: "Not shown: hidden, or without Live Update",
     PREVIEW: "Shape Now makes the rest; a render waits for it",
@@ -71,6 +73,14 @@ def state_of(obj) -> State:
     numbers = active_numbers(obj.adaptive_terrain.land)
     if not numbers:
         return State()
+    state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
+    longer = max(found.extent_m) if found is not None else SMALL_M
+    if longer < SMALL_M:  # as the Add menu's own
+        state = replace(state, note=f"Effects are in metres, and the terrain has {length_text(longer)}: set its Size")
+    return state
+
+
+def _as_updated(obj, numbers: list[int]) -> State:
     request = session.record_of(obj).status.request
     if request is not None and request.land is not None and not request.land.waits:
         found = land_request.preview_of(request.land)

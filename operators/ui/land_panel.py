@@ -194,12 +194,13 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
     """The shaped land for other programs, or as a store that needs no stack."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
-    bl_label = "Bake Land"
+    bl_label = "Water and Export"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, _context):
         column = self._columns()
+        column.operator("adaptive_terrain.add_water", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
 

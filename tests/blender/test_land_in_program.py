@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The land in the real program: rivers at a click, a preview that never blocks, shaping, undo, and what hiding saves."""
+"""The land in the real program: rivers, a preview that never blocks, shaping, Undo, and what hiding saves."""
 
 import json
 import os

@@ -17,7 +17,7 @@ import bpy
 [folder] = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
 WAIT_S = 240.0
-# So many clicks of the list's button, its menu's first entry: a place in pixels from the panel's own corner would move.
+SIDE = 32_000.0  # metres: of the island itself
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string}
 
@@ -76,7 +76,8 @@ def turns(condition):
 
 def run(operator, *how, **asked):
     window, area, region = parts()
-    with bpy.context.temp_override(window=window, area=area, region=region, object=terrain()):
+    own = {"object": terrain()} if terrain() is not None else {}
+    with bpy.context.temp_override(window=window, area=area, region=region, **own):
         return operator(*how, **asked)
 
 
@@ -106,7 +107,7 @@ def steps():
     parts()[2].active_panel_category = "Terrain"
     area.tag_redraw()
     yield 1.0
-    run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT")
+    run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", size=SIDE)
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0 and not warmup.preparing())
     yield 1.0
     result["source"] = relief()

@@ -11,6 +11,7 @@ from ..cbt_terrain.effects.flow import logarithms
 from ..cbt_terrain.effects.splat_rules import MOST_LAYERS, Layer, Rule, reads
 from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
+from ..cbt_terrain.run import launch
 from .measure import Row, alternate, stopwatch
 
 VERTICES = 500_000  # of a million triangles
@@ -43,7 +44,7 @@ def layer_rows(rough: HeightField):
     def route() -> dict[str, float]:
         whole.forget()
         with stopwatch() as elapsed:
-            logarithms(field, 1.0, 1)
+            logarithms(field, 1.0, launch.default_threads())
         return {"total": elapsed[0]}
 
     def build() -> float:

@@ -46,12 +46,12 @@ def carry_out(
     """Bake what is asked for of a height field; touches nothing of Blender."""
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    finest = sizing.whole(tiling, field)
+    finest = shown = sizing.shown_by(tiling, field, request.asked)
     if request.views:
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
     texel_bytes = sum(coding_of(EFFECTS[item.name], request.form).texel_bytes for item in request.asked)
-    sides = sizing.resolutions(tiling, field, finest, texel_bytes, request.budget_mb)
+    sides = sizing.resolutions(tiling, finest, shown, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
     return bake(field, request.asked, request.folder, sides, **heights, **more)
 

@@ -223,7 +223,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 CLASSES = (
     *(*effect_properties.CLASSES, *layer_properties.CLASSES, *land_properties.CLASSES),
-    *(ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 
 

@@ -14,14 +14,15 @@ from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
 from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.detail import Detail
+from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
-from .ground_properties import ground_of
 from .land_request import Land, land_of
+from .layered_ground import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
@@ -41,7 +42,7 @@ class Overrides:
     interpolation: str | None = None
     shading_floor: float | None = None
     effects: tuple[str, ...] | None = None
-    ground: Detail | None = None
+    ground: Ground | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ class Request:
     store: str
     land: Land | None
     interpolation: str
-    ground: Detail | None
+    ground: Ground | LayeredDetail | None
     criterion: Criterion
     views: list[View]
     placement: np.ndarray
@@ -141,7 +142,7 @@ def gather(
         store=store,
         land=land,
         interpolation=interpolation,
-        ground=overrides.ground or ground_of(settings.ground, obj.name),
+        ground=overrides.ground or ground_of(settings, obj.name),
         criterion=criterion,
         views=views,
         placement=placement,

@@ -19,7 +19,7 @@ def work() -> tuple[float | None, str] | None:
     """How far what is under way is (0 .. 1; None where that is not known) and what it is; None if nothing is."""
     fraction = warmup.progress()
     if fraction is not None:
-        return fraction, "Preparing kernels (first start)"
+        return fraction, "Preparing kernels (first use)"
     for fraction, message in import_terrain.all_progress():
         return fraction, f"Importing: {message}"
     for fraction, message in shape_land.all_progress():

@@ -26,10 +26,10 @@ def test_a_click_that_unlinks_a_node_skips_its_effect(program, tmp_path):
     with window(program, arguments, tmp_path) as blender:
         try:
             for moment in ("linked", "unlinked"):
-                wait_for(tmp_path / moment, blender, 400)
+                wait_for(tmp_path / moment, blender)
                 read_screen(tmp_path).save(pictures / f"{moment}.png")
                 (tmp_path / f"{moment}_pictured").touch()
-            wait_for(tmp_path / "done.json", blender, 300)
+            wait_for(tmp_path / "done.json", blender)
         finally:
             read_screen(tmp_path).save(pictures / "unlink_end.png")
     said = json.loads((tmp_path / "done.json").read_text())

@@ -128,10 +128,10 @@ def test_clicks_on_the_panel(program, tmp_path):
     with window(program, arguments, tmp_path, kernels=tmp_path / "kernels") as blender:
         try:
             for moment in ("updated", "sweeping", "reported", "budget", "measured"):
-                wait_for(tmp_path / moment, blender, 300)
+                wait_for(tmp_path / moment, blender)
                 read_screen(tmp_path).save(pictures / f"{moment}.png")
                 (tmp_path / f"{moment}_pictured").touch()
-            wait_for(tmp_path / "done.json", blender, 300)
+            wait_for(tmp_path / "done.json", blender)
         finally:
             read_screen(tmp_path).save(pictures / "end.png")
     said = json.loads((tmp_path / "done.json").read_text())

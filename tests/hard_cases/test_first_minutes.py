@@ -26,10 +26,10 @@ def pictures(program, dem, tmp_path_factory):
     arguments = ["--window-geometry", "0", "0", *map(str, SCREEN)]
     arguments += ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
     with window(program, arguments, folder) as blender:
-        wait_for(folder / "imported.json", blender, 240)
+        wait_for(folder / "imported.json", blender)
         after = read_screen(folder)
         (folder / "imported_pictured").touch()
-        wait_for(folder / "factory.json", blender, 60)
+        wait_for(folder / "factory.json", blender)
         factory = read_screen(folder)
     return after, factory, json.loads((folder / "imported.json").read_text())
 

@@ -12,6 +12,8 @@ import numpy as np
 from PIL import Image
 
 SCREEN = 1600, 1000
+# Only so that a hang ends.
+GUARD_S = 1200
 
 
 @contextmanager
@@ -30,7 +32,7 @@ def window(program, arguments: list[str], framebuffer: Path, kernels: Path | Non
     blender = None
     try:
         socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
-        wait_for(socket, xvfb, 20)
+        wait_for(socket, xvfb)
         log = open(framebuffer / "blender.log", "w")
         blender = subprocess.Popen(program.command(*arguments), env=environment, stdout=log, stderr=subprocess.STDOUT)
         yield blender
@@ -38,14 +40,14 @@ def window(program, arguments: list[str], framebuffer: Path, kernels: Path | Non
         for process in (blender, xvfb):
             if process is not None:
                 process.terminate()
-                process.wait(20)
+                process.wait(GUARD_S)
 
 
-def wait_for(path: Path, process, seconds: float) -> None:
-    end = time.monotonic() + seconds
+def wait_for(path: Path, process) -> None:
+    end = time.monotonic() + GUARD_S
     while not path.exists():
         assert process.poll() is None, f"the program ended with {process.returncode} before {path.name} was there"
-        assert time.monotonic() < end, f"{path.name} was not there after {seconds} s"
+        assert time.monotonic() < end, f"{path.name} was not there after {GUARD_S} s"
         time.sleep(0.1)
 
 

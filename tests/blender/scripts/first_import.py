@@ -11,7 +11,7 @@ import bpy
 
 folder, file = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
-WAIT_S = 200.0
+WAIT_S = 900.0  # only so that a hang ends
 
 
 def until(condition):

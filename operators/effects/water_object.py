@@ -55,9 +55,7 @@ def surface_of(obj, depsgraph):
         raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
     field = land_request.raster_of(store, land, session.open_field)
     if DEPTH not in field.layers:
-        raise TerrainError(
-            f"No effect of {obj.name!r} leaves water: add {WATER.label!r} to its stack, on the panel Land."
-        )
+        raise TerrainError(f"No effect of {obj.name!r} leaves water: add {WATER.label!r} to its stack.")
     missing = None if field.valid is None else field.valid == 0
     threads = launch.default_threads()
     layers = field.layers[DEPTH], field.layers.get(SPEED)

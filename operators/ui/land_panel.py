@@ -16,7 +16,7 @@ from ..text.numbers import length_text, plain
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
 NAME_WIDTH = 0.7  # of a row of the list
-ABOUT_LINES, NOTE_LINES = 2, 2
+ABOUT_LINES, NOTE_LINES = 3, 2
 BANDS = (("height", ("low", "high", "edge")), ("slope", ("low", "high", "edge")),
          ("aspect", ("direction", "within", "edge")))  # fmt: skip
 

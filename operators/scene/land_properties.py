@@ -23,6 +23,7 @@ from .detail_properties import changed
 from .layer_properties import BANDS, AspectSettings
 
 EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
+EVERYWHERE_FINE, SEEN = "WHOLE", "SEEN"
 DEGREES = {"degrees", "deg", "°"}
 # The unit of a declaration -> what Blender calls it; others stand in the label.
 UNITS = {
@@ -129,6 +130,13 @@ class LandSettings(bpy.types.PropertyGroup):
     """Effects on heights, in the order in which they act."""
 
     entries: CollectionProperty(type=LandEntry)
+    where: EnumProperty(
+        name="Detail",
+        description="Where the finer levels are made",
+        items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain as fine as its height map"),
+               (SEEN, "Where the Shot Looks", "As fine as the frames of the scene show it; coarser levels elsewhere")],
+        **STILL,
+    )  # fmt: skip
     active: IntProperty(name="Active", options=set())
 
 

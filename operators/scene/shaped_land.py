@@ -14,7 +14,7 @@ from ...cbt_terrain.land.land_effect import Layer
 from ..text.numbers import length_text, plain
 from . import land_request, session
 from .imported import imported_of
-from .land_properties import EVERYWHERE
+from .land_properties import EVERYWHERE, SEEN
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 SMALL_M = 500.0
@@ -28,7 +28,8 @@ NOTES = {
 class State:
     """`active`: whether anything is switched on. `shown`: what the mesh was made of. `step_m`: metres between the
     samples that the stack was applied to. `tiles`: built, and there are. `ms`: milliseconds by the entries' numbers.
-    `finished_early`: finer levels were not waited for."""
+    `finished_early`: finer levels were not waited for. `seen`: only what a shot sees is fine, and that may be
+    another place by now."""
 
     active: bool = False
     shown: str = SOURCE
@@ -37,6 +38,7 @@ class State:
     ms: dict[int, float] = field(default_factory=dict)
     note: str = ""
     finished_early: bool = False
+    seen: bool = False
 
     @property
     def total_ms(self) -> float | None:
@@ -45,7 +47,7 @@ class State:
     @property
     def wanted(self) -> bool:
         """Whether there is something to shape."""
-        return self.active and (self.shown != SHAPED or self.finished_early)
+        return self.active and (self.shown != SHAPED or self.finished_early or self.seen)
 
 
 def store_of(obj) -> str:
@@ -74,6 +76,7 @@ def state_of(obj) -> State:
     if not numbers:
         return State()
     state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
+    state = replace(state, seen=obj.adaptive_terrain.land.where == SEEN)
     longer = max(found.extent_m) if found is not None else SMALL_M
     if longer < SMALL_M:  # as the Add menu's own
         state = replace(state, note=f"Effects are in metres, and the terrain has {length_text(longer)}: set its Size")

@@ -92,6 +92,7 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
         buttons.separator()
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_UP").by = -1
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_DOWN").by = 1
+        self._columns().prop(land, "where")
         _draw_shaping(self.layout.row(align=True), obj, state)
         box = self.layout.box().column(align=True)
         figures(box, status_lines(state), factor=0.3)
@@ -103,7 +104,7 @@ def _draw_shaping(row, obj, state) -> None:
     progress = shape_land.progress_of(obj)
     if progress is None:
         row.enabled = state.wanted
-        text = "Shape Now" if state.wanted else "Nothing to Shape" if not state.active else "Shaped"
+        text = "Shape Now" if state.wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if state.wanted else "CHECKMARK")
         return
     row.progress(factor=progress[0], text=progress[1])

@@ -3,9 +3,12 @@
 
 import numpy as np
 
+from ..cbt_terrain.effects.routing import route
 from ..cbt_terrain.field.island import SIDE, island
+from ..cbt_terrain.land import fluvial
 from ..cbt_terrain.land.land_effect import Ground
 from ..cbt_terrain.land.relief import RELIEF
+from ..cbt_terrain.land.rivers import RIVERS
 from .measure import Row, alternate, stopwatch
 
 SAMPLES = 1025
@@ -16,6 +19,7 @@ def land_rows():
     """Of the built-in island, one thread."""
     heights, step = island(SAMPLES), SIDE / (SAMPLES - 1)
     yield _relief(heights, step)
+    yield from _rivers(heights, step)
 
 
 def _relief(heights: np.ndarray, step: float) -> Row:
@@ -55,3 +59,63 @@ def _octaves(shape: tuple[int, int], step: float, count: int) -> np.ndarray:
         total = total + np.float32(0.1 * wave) * (low + (high - low) * b)
         wave /= 2
     return total
+
+
+def _rivers(heights: np.ndarray, step: float):
+    """Routes and steps of ageing without noise, creep and deposition, which the library does not know; sediment beside
+    a step of ours without it. The island with its sea floor, of which only the rim lets water out."""
+    import fastscapelib
+
+    grid = fastscapelib.RasterGrid([*heights.shape], [step, step], fastscapelib.NodeStatus.FIXED_VALUE)
+    sinks = fastscapelib.MSTSinkResolver(fastscapelib.MSTMethod.KRUSKAL, fastscapelib.MSTRouteMethod.CARVE)
+    graph = fastscapelib.FlowGraph(grid, [fastscapelib.SingleFlowRouter(), sinks])
+    eroder = fastscapelib.SPLEroder(graph, k_coef=4e-6, area_exp=0.5, slope_exp=1.0, tolerance=1e-3)
+    ground, area = heights.astype(np.float64), np.empty(heights.shape)
+
+    def our_routes() -> dict[str, float]:
+        with stopwatch() as elapsed:
+            route(heights, step, step)
+        return {"total": elapsed[0]}
+
+    def its_routes() -> float:
+        with stopwatch() as elapsed:
+            graph.update_routes(ground)
+            graph.accumulate(area, 1.0)
+        return elapsed[0]
+
+    def its_step() -> float:
+        ground[...] = heights
+        with stopwatch() as elapsed:
+            graph.update_routes(ground)
+            graph.accumulate(area, 1.0)
+            ground[...] -= eroder.erode(ground, area, 20e3)
+        return elapsed[0]
+
+    plain = RIVERS.defaults() | {"creep": 0.0, "deposition": 0.0}
+    for name, ours, theirs, library in (
+        ("land_routing", our_routes, its_routes, "fastscapelib"),
+        ("land_rivers", _step_of(heights, step, plain), its_step, "fastscapelib"),
+        ("land_sediment", *_with_and_without(heights, step, plain), "without sediment"),
+    ):
+        timed = alternate(ours, theirs)
+        figures = {"ns_sample": timed.ms["total"] * 1e6 / heights.size}
+        yield Row(name, heights.size, timed.ms["total"], library, timed.baseline_ms, figures=figures)
+
+
+def _step_of(heights: np.ndarray, step: float, values: dict[str, float]):
+    """What takes one step of 20,000 years from the same heights every time."""
+    n = heights.size
+    ones, none = np.ones(n, np.float32), np.zeros(n, np.float32)
+
+    def run() -> dict[str, float]:
+        bed = fluvial.Bed(heights.shape, step, step, heights.ravel(), none, none > 0, ones, ones, none, np.ones(n))
+        with stopwatch() as elapsed:
+            fluvial.step(bed, 20e3, values, 0)
+        return {"total": elapsed[0]}
+
+    return run
+
+
+def _with_and_without(heights: np.ndarray, step: float, plain: dict[str, float]):
+    without = _step_of(heights, step, plain)
+    return _step_of(heights, step, plain | {"deposition": 1.0}), lambda: without()["total"]

@@ -65,7 +65,7 @@ def _settle(slope: Slope, run: np.float32, one: list[np.ndarray], other: list[np
     left = np.where(down, one[1], other[1])
     run = run * np.where(down, one[3], other[3])
     move = np.float32(slope.share) * (np.abs(drop) - np.float32(slope.repose) * run)
-    kept = on_high - np.fmax(np.fmin(move, np.float32(slope.part) * on_high), ZERO)
+    kept = on_high - np.fmax(np.minimum(move, np.float32(slope.part) * on_high), ZERO)
     on_low, on_high = on_low + (on_high - kept), kept
     bare = high - (low + on_low)
     limit = np.float32(slope.soft) + np.float32(np.float32(slope.hard) - np.float32(slope.soft)) * _hardness(

@@ -54,10 +54,19 @@ MEANING = {
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "land_relief": "Fine relief of the built-in island, 1,025 x 1,025 samples, waves of 128 m and less led by slope "
     "and bend, beside numpy's plain octaves of the same noise; one thread.",
+    "land_routing": "Receivers, depressions, order and areas of the same samples beside fastscapelib's; one thread.",
+    "land_rivers": "A step of rivers of 20,000 years beside fastscapelib's, without creep and sediment; one thread.",
+    "land_sediment": "The same step with sediment beside itself without.",
+    "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
+    "to the same bytes; one thread.",
+    "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
     "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
     "beside numpy's differences of the same raster, squeezed alike, on one thread.",
+    "shading_error": "Lambert's shading of the built-in island at 1 px, 960 x 540, by its baked normal map: rms from "
+    "the truth, beside that of normals at vertices; ms are the map's.",
+    "shading_flicker": "How much more than the truth that picture changes from frame to frame.",
     "detail_from_air": "Triangles of the built-in island at 1 px with 5 cm of detail in waves of 4 m and less, beside "
     "those without, from over its rim; ms are of a first update.",
     "detail_from_ground": "The same from 2 m above the ground, where a pixel is some millimetres.",

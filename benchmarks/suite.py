@@ -32,6 +32,8 @@ from . import (
     report,
     scale,
     scenes,
+    scree_rows,
+    shading_row,
     start,
 )
 from .baselines import RoamRebuild, build_roam_rebuild
@@ -132,12 +134,14 @@ def everything(
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
     yield partial(land_rows.land_rows)
+    yield partial(scree_rows.scree_rows)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:
+        yield partial(shading_row.shading_rows, folder)
         yield partial(fit_row.fit_rows, note)
         yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")

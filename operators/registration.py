@@ -6,20 +6,22 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, splat_layers, terrain_material
+from .effects import bake_maps, land_presets, splat_layers, terrain_material
 from .mesh import freed_memory
-from .output import bake_terrain, export_terrain
+from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
 from .scene import (
     add_terrain,
     frame_terrain,
     freeze_detail,
     import_terrain,
+    land_list,
     layer_images,
     live,
     pack_store,
     properties,
     session,
+    shape_land,
     update_terrain,
 )
 from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
@@ -33,10 +35,14 @@ MODULES = (
     update_terrain,
     freeze_detail,
     bake_terrain,
+    bake_land,
     bake_maps,
     terrain_material,
     splat_layers,
     layer_images,
+    land_list,
+    land_presets,
+    shape_land,
     export_terrain,
     measuring,
     measure_accuracy,

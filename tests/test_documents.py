@@ -48,10 +48,11 @@ def test_figures_are_those_that_the_script_draws():
 
 def test_the_page_of_effects_has_each_of_them_and_the_example_that_runs():
     from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+    from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == list(EFFECTS), "run `make effects`"
-    for name, effect in EFFECTS.items():
+    assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == [*EFFECTS, *LAND_EFFECTS], "run `make effects`"
+    for name, effect in [*EFFECTS.items(), *LAND_EFFECTS.items()]:
         assert f"{effect.about}." in page, name
     example = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     assert example.split("\n", 1)[1] in page

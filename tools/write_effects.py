@@ -32,6 +32,7 @@ from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.output.exporting import write_files
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.numbers import plain
+from land_effects import land_section
 from PIL import Image, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,11 +88,12 @@ def main() -> int:
             drawn = {name: picture(name, field, demo.given) for name in EFFECTS}
             pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
             sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in EFFECTS.values()]
-            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, add_your_own()]
+            land, land_pictures = land_section()
+            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, *land, add_your_own()]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    write_files(DOCS / "images", pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
+    write_files(DOCS / "images", pictures | land_pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
     write_files(DOCS, {"effects.md": "\n".join(page)})
     return 0
 

@@ -77,6 +77,18 @@ class Decal:
     def _area(self) -> float:
         return self.along[0] * self.up[1] - self.along[1] * self.up[0]
 
+    @property
+    def pixel(self) -> float:
+        """Metres of a pixel's side, of a square as large."""
+        rows, columns, _ = self.picture.values.shape
+        return math.sqrt(abs(self._area) / (rows * columns))
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """West, south, east and north end, metres in the terrain's own space."""
+        x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
+        return tuple(self.corner[k] + end(side) for end in (min, max) for k, side in ((0, x), (1, y)))
+
     def seen(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Which of the places it lies on, int [n], and what it shows there at their scale, float32 [n, 4]."""
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
@@ -87,8 +99,8 @@ class Decal:
         u, v = u[which], v[which]
         mips, lattice = self.picture.mips, places.field.lattice
         rows, columns, _ = mips[0].shape
-        pixel = math.sqrt(abs(self._area) / (rows * columns))
-        levels = places.level[which] + math.log2(max(lattice.step_x, lattice.step_y) / pixel)
+        levels = places.level[which] if places.image_level is None else places.image_level
+        levels = levels + np.full(len(which), math.log2(max(lattice.step_x, lattice.step_y) / self.pixel))
         levels = np.clip(levels, 0.0, len(mips) - 1.0)
         values = np.zeros((len(which), 4), np.float32)
         for number, mip in enumerate(mips):

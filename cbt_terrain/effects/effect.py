@@ -32,8 +32,9 @@ class Places:
     """Where effects are evaluated: vertices of a mesh, or texels of a map.
 
     `positions`: float32 [n, 3], metres in the terrain's own space, heights as displaced. `level`: float32 [n], the
-    scale as a level of the pyramid: 0 is the raster's own spacing, 1 twice that. Heights of the field become
-    `height * vertical_scale + vertical_offset`.
+    scale as a level of the pyramid: 0 is the raster's own spacing, 1 twice that. `image_level`: of images laid on the
+    ground, which may be finer than the raster, so below 0; the same number everywhere, or None: they are at `level`.
+    Heights of the field become `height * vertical_scale + vertical_offset`.
     """
 
     field: HeightField
@@ -42,6 +43,7 @@ class Places:
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
     threads: int = 1
+    image_level: float | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -49,7 +51,7 @@ class Places:
     def only(self, which: np.ndarray) -> "Places":
         """Those of the numbers `which`."""
         scale = self.vertical_scale, self.vertical_offset
-        return Places(self.field, self.positions[which], self.level[which], *scale, self.threads)
+        return Places(self.field, self.positions[which], self.level[which], *scale, self.threads, self.image_level)
 
 
 # What is asked of effects that are made together: the parameters of each, by the effects' names.

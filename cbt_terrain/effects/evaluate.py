@@ -3,7 +3,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,10 +16,14 @@ from ..mesh.surface import Surface
 from .catalogue import EFFECTS
 from .effect import GEOMETRY, Asked, Places
 from .keep import Kept
-from .plan import Plan
+from .plan import Plan, plan
 from .scale import fixed_level, footprint_levels
 
 Group = list[Asked]  # what is made in one call
+# Bytes that the values of effects may take of one terrain, with those of the last surface. This surface's are held
+# whatever they take: the mesh is written from them.
+MOST_BYTES = 1 << 28
+NUMBER = 4  # bytes of a number, float32
 ANY_LEVEL = "ANY_LEVEL"
 
 
@@ -47,16 +51,22 @@ class _State:
 class Evaluator:
     """Evaluates effects for one terrain's surfaces; keeps what the next surface may take over.
 
-    `runs`: how often each effect was computed, ever: what is not asked for is not in it. `ran`: what the last call
-    took. Values are functions of a place, a level, parameters and heights alone, so what is kept has the bits of what
-    would be computed, whatever surfaces came before.
+    `most_bytes`: see MOST_BYTES. `runs`: how often each effect was computed, ever: what is not asked for is not in it.
+    `ran`: what the last call took. Values are functions of a place, a level, parameters and heights alone, so what is
+    kept has the bits of what would be computed, whatever surfaces came before.
     """
 
     threads: int = 1
+    most_bytes: int = MOST_BYTES
     runs: Counter = field(default_factory=Counter)
     ran: dict[str, Ran] = field(default_factory=dict)
     _state: _State = field(default_factory=_State, init=False, repr=False)
     _kept: Kept | None = field(default=None, init=False, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all values that are held, of this surface and of the last one."""
+        return 0 if self._kept is None else self._kept.nbytes
 
     def attributes(
         self,
@@ -101,7 +111,9 @@ class Evaluator:
         if not all(EFFECTS[step.name].scaled for step in plan.steps):
             fresh[ANY_LEVEL] = kept.new()
         made = [step for step in plan.steps if not EFFECTS[step.name].is_nothing(step.parameters)]
-        stay = {step.name for step in made if last.keys.get(step.name) == keys[step.name]}
+        once = _held_once(made, len(positions), self.most_bytes)
+        kept.forget(once)
+        stay = {step.name for step in made if last.keys.get(step.name) == keys[step.name]} - once
         which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in made}
         which |= dict.fromkeys(which.keys() - stay)
         values |= kept.take({name: EFFECTS[name].width for name, some in which.items() if some is not None})
@@ -111,7 +123,7 @@ class Evaluator:
             self.ran[step.name] = Ran(0.0, 0, 0)
         for group in _made_together(made, stay):
             start = time.perf_counter()
-            computed = _make(group, places[group[0].family], which[group[0].name], values, kept)
+            computed = _make(group, places[group[0].family], which[group[0].name], values, kept, once)
             ms = (time.perf_counter() - start) * 1e3 / len(group)
             for step in group:
                 self.runs[step.name] += computed > 0
@@ -120,6 +132,36 @@ class Evaluator:
         found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
         self._kept, self._state = kept, _State(surface, asked, keys, found)
         return found
+
+
+def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
+    """Effects, and what they read, at places that nothing is known of: by name, as `make` gives them."""
+    steps = list(plan(asked).steps)
+    values: dict[str, np.ndarray] = {}
+    while steps:
+        make = EFFECTS[steps[0].name].make
+        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
+        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
+        steps = [step for step in steps if step not in now]
+    return values
+
+
+def _reads(step: Asked) -> set[str]:
+    return set(EFFECTS[step.name].reads_with(step.parameters))
+
+
+def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
+    """Names of the effects of which only this surface's values are held, because those of the last one, too, would take
+    more than `most` bytes at so many places: what is cheapest to compute for its size goes first."""
+    effects = [EFFECTS[step.name] for step in steps]
+    # Two copies of places and of the levels of both families.
+    left = most - NUMBER * count * (2 * (3 + 2) + sum(effect.width for effect in effects))
+    once = set()
+    for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
+        left -= NUMBER * count * effect.width
+        if left < 0:
+            once.add(effect.name)
+    return once
 
 
 def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
@@ -149,16 +191,18 @@ def _made_together(steps: Sequence[Asked], stay: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
-def _make(group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept) -> int:
+def _make(
+    group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept, once: set[str]
+) -> int:
     """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
-    not known, where `values` has the others; None for all of them."""
+    not known, where `values` has the others; None for all of them. once: see `_held_once`."""
     effects = [EFFECTS[step.name] for step in group]
     wanted = {step.name: effect.defaults() | dict(step.parameters) for step, effect in zip(group, effects, strict=True)}
     read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
         made = effects[0].make(places, wanted, read)
         for name, array in made.items():
-            kept.put(name, array)
+            kept.put(name, array, name in once)
             values[name] = array
         return len(places)
     if len(which):

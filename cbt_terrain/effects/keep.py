@@ -46,9 +46,9 @@ class Kept:
         self._arrays[name] = before, now
         return before[: self._count], None if now is None else now[: self._last_count]
 
-    def put(self, name: str, values: np.ndarray) -> None:
-        """An array of this surface that was made as a whole."""
-        self._arrays[name] = values, self._arrays.get(name, (None, None))[0]
+    def put(self, name: str, values: np.ndarray, once: bool = False) -> None:
+        """An array of this surface that was made as a whole. `once`: that of the last one is let go of."""
+        self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
     def take(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
         """As `turn`, of several arrays, with the values of those places that the last surface has, too."""
@@ -87,6 +87,10 @@ class Kept:
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
         return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
+
+    def forget(self, names: set[str]) -> None:
+        """Drop these arrays, of both surfaces."""
+        self._arrays = {name: pair for name, pair in self._arrays.items() if name not in names}
 
     def forget_others(self, names: set[str]) -> None:
         """Drop every array but the places and these."""

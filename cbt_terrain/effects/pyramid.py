@@ -12,16 +12,14 @@ from ...kernels.effects import pyramid as kernels
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
+from ..field.store import shapes_of_effects
 from ..run import launch
 from ..run.buffers import flat
 
 
 def shapes(lattice: Lattice) -> list[tuple[int, int]]:
     """Rows and columns of each level. The last is the first with fewer than two cells one way."""
-    cells = [(lattice.cells_y, lattice.cells_x)]
-    while min(cells[-1]) > 1:
-        cells.append(tuple(-(-count // 2) for count in cells[-1]))
-    return [(rows + 1, columns + 1) for rows, columns in cells]
+    return shapes_of_effects(lattice)
 
 
 def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:

@@ -19,6 +19,7 @@ class Drainage:
 
     `to`: uint8, the receiver as a direction 3 * (dy + 1) + dx + 1, 4 for a root, all of which are of `base`: uint8, 1
     where water leaves. `order`: int32, samples after those that flow to them. `heights`: float32.
+    `catchments`: float64, how many samples drain through each, all along its one receiver.
     """
 
     grid: routing.Grid
@@ -26,6 +27,7 @@ class Drainage:
     base: np.ndarray
     to: np.ndarray
     order: np.ndarray
+    catchments: np.ndarray
     threads: int = 1
 
     def filled(self) -> np.ndarray:
@@ -34,13 +36,6 @@ class Drainage:
         arrays = flat(self.to, wp.uint8), flat(self.order, wp.int32), flat(self.heights, wp.float32)
         launch.once(catchment.fill_lakes, [self.grid, *arrays, flat(out, wp.float32)], step="routing")
         return out
-
-    def catchments(self, own: np.ndarray | None = None) -> np.ndarray:
-        """float64 [n]: how many samples drain through each, all along its one receiver; `own`: what each counts."""
-        area = np.ones(len(self.to)) if own is None else own.astype(np.float64)
-        arrays = flat(self.to, wp.uint8), flat(self.order, wp.int32), flat(area, wp.float64)
-        launch.once(routing.add_areas, [self.grid, *arrays], step="routing")
-        return area
 
     def areas(self, filled: np.ndarray) -> np.ndarray:
         """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
@@ -69,12 +64,13 @@ def route(
     holes: np.ndarray | None = None,
     threads: int = 1,
     draw: "routing.Draw | None" = None,
+    own: np.ndarray | None = None,
 ) -> Drainage:
     """The drainage of float32 [rows, columns] metres, samples so many metres apart.
 
     Water leaves at the rim and where `holes` (bool, of the same shape) are; depressions are cut through at their lowest
-    passes, and flats drain along the shortest ways. `draw`: noise in the choice of receivers, if any. A function of the
-    arguments alone but for `threads`.
+    passes, and flats drain along the shortest ways. `draw`: noise in the choice of receivers, if any. `own`: float64 of
+    the same shape, what each sample counts for in `catchments`. A function of the arguments alone but for `threads`.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
@@ -87,16 +83,18 @@ def route(
     arrays = [flat(h, wp.float32), flat(base, wp.uint8)]
     inputs = [grid, draw or routing.Draw(), *arrays, flat(to, wp.uint8)]
     launch.spread(routing.find_receivers, rows, inputs, step="routing", threads=threads, cost=columns / 8)
-    scratch, pits = np.empty(len(h), np.int32), np.zeros(1, np.int32)
-    inputs = [grid, *arrays, flat(scratch, wp.int32), flat(to, wp.uint8), flat(pits, wp.int32)]
+    scratch, label, pits = np.empty(len(h), np.int32), np.zeros(len(h), np.int32), np.zeros(1, np.int32)
+    inputs = [grid, *arrays, flat(scratch, wp.int32), flat(to, wp.uint8), flat(label, wp.int32), flat(pits, wp.int32)]
     launch.once(routing.cross_flats, inputs, step="routing")
     if pits[0]:
-        _link(grid, h, base, to, int(pits[0]), scratch, threads)
+        _link(grid, h, to, int(pits[0]), label, threads)
     donors, order = np.empty(len(h), np.uint8), scratch
     inputs = [grid, flat(to, wp.uint8), flat(donors, wp.uint8)]
     launch.spread(routing.count_donors, rows, inputs, step="routing", threads=threads, cost=columns / 16)
-    launch.once(routing.order_downstream, [*inputs, flat(order, wp.int32)], step="routing")
-    return Drainage(grid, h, base, to, order, threads)
+    area = np.ones(len(h)) if own is None else own.astype(np.float64).reshape(-1)
+    inputs += [flat(order, wp.int32), flat(area, wp.float64)]
+    launch.once(routing.order_downstream, inputs, step="routing")
+    return Drainage(grid, h, base, to, order, area, threads)
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
@@ -109,19 +107,19 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Gr
     return grid
 
 
-def _link(grid, h, base, to, pits: int, label: np.ndarray, threads: int) -> None:
+def _link(grid, h, to, pits: int, label: np.ndarray, threads: int) -> None:
     """Turn the flow of every basin that ends in a pit to the basin beyond its lowest pass."""
-    label.fill(-1)
     arrays = [flat(to, wp.uint8), flat(label, wp.int32)]
     blocks = -(-len(h) // BLOCK)
-    inputs = [BLOCK, grid, flat(base, wp.uint8), *arrays]
+    inputs = [BLOCK, grid, *arrays]
     launch.spread(routing.label_basins, blocks, inputs, step="routing", threads=threads, cost=BLOCK)
     start = np.zeros(grid.height + 1, np.int64)
 
     def find(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
         found = [flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
         inputs = [emit, grid, flat(h, wp.float32), flat(label, wp.int32), *found]
-        launch.spread(routing.find_passes, grid.height, inputs, step="routing", threads=threads, cost=grid.width)
+        cost = grid.width / 8
+        launch.spread(routing.find_passes, grid.height - 1, inputs, step="routing", threads=threads, cost=cost)
 
     find(0, np.empty(1, np.float32), np.empty(1, np.int32))
     start[1:] = np.cumsum(start[:-1])
@@ -130,6 +128,6 @@ def _link(grid, h, base, to, pits: int, label: np.ndarray, threads: int) -> None
     key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
     find(1, key, edge)
     launch.sort_pairs(key, edge, count, step="routing")
-    up = np.arange(len(h) + 1, dtype=np.int32)
+    up = np.arange(pits + 2, dtype=np.int32)
     inputs = [count, pits, grid, flat(edge, wp.int32), flat(label, wp.int32), flat(up, wp.int32), flat(to, wp.uint8)]
     launch.once(routing.link_basins, inputs, step="routing")

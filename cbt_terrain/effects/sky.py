@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sky: how much of the sky a place sees.
 
-Of a raster of up to 2^25 samples the sky over every sample is found once, by sweeps, and places take it from there, so
-that a flight, another camera or a map costs next to nothing. Of a larger one rays start from the places themselves. The
-raster's size alone decides.
+The sky over every sample is found once, by sweeps, and places take it from there, so that a flight, another camera or
+a map costs next to nothing. Of a raster of more than 2^25 samples it is that over a coarser level of its heights.
 """
 
 import math
@@ -19,7 +18,7 @@ from ..run import launch
 from .effect import Effect, Evaluate, Parameter, Places, Wanted
 from .light import AZIMUTHS, azimuths
 from .occluder import every_crossing, for_places, occluder_of
-from .sky_layer import PREVIEW_AZIMUTHS, advance, has_layer, is_known, preview_horizons, sky_layer
+from .sky_layer import PREVIEW_AZIMUTHS, advance, is_known, preview_horizons, sky_layer
 
 # Beyond the raster there is ground: the sky begins at the horizontal.
 HORIZONTAL = 0.0
@@ -46,10 +45,8 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
         inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
         jobs = for_places(sky_between, places, inputs, out, cost=25.0)
-    elif has_layer(field):
-        jobs = for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
     else:
-        return {"sky": seen_from(places)}
+        jobs = for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
     for _done in jobs:
         pass
     return {"sky": out}
@@ -57,13 +54,13 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
 
 def is_quick(field: HeightField, scale: float) -> bool:
     """Whether a view need not begin with a preview: the sky over the raster is known already."""
-    return has_layer(field) and is_known(field, scale)
+    return is_known(field, scale)
 
 
 def refine(field: HeightField, scale: float, threads: int) -> bool:
     """One step towards the sky in full quality, a sixteenth of its layer; returns whether none is left, so that who
-    asks for it now gets it. Of a raster that has no layer nothing can be made ahead."""
-    return not has_layer(field) or advance(field, scale, threads)
+    asks for it now gets it."""
+    return advance(field, scale, threads)
 
 
 def example(evaluate: Evaluate) -> None:

@@ -1,50 +1,61 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sky over a raster by sweeps: of every sample, where the raster is small; of a coarser one, as a preview.
+"""The sky over a raster by sweeps: of every sample or, of a large raster, of the finest level of its pyramid that has
+MOST_SAMPLES at most; of a coarse one, as a preview.
 
-Kept with the field when it is made, under the last MOST_SCALES vertical scales. Who is stopped in between goes on from
-the last whole azimuth.
+Kept with the field, and when it is complete in its store, under the last MOST_SCALES vertical scales. Who is stopped in
+between goes on from the last whole azimuth.
 """
 
 import threading
+from contextlib import suppress
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import sweep as kernels
+from ..field import store
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, shapes
+from .whole import file_of, read_kept
 
-# Of a larger raster rays from the places that are asked for take less time and memory.
+# So that memory and the time of a step stay bounded.
 MOST_SAMPLES = 1 << 25
+VERSION = 1  # raised whenever values change
 MOST_SCALES = 2
 # A preview: from samples at multiples of 2^3 or more, this many at most, and half of the azimuths.
 PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
 
-# Kinds of what is kept, and what is there of one that was not begun.
-LAYER, PREVIEW, NOTHING = "sky", "coarse horizons", {"azimuths": 0}
+# Kinds of what is kept; LOOKED: the scales whose layers were looked for in the store.
+LAYER, PREVIEW, LOOKED = "sky", "coarse horizons", "looked for skies"
 
 _making = threading.Lock()
 
 
-def has_layer(field: HeightField) -> bool:
-    """Whether the sky of this raster is a layer of its samples: it depends on their number alone."""
-    return field.lattice.width * field.lattice.height <= MOST_SAMPLES
+def layer_level(field: HeightField) -> int:
+    """The level of the pyramid that the layer is of: the raster's size alone decides."""
+    sizes = [rows * columns for rows, columns in shapes(field.lattice)]
+    return next((level for level, size in enumerate(sizes) if size <= MOST_SAMPLES), len(sizes) - 1)
 
 
 def is_known(field: HeightField, scale: float) -> bool:
     """Whether the layer is complete, so that values from it take no time."""
-    return field.found.get((LAYER, scale), NOTHING)["azimuths"] == AZIMUTHS
+    with _making:
+        looked = field.found.setdefault((LOOKED,), set())
+        if (LAYER, scale) not in field.found and scale not in looked:
+            looked.add(scale)
+            _recall(field, scale)
+        return field.found.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The sky over every sample under a vertical scale; made first, if it is not known."""
-    state = NOTHING
+    state = _advanced(field, scale, threads)
     while state["azimuths"] < AZIMUTHS:
         state = _advanced(field, scale, threads)
-    return _layer(field, state["sky"], 0)
+    return _layer(field, state["sky"], layer_level(field))
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
@@ -55,20 +66,52 @@ def advance(field: HeightField, scale: float, threads: int) -> bool:
 def _advanced(field: HeightField, scale: float, threads: int) -> dict:
     """What there is of the layer then: `sky`, float32 [rows, columns], of so many `azimuths`."""
     with _making:
-        state = _kept(field, LAYER, scale)
+        state = _begun(field, scale)
         if state["azimuths"] < AZIMUTHS:
-            heights, lattice = np.ascontiguousarray(field.heights()), field.lattice
+            level = layer_level(field)
+            steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
+            heights = np.ascontiguousarray(level_of(field, level, threads))
             rows, columns = heights.shape
             sums = state.setdefault("sky", np.zeros(heights.shape, np.float32))
             azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
-            sweep(heights, (lattice.step_x, lattice.step_y), azimuth, scale, threads, found)
-            per_cell = wp.vec2f(scale / lattice.step_x, scale / lattice.step_y)
+            sweep(heights, steps, azimuth, scale, threads, found)
+            per_cell = wp.vec2f(scale / steps[0], scale / steps[1])
             numbers = [columns, rows, per_cell, wp.vec2f(*azimuth), wp.float32(1.0 / AZIMUTHS)]
             arrays = [flat(found, wp.float32), flat(sums, wp.float32)]
             inputs = [flat(heights, wp.float32), *numbers, *arrays]
             launch.spread(kernels.add_sky, rows, inputs, step="light", threads=threads, cost=columns)
             state["azimuths"] += 1
+            if state["azimuths"] == AZIMUTHS:
+                _keep_in_store(field, scale, sums)
         return state
+
+
+def _begun(field: HeightField, scale: float) -> dict:
+    """What is there of the layer, in memory or in the store."""
+    if (LAYER, scale) not in field.found:
+        _recall(field, scale)
+    state = _kept(field, LAYER, scale)
+    state.setdefault("azimuths", 0)
+    return state
+
+
+def _recall(field: HeightField, scale: float) -> None:
+    """Take it from the store, if that has it."""
+    shape = shapes(field.lattice)[layer_level(field)]
+    sky = read_kept(field, file_of(LAYER, VERSION, (scale,)), shape)
+    if sky is not None:
+        _kept(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
+
+
+def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
+    """Those of scales before the last MOST_SCALES are taken away."""
+    file = file_of(LAYER, VERSION, (scale,))
+    store.keep(field, file, sky)
+    folder = store.data_folder(field)
+    with suppress(OSError):  # another process may do the same
+        others = [] if folder is None else [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
+        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: len(others) + 1 - MOST_SCALES]:
+            old.unlink()
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
@@ -126,7 +169,7 @@ def _kept(field: HeightField, kind: str, scale: float) -> dict:
         others = [key for key in field.found if key[0] == kind]
         for key in others[: len(others) + 1 - MOST_SCALES]:
             del field.found[key]
-        field.found[kind, scale] = dict(NOTHING)
+        field.found[kind, scale] = {}
     return field.found[kind, scale]
 
 

@@ -48,14 +48,13 @@ def whole(
     As those it can have a pyramid; it has no errors and no ranges. `make` makes it, when nothing has kept it. Other
     results may leave the memory for it.
     """
-    mark = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
-    key = f"{field.raster_key}-{name}-{mark}"
+    file = file_of(name, version, parameters)
+    key = f"{field.raster_key}-{file}"
     with _making:  # whoever wants the same waits for it
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-        file = f"effect_{name}_{mark}"
-        samples = _read(field, file, (lattice.height, lattice.width))
+        samples = read_kept(field, file, (lattice.height, lattice.width))
         if samples is None:
             samples = make()
             store.keep(field, file, samples)
@@ -64,6 +63,12 @@ def whole(
         while len(_kept) > 1 and sum(map(_nbytes, _kept.values())) > MOST_BYTES:
             _kept.popitem(last=False)
         return _kept[key]
+
+
+def file_of(name: str, version: int, parameters: tuple) -> str:
+    """What the file of a result is called in a store, without its suffix."""
+    mark = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
+    return f"effect_{name}_{mark}"
 
 
 def forget() -> None:
@@ -76,7 +81,7 @@ def _nbytes(result: HeightField) -> int:
     return result.samples.nbytes * 4 // 3
 
 
-def _read(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
+def read_kept(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
     """What the store has kept, in memory, if all of it is what was written."""
     folder = store.data_folder(field)
     if folder is None:

@@ -144,15 +144,37 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     for name, array in shapes.items():
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
-    for name, (shape, dtype) in kept_arrays(field.lattice).items():
-        file = folder / f"{name}.npy"
-        if os.path.lexists(file):
+    kept = {f"{name}.npy": like for name, like in kept_arrays(field.lattice).items()}
+    kept |= {
+        file.name: (_shape_of(file, shapes_of_effects(field.lattice)), np.float32) for file in _effect_files(folder)
+    }
+    for name, (shape, dtype) in kept.items():
+        if os.path.lexists(folder / name):
             try:
-                found[file.name] = verify_array(file, shape, dtype)
+                found[name] = verify_array(folder / name, shape, dtype)
             except TerrainError as error:
                 cause = str(error).removesuffix("import the terrain again.")
                 raise TerrainError(f"{cause}delete the file, it is made again when it is needed.") from error
     return found
+
+
+def _effect_files(folder: Path) -> list[Path]:
+    """What effects have kept over a whole raster."""
+    return sorted(file for file in folder.glob("effect_*.npy") if _is_own_entry(file))
+
+
+def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
+    """Rows and columns of the results of effects over a whole raster: of its samples, of every other one, and so on."""
+    cells = [(lattice.cells_y, lattice.cells_x)]
+    while min(cells[-1]) > 1:
+        cells.append(tuple(-(-count // 2) for count in cells[-1]))
+    return [(rows + 1, columns + 1) for rows, columns in cells]
+
+
+def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
+    """The one of the shapes that a file of float32 has by its size; the first where it has none's."""
+    size = os.lstat(file).st_size
+    return next((shape for shape in shapes if file_bytes(4 * math.prod(shape)) == size), shapes[0])
 
 
 def kept_arrays(lattice: Lattice) -> dict[str, tuple]:

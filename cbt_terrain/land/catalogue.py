@@ -12,5 +12,5 @@ from .water import WATER
 
 # In the order in which a stack usually has them.
 LAND_EFFECTS: dict[str, LandEffect] = {
-    effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, SNOW, WATER, FLOOD)
+    effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, WATER, FLOOD, SNOW)
 }

@@ -16,8 +16,6 @@ from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 # Places of single gullies differ from level to level, only their amount converges. So each level of at least so many
 # metres between samples is rained on anew; a finer one has the gullies of that, with their edges rounded.
 FINEST_STEP = 8.0
-# All droplets fall in so many rounds over all tiles: in one, each tile would be worn before its neighbour.
-ROUNDS = 4
 # Metres over which a droplet turns downhill, takes up or lays down what it lacks or has too much, and dries; around it
 # that it changes. The m3 that it carries on a slope of 1.
 TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
@@ -62,15 +60,14 @@ def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, fl
     mask = np.ones(heights.shape, np.float32) if ground.mask is None else np.ascontiguousarray(ground.mask, np.float32)
     arrays = [flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)]
     carried = 0.0
-    for number in range(4 * ROUNDS):
-        tiles = _tiles(rain, down, number % 4)
-        rain.seed = ((ground.seed * ROUNDS + number // 4) * 0x9E3779B9) & 0xFFFFFFFF
+    for colour in range(4):
+        tiles = _tiles(rain, down, colour)
         lost = np.zeros(len(tiles))
         inputs = [flat(tiles, wp.int32), rain, *arrays, flat(lost, wp.float64)]
         cost = 5.0 * rain.drops * rain.steps
         launch.spread(kernels.rain_on_tiles, len(tiles), inputs, step="droplets", threads=ground.threads, cost=cost)
         carried += math.fsum(lost)
-        ground.progress((number + 1) / (4 * ROUNDS))
+        ground.progress((colour + 1) / 4)
     return change, carried
 
 
@@ -88,10 +85,11 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> tuple[kernels.Rain, in
     rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     rain.across = -(-int(columns) // rain.columns)
     area = rain.rows * ground.step_y * rain.columns * ground.step_x
-    rain.drops = round(values["droplets"] * 1e-6 * area / ROUNDS)
+    rain.drops = round(values["droplets"] * 1e-6 * area)
     rain.capacity, rain.sea = CAPACITY * values["strength"], values["sea"]
     # float32: exp may differ by a bit from machine to machine
     rain.keep, kept, wet = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
+    rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
     rain.load = rain.drop = 1.0 - kept
     rain.dry = 1.0 - wet
     return rain, -(-int(rows) // rain.rows)
@@ -120,17 +118,18 @@ def _tiles(rain: kernels.Rain, down: int, colour: int) -> np.ndarray:
 
 
 def _halo(values: Mapping[str, float], step: float) -> float:
+    """Metres. Tiles of droplets that are cut change their neighbours, those the next: beyond 1.25 sides by 1e-3 m."""
     if step < FINEST_STEP:
         return 2.0 * step
-    return ROUNDS * step * _tile(_steps(values, step), max(1, round(0.5 * BRUSH / step)))
+    return 1.25 * step * _tile(_steps(values, step), max(1, round(0.5 * BRUSH / step)))
 
 
 def example(shape: Evaluate) -> None:
-    """A pyramid is worn and ground around it is raised, nothing is lost; a plain stays as it is."""
+    """A funnel fills up from its flanks, nothing is lost; a plain stays as it is."""
     x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
     far = np.maximum(x[:, None], x)
-    change = shape("droplets", 10.0 + 5.0 * np.maximum(16.0 - far, 0.0), 10.0).heights
-    assert change[(far > 4) & (far < 12)].mean() < -0.5 and change[(far > 16) & (far < 20)].mean() > 0.5
+    change = shape("droplets", 10.0 + 5.0 * far, 10.0).heights
+    assert change[far < 3].mean() > 3.0 and change[(far > 12) & (far < 30)].mean() < -0.5
     assert abs(change.sum(dtype=np.float64)) < 1e-6 * np.abs(change).sum(dtype=np.float64)
     assert not shape("droplets", np.full((33, 65), 10.0), 10.0).heights.any()
 

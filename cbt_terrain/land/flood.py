@@ -30,9 +30,10 @@ class Flood:
 
     `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
     and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
-    where what is deeper than `most` (m) leaves: the rim, and holes. `left`: float64 [1], the sum of it in metres of
-    samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and in the north; `pushed`,
-    like them, and `part`, like one, are scratch. They have a row before and after the raster's.
+    where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: float64 [1], the sum of
+    what has left there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
+    east and in the north; `pushed`, like them, and `part`, like one, are scratch. They have a row before and after the
+    raster's.
     """
 
     bed: np.ndarray
@@ -41,7 +42,7 @@ class Flood:
     rough: float
     rain: np.ndarray
     outlets: np.ndarray
-    most: np.ndarray
+    deep: np.ndarray
     left: np.ndarray
     fluxes: np.ndarray
     pushed: np.ndarray
@@ -69,7 +70,8 @@ def still(
     """A flood at its beginning: all is at rest, and below the level of the `sea` water stands `surge` metres above it.
 
     bed, metres, rough: as in Flood; rain: m/s, of everywhere or of each sample; missing: bool [rows, columns], holes,
-    where water vanishes. At the rim what is above the level of the sea leaves.
+    where water vanishes. Beyond the rim there is the sea, or land to
+    which what comes leaves.
     """
     bed = np.ascontiguousarray(bed, np.float32)
     holes = np.zeros(bed.shape, bool) if missing is None else missing
@@ -80,10 +82,10 @@ def still(
     rim[[0, -1]] = True
     rim[:, [0, -1]] = True
     outlets = np.flatnonzero(rim).astype(np.int32)
-    most = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
+    deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
     fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    made = depth, metres, rough, rains, outlets, most, np.zeros(1), *fluxes, np.ones_like(fluxes[0][0])
+    made = depth, metres, rough, rains, outlets, deep, np.zeros(1), *fluxes, np.ones_like(fluxes[0][0])
     return Flood(bed, *made, threads)
 
 
@@ -139,7 +141,7 @@ def _advance(flood: Flood, dt: float) -> None:
     rain = [wp.float64(dt), flat(flood.rain, wp.float32)]
     launch.spread(kernels.move, rows, [columns, per, *rain, east, north, part, water], **common)
     launch.once(
-        kernels.leave, [outlets, flat(flood.most, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
+        kernels.leave, [outlets, flat(flood.deep, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
     )
 
 

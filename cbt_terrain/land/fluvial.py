@@ -50,7 +50,7 @@ class Bed:
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
         heights, fixed = self.heights.reshape(self.shape), self.fixed.reshape(self.shape)
-        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw)
+        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
@@ -60,12 +60,11 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     None without deposition.
     """
     drainage = bed.drain(_draw(bed, number))
-    area = drainage.catchments(bed.own)
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
-    rate = _cut(bed, drainage, area, years, values)
     _creep(bed, drainage, years * values["creep"])
-    load = _lay_down(bed, drainage, area, rate, raised, values["deposition"]) if values["deposition"] > 0.0 else None
+    rate, filled = _cut(bed, drainage, years, values)
+    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
 
@@ -86,18 +85,20 @@ def _draw(bed: Bed, number: int) -> Draw:
     return draw
 
 
-def _cut(bed: Bed, drainage: Drainage, area: np.ndarray, years: float, values: dict[str, float]) -> np.ndarray:
-    """Returns the factor F of every sample."""
-    grid, rate, arrays = drainage.grid, np.empty_like(bed.heights), [flat(drainage.to, wp.uint8)]
+def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Returns the factor F of every sample, and, where sediment is wanted, the water's surface."""
+    grid, rate, to = drainage.grid, np.empty_like(bed.heights), flat(drainage.to, wp.uint8)
     numbers = [bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years]
-    inputs = [grid, *numbers, *arrays, flat(area, wp.float64), flat(bed.soft, wp.float32), flat(rate, wp.float32)]
+    arrays = [flat(drainage.catchments, wp.float64), flat(bed.soft, wp.float32), flat(rate, wp.float32)]
     rows, columns = bed.shape
+    inputs = [grid, *numbers, to, *arrays]
     launch.spread(kernels.find_rates, rows, inputs, step="rivers", threads=bed.threads, cost=columns / 8)
-    steepest = np.tan(np.radians(values["steepest"]))
-    drop = wp.vec3f(*(steepest / np.array([*grid.nearness])))
-    arrays += [flat(drainage.order, wp.int32), flat(bed.part, wp.float32), flat(rate, wp.float32)]
-    launch.once(kernels.cut_down, [grid, drop, *arrays, flat(bed.heights, wp.float32)], step="rivers")
-    return rate
+    drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*grid.nearness])))
+    filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
+    arrays = [flat(a, wp.float32) for a in (bed.part, rate, rate if filled is None else filled, bed.heights)]
+    inputs = [grid, drop, int(filled is not None), to, flat(drainage.order, wp.int32), *arrays]
+    launch.once(kernels.cut_down, inputs, step="rivers")
+    return rate, filled
 
 
 def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
@@ -113,10 +114,10 @@ def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
         bed.heights, other = other, bed.heights
 
 
-def _lay_down(bed: Bed, drainage: Drainage, area, rate, raised: np.ndarray, deposition: float) -> np.ndarray:
-    load = np.zeros(len(area))
-    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(area, wp.float64)]
-    arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, drainage.filled())]
+def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
+    load = np.zeros(len(rate))
+    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
+    arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]
     launch.once(kernels.lay_down, inputs, step="rivers")
     return load

@@ -56,12 +56,14 @@ class LevelPlan:
             return 0.0
         return self.cost(entry, level, None if how == WHOLE else min(tiles)) * (1 if how == WHOLE else len(tiles))
 
-    def tiles_at(self, level: Level, most: np.ndarray | None) -> list[int]:
+    def tiles_at(self, level: Level, most: np.ndarray | None, unsure: np.ndarray | None) -> list[int]:
         """The tiles of a level that are wanted, and where more is to be expected than the error that is allowed.
 
-        most: float64 [tiles of the next coarser level] metres: what that has added at most; finer ones add less.
+        most: float64 [tiles of the next coarser level] metres: what that has added at most; finer ones add less, but
+        where it is `unsure`, bool likewise.
         """
         wanted = self.wanted[level.number]
         if most is None or level.is_whole:
             return list(wanted)
-        return [tile for tile, metres in wanted.items() if most[level.parent(tile)] > metres]
+        parents = {tile: level.parent(tile) for tile in wanted}
+        return [tile for tile, metres in wanted.items() if unsure[parents[tile]] or most[parents[tile]] > metres]

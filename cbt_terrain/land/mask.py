@@ -14,6 +14,7 @@ HEIGHT, SLOPE, ASPECT = RULES = ("height", "slope", "aspect")
 UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""}
 LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0}
 LEAST_EDGE = 1e-9
+STEEPEST = 1e30  # metres a metre
 BAND_ROWS = 256
 
 
@@ -133,20 +134,25 @@ def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.nda
 
 
 def _between_slopes(tangent: np.ndarray, rule: GroundRule) -> np.ndarray:
-    """Soft edges are straight in tangents, which need no function that differs from machine to machine."""
+    """Soft edges are straight in tangents on each side of a limit: these need no function that differs from machine to
+    machine."""
     half = 0.5 * max(rule.edge, LEAST_EDGE)
-    low = [_tangent(rule.low - half), _tangent(rule.low + half)]
-    high = [_tangent(rule.high - half), _tangent(rule.high + half)]
-    return _rising(tangent, *low) * _rising(-tangent, -high[1], -high[0])
+    low, high = ([_tangent(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
+    up = np.interp(tangent, low, (0.0, 0.5, 1.0)).astype(np.float32)
+    down = np.interp(tangent, high, (1.0, 0.5, 0.0)).astype(np.float32)
+    return _smooth(up) * _smooth(down)
 
 
 def _tangent(degrees: float) -> float:
-    return math.inf if degrees >= 90.0 else -math.inf if degrees <= -90.0 else math.tan(math.radians(degrees))
+    return math.copysign(STEEPEST, degrees) if abs(degrees) >= 90.0 else math.tan(math.radians(degrees))
 
 
 def _rising(values: np.ndarray, first: float, last: float) -> np.ndarray:
     """0 up to `first`, 1 from `last` on, float32, smooth in between."""
     if math.isinf(first) or math.isinf(last):
         return np.full_like(values, 0.0 if first == math.inf else 1.0 if first == -math.inf else 0.0)
-    part = np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32)
+    return _smooth(np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32))
+
+
+def _smooth(part: np.ndarray) -> np.ndarray:
     return part * part * (3.0 - 2.0 * part)

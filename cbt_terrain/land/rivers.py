@@ -2,7 +2,7 @@
 """Rivers: a terrain ages, or a range grows from uplift, over years. A step is in fluvial.py."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -28,17 +28,12 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     if coarser is not None:
         years, steps = _years_again(values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
-    rim, inner, cut = _edges(ground, bed)
-    start = bed.heights.copy()
+    move_edges = _edges(bed, origin, coarser)
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
         step(bed, years / steps, values, number)
-        # A raster's rim is no dam: it falls with the sample inside it. A cut goes the coarser level's way.
-        bed.heights[rim] = origin[rim] + np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
-        if len(cut):
-            end = origin[cut] + coarser.heights.reshape(-1)[cut]
-            bed.heights[cut] = start[cut] + (end - start[cut]) * np.float32((number + 1) / steps)
-    area = bed.drain().catchments(bed.own) * (ground.step_x * ground.step_y)
+        move_edges((number + 1) / steps)
+    area = bed.drain().catchments * (ground.step_x * ground.step_y)
     change = bed.heights - origin
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
@@ -90,17 +85,36 @@ def _sides(shape: tuple[int, int]) -> list[tuple]:
     return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
 
 
-def _edges(ground: Ground, bed: Bed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the samples on the raster's own rim, of those inside them, and of those where a tile is cut off."""
-    rows, columns = bed.shape
-    rim, cut = np.zeros(bed.shape, bool), np.zeros(bed.shape, bool)
-    for own, side in zip(ground.rims, _sides(bed.shape), strict=True):
-        (rim if own else cut)[side] = True
-    free = ~bed.fixed.reshape(bed.shape)
-    rim &= free & ~cut
-    j, i = np.nonzero(rim)
+def _edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
+    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
+
+    At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
+    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
+    """
+    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
+    for which in _sides(bed.shape):
+        side[which] = True
+    side &= ~bed.fixed.reshape(bed.shape)
+    j, i = np.nonzero(side)
+    at = j * columns + i
+    if not len(at):
+        return lambda _done: None
+    if coarser is not None:
+        start = bed.heights[at]
+        way = origin[at] + coarser.heights.reshape(-1)[at] - start
+
+        def follow(done: float) -> None:
+            bed.heights[at] = start + way * np.float32(done)
+
+        return follow
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
-    return np.flatnonzero(rim), inner, np.flatnonzero(cut & free)
+    lowest = origin[at].min()
+
+    def fall(_done: float) -> None:
+        change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
+        bed.heights[at] = np.maximum(origin[at] + change, lowest)
+
+    return fall
 
 
 def _with_inflow(ground: Ground, coarser: Change) -> np.ndarray:

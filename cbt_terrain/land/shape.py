@@ -67,7 +67,8 @@ class Shaped:
 @dataclass(eq=False)
 class State:
     """What a level leaves to the next finer one. `changes`: of each entry, [1 + its layers, rows, columns], without its
-    mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared."""
+    mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared. `unsure`: where an
+    effect has added nothing, though its mask let it: finer waves than this level knows may come, or only layers."""
 
     level: Level
     changes: list[np.ndarray | None]
@@ -75,6 +76,7 @@ class State:
     layers: dict[str, np.ndarray]
     most: np.ndarray
     squares: np.ndarray
+    unsure: np.ndarray
 
 
 @dataclass(eq=False)
@@ -105,7 +107,7 @@ class Shaping:
         """What an effect tells how far it is, of work that costs so much."""
 
         def said(part: float) -> None:
-            if self.finish():
+            if level is not self.plan.levels[-1] and self.finish():  # the coarsest is there at least
                 raise Finished
             total = max(self.plan.total, 1.0)
             text = f"{entry.declaration.label}, {level.columns} x {level.rows}"
@@ -140,7 +142,7 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
     """The last level that was made, and whether that was not all."""
     state = None
     for level in reversed(run.plan.levels):
-        tiles = run.plan.tiles_at(level, None if state is None else state.most)
+        tiles = run.plan.tiles_at(level, *((None, None) if state is None else (state.most, state.unsure)))
         if not run.entries or not (level.is_whole or tiles):
             break
         try:
@@ -153,7 +155,7 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
 def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) -> State:
     ground = LevelGround.of(run.heights, level)
     total, layers, added = np.zeros(level.shape, np.float32), {}, []
-    most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
+    most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes = []
     for number, entry in enumerate(run.entries):
         mask = None
@@ -166,6 +168,8 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
         total += _put_on(entry, change, mask, ground, layers)
         most += tile_most
         squares += tile_squares
+        if run.plan.how(entry, level) != UPSAMPLED:
+            unsure |= (tile_most == 0.0) & _is_let(level, mask)
         added += [figures] if figures is not None else []
         # The finest level leaves nothing to a finer one.
         changes.append(change if level.number else None)
@@ -175,8 +179,17 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if below is not None and not level.is_whole:
         for tile in set(range(level.tile_count)) - set(tiles):  # nobody knows better than the coarser level
-            most[tile], squares[tile] = below.most[level.parent(tile)], below.squares[level.parent(tile)]
-    return State(level, changes, total, layers, most, squares)
+            parent = level.parent(tile)
+            most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
+    return State(level, changes, total, layers, most, squares, unsure)
+
+
+def _is_let(level: Level, mask: np.ndarray | None) -> np.ndarray:
+    """bool [tiles]: whether a mask lets anything through."""
+    let = np.ones(level.tile_count, bool)
+    if mask is not None:
+        let[:] = [mask[level.window(tile, BAND, BAND)].any() for tile in range(level.tile_count)]
+    return let
 
 
 def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarray:

@@ -21,20 +21,28 @@ _enough = threading.Event()
 class ShapeJob(StoreJob):
     """A stack applied to the store `source`, into the store `store`, in a child process.
 
-    wanted: the tiles of each level, as `tiles_seen` finds them (tiles.py); None for all. Raises TerrainError at once
-    for what cannot be.
+    wanted: the tiles of each level, as `tiles_seen` finds them (tiles.py); None for all. tiles: as of `run_shape`.
+    Raises TerrainError at once for what cannot be.
     """
 
-    def __init__(self, source: str | os.PathLike, stack: Stack, store: str | os.PathLike, wanted: Wanted | None = None):
+    def __init__(
+        self,
+        source: str | os.PathLike,
+        stack: Stack,
+        store: str | os.PathLike,
+        wanted: Wanted | None = None,
+        tiles: str | os.PathLike | None = None,
+    ):
         stack = stack_from(stack_content(stack))
         stores.check_target(store)
         heights = open_source(source, Path(store))
         stores.remove_abandoned(Path(store))
-        tiles = None if wanted is None else [sorted(tiles.items()) for tiles in wanted]
+        asked = None if wanted is None else [sorted(level.items()) for level in wanted]
+        request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}
         super().__init__(
             "cbt_terrain.land.shape_process",
             store,
-            {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": tiles},
+            request | {"tiles": None if tiles is None else str(Path(tiles).absolute())},
             what=_what(str(source)),
             report=finished_before(store, shape_digest(heights, stack, wanted)),
         )
@@ -55,10 +63,11 @@ def shape_store(
     store: str | os.PathLike,
     wanted: Wanted | None = None,
     on_progress: Tell = lambda _fraction, _message: None,
+    tiles: str | os.PathLike | None = None,
 ) -> dict:
     """Shape in a child process and wait; arguments and report as of `run_shape`, with "unchanged" if the store holds
     this already. on_progress(fraction, message) is called as it goes on; what it raises stops the job."""
-    return wait_for(lambda: ShapeJob(source, stack, store, wanted), on_progress)
+    return wait_for(lambda: ShapeJob(source, stack, store, wanted, tiles), on_progress)
 
 
 def child_main() -> None:
@@ -70,4 +79,5 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
     wanted = request["wanted"] and [dict(map(tuple, tiles)) for tiles in request["wanted"]]
     stack = stack_from(request["stack"])
-    return run_shape(request["source"], stack, request["store"], wanted, on_progress, request["folder"], _enough.is_set)
+    more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
+    return run_shape(request["source"], stack, request["store"], wanted, on_progress, **more)

@@ -41,13 +41,14 @@ def run_shape(
     folder: str | None = None,
     finish: Callable[[], bool] = lambda: False,
     threads: int | None = None,
+    tiles: str | os.PathLike | None = None,
 ) -> dict:
     """Shape the store `source` into the store `path` in this process and return the report; `path` changes at the very
     end or not at all, but for tiles that are kept there for the next time.
 
     wanted: the tiles of each level (tiles.py), None for all. finish: asked now and then whether the levels that are
-    done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. Raises
-    TerrainError.
+    done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles: where tiles
+    are kept, which several stores of one source may share; None for a folder in `path`. Raises TerrainError.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # numbers as those of the process that asked
@@ -60,7 +61,7 @@ def run_shape(
     wanted = all_tiles(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units)) as draft:
-        cache = TileCache(path / store.TILES)
+        cache = TileCache(path / store.TILES if tiles is None else Path(tiles))
         images = {file: load_image(file, cache.folder) for file in mask_files(stack)}
         shaped = shape(
             heights,

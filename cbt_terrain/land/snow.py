@@ -30,15 +30,19 @@ WET = 0.05
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
     """See Apply in land_effect.py."""
     fallen, stuck = _fallen(ground, values)
-    if coarser is not None and not all(ground.rims):
-        far = coarser.layers["snow"] - coarser.layers["slides"] - _seen_coarsely(ground, values)
-        fallen = np.maximum(fallen + far, 0.0)
+    loose = start = fallen - stuck
+    if coarser is not None:
+        seen, clung = _seen_coarsely(ground, values)
+        before = coarser.layers["snow"] - coarser.layers["slides"]
+        # What comes of ground further off than a tile looks, the coarser level knows; of the whole this is 0.
+        fallen = np.maximum(fallen + (before - seen), 0.0)
         fallen[_bare(ground) != 0] = 0.0
         stuck = np.minimum(stuck, fallen)
+        loose = fallen - stuck
+        start = _brought(loose, coarser.layers["slides"], before - clung, all(ground.rims))
     ground.progress(0.5)
-    loose = fallen - stuck
-    start = loose.copy() if coarser is None else _brought(loose, coarser.layers["slides"], all(ground.rims))
-    slides = _slid(ground, values, stuck, start, SWEEPS if coarser is not None else SWEEPS * AT_FIRST) - loose
+    sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
+    slides = _slid(ground, values, stuck, start.copy(), sweeps) - loose
     snow = np.maximum(fallen + slides, 0.0)
     return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
 
@@ -92,10 +96,8 @@ def _weather(ground: Ground, values: Mapping[str, float]) -> kernels.Weather:
     return weather
 
 
-def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
-    """What has fallen as the coarser level sees it from the samples of this tile alone, brought to this level.
-
-    The snow of the whole coarser level less this is what comes of ground further off."""
+def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """What has fallen and what clings as the coarser level sees it from these samples alone, brought to this level."""
     odd = [n % 2 for n in ground.first]
 
     def coarse(samples: np.ndarray | None) -> np.ndarray | None:
@@ -105,18 +107,19 @@ def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
     layers = {name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"}
     arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
     below = Ground(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
-    fallen, _ = _fallen(below, values)
     shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
-    return finer(fallen, shape)[odd[0] :, odd[1] :]
+    fallen, stuck = (finer(a, shape)[odd[0] :, odd[1] :] for a in _fallen(below, values))
+    return fallen, stuck
 
 
-def _brought(loose: np.ndarray, slides: np.ndarray, whole: bool) -> np.ndarray:
-    """The loose snow with what slid at the coarser level.
+def _brought(loose: np.ndarray, slides: np.ndarray, loose_there: np.ndarray, whole: bool) -> np.ndarray:
+    """The loose snow after what slid at the coarser level, where `loose_there` lay: of all here the same part goes.
 
-    Where less lies than slid away, and between samples, snow comes from nowhere; of a whole raster what was laid down
-    makes up for it."""
-    start = np.maximum(loose + slides, 0.0)
-    laid = np.minimum(np.maximum(slides, 0.0), start)
+    Between the samples of the coarser level some snow is made or lost, a few parts in a thousand of what moved; of a
+    whole raster what was laid down makes up for it."""
+    part = np.clip(-slides / np.maximum(loose_there, np.float32(1e-6)), 0.0, 1.0)
+    laid = np.maximum(slides, 0.0)
+    start = loose - part * loose + laid
     if whole and (most := _total(laid)) > 0.0:
         start -= np.float32(np.clip((_total(start) - _total(loose)) / most, -1.0, 1.0)) * laid
     return start

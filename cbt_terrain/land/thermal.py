@@ -21,8 +21,9 @@ LONGEST, OCTAVES = 500.0, 3
 # A pair settles fully, but gives no more than a part of its scree at once: on steep rock all of it would hurry from
 # every second sample to the next. Of what is too steep of bare rock, so much breaks.
 SHARE, PART, WEATHER = 0.5, 0.25, 0.05
-# Samples around a tile that decide its values, a sweep.
-HALO = 3.2
+# Samples of halo around a tile for every sweep: with 1 the island's tiles have the bytes of the whole already, though
+# one sweep could carry something 6 samples far.
+HALO = 1.6
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:

@@ -22,6 +22,7 @@ import warp as wp
 from ...kernels.effects import texels as kernels
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked, Places
+from ..effects.evaluate import values_at
 from ..effects.plan import plan
 from ..effects.scale import STEPS_PER_LEVEL
 from ..errors import TerrainError
@@ -121,9 +122,13 @@ class _Place:
 
     def level(self, side: int) -> float:
         """Of the pyramid, for an image of so many texels a side: samples as far apart as texels, but for SHARPER."""
+        return max(self.image_level(side), 0.0)
+
+    def image_level(self, side: int) -> float:
+        """The same of images that are laid on the ground, which may be finer than samples."""
         lattice = self.field.lattice
         finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
-        return round(max(math.log2(finer) - SHARPER, 0.0) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
+        return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
 def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Image:
@@ -133,7 +138,7 @@ def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Ima
         VERSION,
         [(step.name, EFFECTS[step.name].version, sorted(step.parameters)) for step in steps],
         (place.field.raster_key, place.vertical_scale, place.vertical_offset),
-        (place.tiling, tile, side, place.level(side)),
+        (place.tiling, tile, side, place.image_level(side)),
         coding,
     )
     key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
@@ -181,19 +186,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 def _values(place: _Place, images: list[_Image], tile: int, side: int, first: int) -> dict[str, np.ndarray]:
     """The effects of the images at a band of a tile's texels, by name."""
-    places = _texel_places(place, tile, side, first, _band(side))
-    steps = list(plan([image.asked for image in images]).steps)
-    values: dict[str, np.ndarray] = {}
-    while steps:
-        make = EFFECTS[steps[0].name].make
-        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
-        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
-        steps = [step for step in steps if step not in now]
-    return values
-
-
-def _reads(step: Asked) -> set[str]:
-    return set(EFFECTS[step.name].reads_with(step.parameters))
+    return values_at(_texel_places(place, tile, side, first, _band(side)), [image.asked for image in images])
 
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
@@ -213,7 +206,8 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
     inputs = [first * side, raster, grid, shared(positions, wp.vec3f)]
     launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
     level = np.full(len(positions), place.level(side), np.float32)
-    return Places(field, positions, level, place.vertical_scale, place.vertical_offset, place.threads)
+    scale = place.vertical_scale, place.vertical_offset
+    return Places(field, positions, level, *scale, place.threads, place.image_level(side))
 
 
 def _coded(values: np.ndarray, image: _Image, threads: int) -> np.ndarray:

@@ -5,13 +5,14 @@ A tile's resolution follows from distances alone, so it stays while a camera tur
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from ..ask.linear import least_stretch, lengths, product, solve
 from ..ask.local_view import frustum_planes
 from ..ask.view import ORTHOGRAPHIC, View
+from ..effects.effect import Asked
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from .tiling import LEAST, MOST, Tiling
@@ -88,34 +89,41 @@ def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarra
 
 
 def resolutions(
-    tiling: Tiling, field: HeightField, footprints: np.ndarray, texel_bytes: int, budget_mb: float | None = None
+    tiling: Tiling, footprints: np.ndarray, shown: np.ndarray, texel_bytes: int, budget_mb: float | None = None
 ) -> list[int]:
     """The side in texels of each tile's image: a power of two, so that a texel is no larger than the footprint.
 
-    `footprints`: metres, float64 [tiles]. `texel_bytes`: of a texel of all maps together, as Blender holds them. Where
+    `footprints`, `shown`: metres, float64 [tiles], of what looks at them and of what there is (`shown_by`).
+    `texel_bytes`: of a texel of all maps together, as Blender holds them. Where
     they would take more than `budget_mb`, all tiles get coarser alike. Raises TerrainError for one that is no limit.
     """
     if budget_mb is not None and not budget_mb > 0:
         raise TerrainError(f"The budget of the maps is {budget_mb} MB; expected more than 0.")
     # A tile that holds an eye has a footprint of 0, which no factor makes coarser.
-    footprints = np.maximum(footprints, min(field.lattice.step_x, field.lattice.step_y))
+    footprints = np.maximum(footprints, shown)
     coarser = 0.0
     while True:
-        sides = [_side(tiling, field, metres * 2**coarser) for metres in footprints]
+        sides = [_side(tiling, metres * 2**coarser) for metres in footprints]
         total = sum(side * side for side in sides) * texel_bytes
         if budget_mb is None or total <= budget_mb * MEGABYTE or max(sides) == LEAST:
             return sides
         coarser += COARSER
 
 
-def whole(tiling: Tiling, field: HeightField) -> np.ndarray:
-    """float64 [tiles] metres: footprints of all that the raster has."""
-    return np.full(len(tiling), min(field.lattice.step_x, field.lattice.step_y))
+def shown_by(tiling: Tiling, field: HeightField, asked: Iterable[Asked]) -> np.ndarray:
+    """float64 [tiles] metres: the finest that there is to show in each tile. Between samples the ground is smooth:
+    images that are finer than the raster show no more of it, but of decals that lie there."""
+    found = np.full(len(tiling), min(field.lattice.step_x, field.lattice.step_y))
+    for decal in {decal for item in asked for decal in dict(item.parameters).get("decals", ())}:
+        west, south, east, north = decal.box
+        for tile in range(len(tiling)):
+            box = tiling.box(tile)
+            if west <= box[2] and box[0] <= east and south <= box[3] and box[1] <= north:
+                found[tile] = min(found[tile], decal.pixel)
+    return found
 
 
-def _side(tiling: Tiling, field: HeightField, metres: float) -> int:
+def _side(tiling: Tiling, metres: float) -> int:
     """Texels along a side of a tile whose texels are to be no larger than `metres`."""
-    # Between samples the ground is smooth: images that are finer than the raster show no more.
-    finest = min(field.lattice.step_x, field.lattice.step_y)
-    wanted = max(tiling.width, tiling.height) / tiling.inner / max(metres, finest)
+    wanted = max(tiling.width, tiling.height) / tiling.inner / metres
     return min(1 << max(math.ceil(math.log2(max(wanted, LEAST)) - 1e-9), 0), MOST)

@@ -4,7 +4,8 @@
 Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 s each, about 10 s in all, and where
 that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
 of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
-child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already.
+child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already. Those of
+effects, of a detail and of what ground hides are made ready when a scene first asks for them.
 """
 
 import importlib
@@ -13,6 +14,7 @@ import pkgutil
 import subprocess
 import threading
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
@@ -25,31 +27,39 @@ from . import child, launch, stopping
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
+HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
 CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
 
 
 class _Preparation:
-    """One run; its thread alone touches the child processes. `fraction`: 0 .. 1 while modules are compiled. `done`: the
-    kernels of a frame are ready; `overlay_done`: those of the overlay too."""
+    """One run over groups of modules, the first of which are wanted first; its thread alone touches the child
+    processes. `fraction`: 0 .. 1 while modules are compiled. `ready`: of each group, that its kernels are."""
 
-    def __init__(self):
+    def __init__(self, *groups: list[ModuleType]):
         self.fraction: float | None = None
-        self.done, self.overlay_done = threading.Event(), threading.Event()
+        self._groups, self.ready = groups, [threading.Event() for _ in groups]
         self.stopping = threading.Event()
         self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
         self.thread.start()
 
+    @property
+    def done(self) -> threading.Event:
+        return self.ready[0]
+
+    @property
+    def overlay_done(self) -> threading.Event:
+        return self.ready[-1]
+
     def _run(self) -> None:
         processes = []
         try:
-            modules = kernel_modules()
-            compiled = {module: compiled_file(module) for module in modules + overlay_modules()}
+            compiled = {module: compiled_file(module) for group in self._groups for module in group}
             if not all(file.exists() for file in compiled.values()):
                 self.fraction = 0.0
                 processes = self._start_children()
-            self._finish(modules, compiled, processes)
-            self.done.set()
-            self._finish(overlay_modules(), compiled, processes)
+            for group, ready in zip(self._groups, self.ready, strict=True):
+                self._finish(group, compiled, processes)
+                ready.set()
         except Exception:  # whoever launches a kernel is told the reason again
             traceback.print_exc()
         finally:
@@ -58,8 +68,9 @@ class _Preparation:
                     process.kill()
                 process.wait()
             self.fraction = None
-            self.done.set()
-            self.overlay_done.set()
+            _tried.update(module for group in self._groups for module in group)
+            for ready in self.ready:
+                ready.set()
 
     def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
         """Wait until the children have compiled `modules`, or have ended; then load them."""
@@ -77,53 +88,72 @@ class _Preparation:
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+        names = [[_name_of(module) for module in group] for group in self._groups]
         processes = []
         try:
             for i in range(count):
-                processes.append(child.start("cbt_terrain.run.warmup", str(i), str(count), variables=cache, **streams))
+                own = [name for group in names for name in group[i::count]]
+                processes.append(child.start("cbt_terrain.run.warmup", *own, variables=cache, **streams))
         except OSError:
             pass  # loading compiles what is left
         return processes
 
 
+# What every terrain needs, and what the scenes of this process have asked for since.
 _current: _Preparation | None = None
+_asked: _Preparation | None = None
+_tried: set[ModuleType] = set()  # what cannot be loaded is not tried again: who launches it is told why
 
 
 def start() -> None:
-    """Begin to make every kernel ready; does nothing if that was begun."""
+    """Begin to make the kernels of a frame and of the overlay ready; does nothing if that was begun."""
     global _current
     if _current is None:
-        _current = _Preparation()
+        _current = _Preparation(kernel_modules(), overlay_modules())
+
+
+def ask(modules: Iterable[ModuleType]) -> bool:
+    """Whether these need no preparing; else that begins, unless others are under way, and then ask again."""
+    global _asked
+    missing = [module for module in modules if module not in _tried]
+    if missing and not preparing():
+        _asked = _Preparation(missing)
+    return not missing
 
 
 def stop() -> None:
-    """End what `start` began, at once; whoever waits gets a TerrainError."""
-    global _current
-    preparation, _current = _current, None
-    if preparation is not None:
+    """End what `start` and `ask` began, at once; whoever waits gets a TerrainError."""
+    global _current, _asked
+    begun, _current, _asked = [p for p in (_current, _asked) if p is not None], None, None
+    for preparation in begun:
         preparation.stopping.set()
+    for preparation in begun:
         preparation.thread.join()
 
 
 def preparing() -> bool:
     """Whether kernels are being made ready, so that an update would have to wait."""
-    return _current is not None and not _current.done.is_set()
+    return any(p is not None and not p.done.is_set() for p in (_current, _asked))
 
 
 def progress() -> float | None:
     """0 .. 1 while kernels are compiled, those of the overlay too; else None."""
-    return _current.fraction if _current is not None else None
+    fractions = [p.fraction for p in (_current, _asked) if p is not None and p.fraction is not None]
+    return fractions[-1] if fractions else None
 
 
 def wait(overlay: bool = False) -> None:
-    """Return when the kernels of a frame, or of the overlay, are ready. Raises TerrainError if that was stopped."""
-    preparation = _current
-    if preparation is not None:
-        ready = preparation.overlay_done if overlay else preparation.done
-        while not ready.wait(POLL_SECONDS):
-            stopping.check()
-        if preparation.stopping.is_set():
-            raise TerrainError("The extension was switched off while its kernels were being prepared; switch it on.")
+    """Return when the kernels of a frame, or of the overlay, and those that were asked for are ready. Raises
+    TerrainError if that was stopped."""
+    for preparation in (_current, _asked):
+        if preparation is not None:
+            ready = preparation.overlay_done if overlay else preparation.done
+            while not ready.wait(POLL_SECONDS):
+                stopping.check()
+            if preparation.stopping.is_set():
+                raise TerrainError(
+                    "The extension was switched off while its kernels were being prepared; switch it on."
+                )
 
 
 def kernel_modules() -> list[ModuleType]:
@@ -170,11 +200,15 @@ def load(module: ModuleType) -> None:
         launch.slices(kernel, [], step="load")  # loads the kernel and launches nothing
 
 
-def child_main(first: str, step: str) -> None:
-    """Fill Warp's cache with every `step`-th module from `first`."""
+def _name_of(module: ModuleType) -> str:
+    """Within the house of kernels."""
+    return module.__name__.removeprefix(HOUSE)
+
+
+def child_main(*names: str) -> None:
+    """Fill Warp's cache with these modules."""
     child.end_with_parent()
     if hasattr(os, "nice"):
         os.nice(5)  # the window and an import come first
-    for modules in (kernel_modules(), overlay_modules()):
-        for module in modules[int(first) :: int(step)]:
-            load(module)
+    for name in names:
+        load(importlib.import_module(HOUSE + name))

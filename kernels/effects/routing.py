@@ -11,7 +11,15 @@ whose links turn the flow of a basin's own tree around, so that no graph is buil
 import warp as wp
 
 from ..field.noise import scramble
-from .rows import count_donors_of_row, find_receivers_of_row
+from .rows import (
+    count_donors_of_row,
+    find_receivers_of_row,
+    label_samples,
+    list_passes_of_row,
+    next_pit,
+    passes_of_row,
+    walk_downstream,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -118,36 +126,40 @@ def cross_flats(
     base: wp.array(dtype=wp.uint8),
     queue: wp.array(dtype=wp.int32),
     to: wp.array(dtype=wp.uint8),
+    label: wp.array(dtype=wp.int32),
     pits: wp.array(dtype=wp.int32),
 ):
     """Serial. A flat drains to where it has an outlet, the nearest one; without one, to its first sample, a pit.
 
-    `queue` [n] is scratch, `pits` [1] becomes the number of pits.
+    `queue` [n] is scratch, `pits` [1] becomes the number of pits, and `label` of each its number from 2 on.
     """
     n = grid.width * grid.height
     end = wp.int32(0)
-    for i in range(n):
-        if to[i] == ROOT and base[i] == wp.uint8(0):
-            found = wp.int32(0)
-            for q in range(8):
-                k = straight_first(q)
-                j = towards(i, k, grid.width)
-                drains = (to[j] < WAITING and to[j] != ROOT) or base[j] != wp.uint8(0)
-                if found == 0 and drains and h[j] == h[i]:
-                    found = 1
-                    to[i] = wp.uint8(k) + WAITING
-                    queue[end] = i
-                    end += 1
+    i = next_pit(0, n, to, base)
+    while i < n:
+        found = wp.int32(0)
+        for q in range(8):
+            k = straight_first(q)
+            j = towards(i, k, grid.width)
+            drains = (to[j] < WAITING and to[j] != ROOT) or base[j] != wp.uint8(0)
+            if found == 0 and drains and h[j] == h[i]:
+                found = 1
+                to[i] = wp.uint8(k) + WAITING
+                queue[end] = i
+                end += 1
+        i = next_pit(i + 1, n, to, base)
     grow(grid, h, base, queue, end, to)
     count = wp.int32(0)
-    for i in range(n):
-        # What flows to a pit has a receiver already when the scan comes to it.
-        if to[i] == ROOT and base[i] == wp.uint8(0):
-            base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
-            queue[0] = i
-            grow(grid, h, base, queue, wp.int32(1), to)
-            base[i] = wp.uint8(0)
-            count += 1
+    # What flows to a pit has a receiver already when the scan comes to it.
+    i = next_pit(0, n, to, base)
+    while i < n:
+        base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
+        queue[0] = i
+        grow(grid, h, base, queue, wp.int32(1), to)
+        base[i] = wp.uint8(0)
+        label[i] = count + 2
+        count += 1
+        i = next_pit(i + 1, n, to, base)
     pits[0] = count
 
 
@@ -156,28 +168,15 @@ def label_basins(
     offset: int,
     block: int,
     grid: Grid,
-    base: wp.array(dtype=wp.uint8),
     to: wp.array(dtype=wp.uint8),
     label: wp.array(dtype=wp.int32),
 ):
-    """Block `offset + tid`: the root of each sample's flow, n for any of `base`. `label` is filled with -1 before.
+    """Block `offset + tid`: the number of the pit that each sample flows to, 1 for any of `base`; 0 before.
 
     A thread may write labels of other blocks: all write the same, since a sample has one root.
     """
-    n = grid.width * grid.height
     first = (offset + wp.tid()) * block
-    for i in range(first, wp.min(first + block, n)):
-        at = wp.int32(i)
-        while label[at] < 0 and to[at] != ROOT:
-            at = towards(at, wp.int32(to[at]), grid.width)
-        root = label[at]
-        if root < 0:
-            root = wp.where(base[at] != wp.uint8(0), n, at)
-        at = wp.int32(i)
-        while label[at] < 0:
-            label[at] = root
-            if to[at] != ROOT:
-                at = towards(at, wp.int32(to[at]), grid.width)
+    label_samples(first, wp.min(first + block, grid.width * grid.height), grid.width, to, label)
 
 
 @wp.kernel
@@ -191,26 +190,16 @@ def find_passes(
     key: wp.array(dtype=wp.float32),
     edge: wp.array(dtype=wp.int32),
 ):
-    """Row `offset + tid`: its neighbours of other basins among those ahead (directions 5 - 8): their number into
-    `start`, or, with `emit`, from `start` on the height of each pass and 4 * sample + direction - 5."""
+    """Row `offset + tid`, which is not the last: its neighbours of other basins among those ahead (directions 5 - 8):
+    their number into `start`, or, with `emit`, from `start` on the height of each pass and 4 * sample + direction - 5.
+
+    Both ends of a pass in the last row are of `base`.
+    """
     y = offset + wp.tid()
-    at = wp.int64(0)
-    if emit == 1:
-        at = start[y]
-    for x in range(grid.width):
-        i = y * grid.width + x
-        for q in range(4):
-            xx = x + (5 + q) % 3 - 1
-            yy = y + (5 + q) / 3 - 1
-            if xx >= 0 and xx < grid.width and yy < grid.height:
-                j = yy * grid.width + xx
-                if label[i] != label[j]:
-                    if emit == 1:
-                        key[at] = wp.max(h[i], h[j])
-                        edge[at] = i * 4 + q
-                    at += wp.int64(1)
     if emit == 0:
-        start[y] = at
+        start[y] = wp.int64(passes_of_row(y, grid.width, label))
+    elif start[y + 1] > start[y]:
+        list_passes_of_row(y, grid.width, h, label, start[y], key, edge)
 
 
 @wp.func
@@ -249,9 +238,9 @@ def link_basins(
 ):
     """Serial. From the lowest pass on: of two basins that are not linked yet one drains over it, never that of `base`.
 
-    `up` [n + 1]: the sets of basins that are linked, each its own before.
+    `up` [pits + 2]: the sets of basins that are linked, each its own before.
     """
-    outside = grid.width * grid.height
+    outside = wp.int32(1)
     left = wp.int32(pits)
     e = wp.int32(0)
     while e < count and left > 0:
@@ -305,31 +294,9 @@ def order_downstream(
     to: wp.array(dtype=wp.uint8),
     donors: wp.array(dtype=wp.uint8),
     order: wp.array(dtype=wp.int32),
-):
-    """Serial. All samples, each after those that flow to it (Zhou, Wei and Fu 2019): down from each spring as far as
-    no other branch is missing. `donors` is used up."""
-    at = wp.int32(0)
-    for spring in range(grid.width * grid.height):
-        i = wp.int32(spring)
-        while donors[i] == wp.uint8(0):
-            donors[i] = wp.uint8(255)  # done: the scan, when it comes here, starts nothing
-            order[at] = i
-            at += 1
-            if to[i] != ROOT:
-                i = towards(i, wp.int32(to[i]), grid.width)
-                donors[i] = donors[i] - wp.uint8(1)
-
-
-@wp.kernel
-def add_areas(
-    grid: Grid,
-    to: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
     area: wp.array(dtype=wp.float64),
 ):
-    """Serial. Every sample gives all that it has to its receiver. `area`: each one's own before, the sum after."""
-    for q in range(grid.width * grid.height):
-        i = order[q]
-        if to[i] != ROOT:
-            j = towards(i, wp.int32(to[i]), grid.width)
-            area[j] = area[j] + area[i]
+    """Serial. All samples, each after those that flow to it (Zhou, Wei and Fu 2019): down from each spring as far as
+    no other branch is missing. `donors` is used up. `area`: what each sample counts before, the sum of all that drains
+    through it after."""
+    walk_downstream(grid.width * grid.height, grid.width, to, donors, order, area)

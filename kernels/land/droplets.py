@@ -5,7 +5,8 @@ Tiles of the ground have one of four colours. Those of one colour run side by si
 other; none reaches as far as half a tile beyond its own, so no two tiles meet and threads change nothing.
 
 `ground` is float32 [rows * columns] metres, NaN where nothing may change; `change` is float64 and added to it, so that
-no grain is lost; what leaves over the rim is `carried`, cubic metres.
+no grain is lost; what leaves over the rim is `carried`, cubic metres. Places are in samples of the whole level, so that
+a tile of it has the same bits.
 """
 
 import warp as wp
@@ -62,13 +63,13 @@ def patch(
     ground: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ) -> wp.vec3d:
-    """The bilinear surface at (x, y), samples: its slope to the east and north, metres a metre, and height."""
+    """The bilinear surface at (x, y): its slope to the east and north, metres a metre, and its height."""
     one = wp.float64(1.0)
     i = wp.int32(x)
     j = wp.int32(y)
     u = x - wp.float64(i)
     v = y - wp.float64(j)
-    at = j * rain.width + i
+    at = (j - rain.first_row) * rain.width + i - rain.first_column
     a = height_at(at, ground, change)
     b = height_at(at + 1, ground, change) - a
     c = height_at(at + rain.width, ground, change)
@@ -80,8 +81,8 @@ def patch(
 
 @wp.func
 def weight(rain: Rain, x: wp.float64, y: wp.float64, column: wp.int32, row: wp.int32, more: wp.int32) -> wp.float64:
-    u = (x - wp.float64(column)) / wp.float64(rain.brush_x + more + 1)
-    v = (y - wp.float64(row)) / wp.float64(rain.brush_y + more + 1)
+    u = (x - wp.float64(rain.first_column + column)) / wp.float64(rain.brush_x + more + 1)
+    v = (y - wp.float64(rain.first_row + row)) / wp.float64(rain.brush_y + more + 1)
     return wp.max(wp.float64(1.0) - u * u - v * v, wp.float64(0.0))
 
 
@@ -95,9 +96,9 @@ def lay(
     ground: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ):
-    """Lay down `volume` m3 around (x, y), samples, under a round brush, `more` samples wider; less than 0: take up."""
-    middle_x = wp.int32(x + wp.float64(0.5))
-    middle_y = wp.int32(y + wp.float64(0.5))
+    """Lay down `volume` m3 around (x, y), under a round brush, `more` samples wider; less than 0: take up."""
+    middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
+    middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
     west = wp.max(middle_x - rain.brush_x - more, 0)
     east = wp.min(middle_x + rain.brush_x + more, rain.width - 1) + 1
     south = wp.max(middle_y - rain.brush_y - more, 0)
@@ -124,12 +125,14 @@ def run_droplet(
     mask: wp.array(dtype=wp.float32),
     change: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """From (x, y), samples, until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
+    """From (x, y) until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
     none = wp.float64(0.0)
     one = wp.float64(1.0)
     cell = rain.step_x * rain.step_y
-    most_x = wp.float64(rain.width - 1)
-    most_y = wp.float64(rain.height - 1)
+    least_x = wp.float64(rain.first_column)
+    least_y = wp.float64(rain.first_row)
+    most_x = wp.float64(rain.first_column + rain.width - 1)
+    most_y = wp.float64(rain.first_row + rain.height - 1)
     go_x = wp.float64(0.0)
     go_y = wp.float64(0.0)
     water = wp.float64(1.0)
@@ -151,7 +154,7 @@ def run_droplet(
             go_y = go_y / length
             u = x + go_x * rain.stride / rain.step_x
             v = y + go_y * rain.stride / rain.step_y
-            if u < none or v < none or u >= most_x or v >= most_y:
+            if u < least_x or v < least_y or u >= most_x or v >= most_y:
                 carried = held
                 held = none
                 step = rain.steps
@@ -166,7 +169,8 @@ def run_droplet(
                     elif held > room:
                         volume = (held - room) * rain.drop
                     else:
-                        near = wp.int32(y + wp.float64(0.5)) * rain.width + wp.int32(x + wp.float64(0.5))
+                        row = wp.int32(y + wp.float64(0.5)) - rain.first_row
+                        near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
                         volume = -wp.min((room - held) * rain.load, fall * cell) * wp.float64(mask[near])
                     held -= volume
                     lay(rain, x, y, volume, 0, ground, change)
@@ -201,9 +205,9 @@ def rain_on_tiles(
         bits = scramble(scramble(scramble(wp.uint32(tile) + rain.seed) + wp.uint32(drop)))
         part_x = wp.float64(bits & wp.uint32(0xFFFF)) * per_unit
         part_y = wp.float64(bits >> wp.uint32(16)) * per_unit
-        x = wp.float64((tile % rain.across) * rain.columns - rain.first_column) + part_x * wp.float64(rain.columns)
-        y = wp.float64((tile / rain.across) * rain.rows - rain.first_row) + part_y * wp.float64(rain.rows)
-        if x >= wp.float64(0.0) and y >= wp.float64(0.0):
-            if x < wp.float64(rain.width - 1) and y < wp.float64(rain.height - 1):
+        x = wp.float64((tile % rain.across) * rain.columns) + part_x * wp.float64(rain.columns)
+        y = wp.float64((tile / rain.across) * rain.rows) + part_y * wp.float64(rain.rows)
+        if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):
+            if x < wp.float64(rain.first_column + rain.width - 1) and y < wp.float64(rain.first_row + rain.height - 1):
                 lost += run_droplet(rain, x, y, ground, mask, change)
     carried[slot] = lost

@@ -34,7 +34,8 @@ _FACE = """
         c = (2.0f * c + f / (c * c)) * 0.33333334f;
         const double rise = a < b ? b - a : a - b, open = SMOOTHING * s / (s + rise), q = q0[x];
         double v = q + open * ((before[x] - q) + (after[x] - q)) - pull * s * (eb - ea);
-        v = v / (1.0 + drag * (v < 0.0 ? -v : v) / (s * s * c));
+        // Friction by the flux after the step: q + drag |q| q = v, so that what is steady is Manning's for any step.
+        v = 2.0 * v / (1.0 + __builtin_sqrt(1.0 + 4.0 * drag / (s * s * c) * (v < 0.0 ? -v : v)));
         const double top = s * __builtin_sqrt(9.81 * s);  // Froude 1: steeper torrents run at the critical speed
         v = v > top ? top : v < -top ? -top : v;
         out[x] = d > 1e-6 ? v : 0.0;
@@ -177,13 +178,12 @@ def move(
 @wp.kernel
 def leave(
     outlets: wp.array(dtype=wp.int32),
-    most: wp.array(dtype=wp.float64),
+    deep: wp.array(dtype=wp.float64),
     water: wp.array(dtype=wp.float64),
     left: wp.array(dtype=wp.float64),
 ):
-    """Serial. What stands higher than `most` metres at an outlet has left the raster; left[0]: their sum."""
+    """Serial. At an outlet water stands as high as beyond it: what is more than `deep` metres has left the raster, what
+    is less has come in. left[0]: their sum."""
     for k in range(outlets.shape[0]):
-        more = water[outlets[k]] - most[k]
-        if more > wp.float64(0.0):
-            water[outlets[k]] = most[k]
-            left[0] = left[0] + more
+        left[0] = left[0] + (water[outlets[k]] - deep[k])
+        water[outlets[k]] = deep[k]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What rivers do to a ground in a step, along the drainage of kernels/effects/routing.py: cut, creep and lay down.
 
-Rows are C snippets (tests/kernels/test_fluvial_rows.py says in numpy what they stand for); no product and sum stand in
-one statement, which some processors would round otherwise.
+The loops are C snippets, as in kernels/effects/rows.py (tests/kernels/test_fluvial.py says in numpy what they stand
+for); no product and sum stand in one statement, which some processors would round otherwise.
 """
 
 import warp as wp
 
-from ..effects.routing import ROOT, Grid, axis, towards
+from ..effects.routing import Grid
 from ..field.noise import value_noise
 
 wp.set_module_options({"enable_backward": False})
@@ -60,32 +60,58 @@ def find_rates(
     rate_of_row(offset + wp.tid(), grid.width, grid.nearness, cell, hillslope, strength, to, area, soft, rate)
 
 
-@wp.kernel
-def cut_down(
-    grid: Grid,
+@wp.func_native("""
+    const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
+    const float ew = drop[0], ns = drop[1], across = drop[2];
+    const float most[9] = {across, ns, across, ew, 0.0f, ew, across, ns, across};
+    float *z = h.data, *w = filled.data;
+    for (int q = n - 1; q >= 0; --q) {
+        const int i = order.data[q], k = to.data[i], j = i + away[k];
+        const float high = z[i], low = z[j];
+        if (k != 4 && high > low && rate.data[i] > 0.0f) {
+            const float left = (high - low) / (1.0f + rate.data[i]);
+            const float v = low + left, top = low + most[k];
+            float over = v - top;
+            over = over > 0.0f ? over : 0.0f;
+            over = over * part.data[i];
+            z[i] = v - over;
+        }
+        if (lakes) w[i] = k == 4 || z[i] > w[j] ? z[i] : w[j];
+    }
+""")
+def cut_samples(
+    n: wp.int32,
+    width: wp.int32,
     drop: wp.vec3f,
+    lakes: wp.int32,
     to: wp.array(dtype=wp.uint8),
     order: wp.array(dtype=wp.int32),
     part: wp.array(dtype=wp.float32),
     rate: wp.array(dtype=wp.float32),
+    filled: wp.array(dtype=wp.float32),
+    h: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def cut_down(
+    grid: Grid,
+    drop: wp.vec3f,
+    lakes: int,
+    to: wp.array(dtype=wp.uint8),
+    order: wp.array(dtype=wp.int32),
+    part: wp.array(dtype=wp.float32),
+    rate: wp.array(dtype=wp.float32),
+    filled: wp.array(dtype=wp.float32),
     h: wp.array(dtype=wp.float32),
 ):
     """Serial, from the outlets up: the implicit step of Braun and Willett (2013), equation 20, whatever its length.
 
     `drop`: metres that a sample may stand above its receiver, by axis. What lies below its receiver is a lake's floor
-    and rests.
+    and rests, and so does what has no rate. `filled`, where `lakes` is 1: the surface of the
+    water after the cut.
     """
-    n = grid.width * grid.height
-    for q in range(n):
-        i = order[n - 1 - q]
-        if to[i] != ROOT:
-            k = wp.int32(to[i])
-            low = h[towards(i, k, grid.width)]
-            high = h[i]
-            if high > low:
-                v = low + (high - low) / (wp.float32(1.0) + rate[i])
-                over = wp.max(v - (low + drop[axis(k)]), wp.float32(0.0))
-                h[i] = v - over * part[i]
+    cut_samples(grid.width * grid.height, grid.width, drop, lakes, to, order, part, rate, filled, h)
 
 
 @wp.func_native("""
@@ -131,6 +157,49 @@ def creep(
     creep_of_row(offset + wp.tid() + 1, grid.width, ew, ns, base, part, old, h)
 
 
+@wp.func_native("""
+    const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
+    double* l = load.data;
+    float* z = h.data;
+    for (int q = 0; q < n; ++q) {
+        const int i = order.data[q], k = to.data[i];
+        if (k == 4) continue;
+        const float was = before.data[i], water = filled.data[i];
+        const double come = l[i], most = come > 0.0 ? come : 0.0, cut = (double)was - z[i];
+        double laid = (double)water - z[i];
+        if (laid > 0.0)
+            laid = laid < most ? laid : most;
+        else {
+            const double half = cut > 0.0 ? 0.5 * cut : 0.0, twentieth = 0.05 * most, limit = half + twentieth;
+            double share = deposition / area.data[i];
+            share = share < 1.0 ? share : 1.0;
+            laid = most * share;
+            laid = laid < limit ? laid : limit;
+            laid = laid / (1.0 + rate.data[i]);
+        }
+        laid = laid * part.data[i];
+        z[i] = (float)(z[i] + laid);
+        double out = (double)was - z[i];
+        out = come + out;
+        l[i + away[k]] += out;
+    }
+""")
+def lay_down_samples(
+    n: wp.int32,
+    width: wp.int32,
+    deposition: wp.float64,
+    to: wp.array(dtype=wp.uint8),
+    order: wp.array(dtype=wp.int32),
+    area: wp.array(dtype=wp.float64),
+    part: wp.array(dtype=wp.float32),
+    rate: wp.array(dtype=wp.float32),
+    before: wp.array(dtype=wp.float32),
+    filled: wp.array(dtype=wp.float32),
+    load: wp.array(dtype=wp.float64),
+    h: wp.array(dtype=wp.float32),
+): ...
+
+
 @wp.kernel
 def lay_down(
     grid: Grid,
@@ -147,27 +216,15 @@ def lay_down(
 ):
     """Serial, from the springs down: what the step has taken is carried along, and a part of it laid down.
 
-    A lake (where `filled`, the surface before the step, is above the ground then) catches all that fits below its
-    surface; a channel lays down `deposition` over its area in samples of what it carries (Davy and Lague 2009; Yuan et
+    A lake (where `filled`, the surface of the water, is above the ground) catches all that fits below
+    it; a channel lays down `deposition` over its area in samples of what it carries (Davy and Lague 2009; Yuan et
     al. 2019, equation 7), but no more than half of what it was just cut by and a twentieth of the load; of that the cut
     leaves 1 / (1 + F), as of any height above its receiver. `before`: heights before the step, lifted.
     `load`: 0 before; after it metres times samples that have come to each; at roots, what has left. The differences of
     stored heights are what is carried, so that mass is lost to no rounding of heights.
     """
-    for q in range(grid.width * grid.height):
-        i = order[q]
-        if to[i] != ROOT:
-            come = load[i]
-            cut = wp.float64(before[i]) - wp.float64(h[i])
-            most = wp.max(come, wp.float64(0.0))
-            laid = wp.min(most, wp.max(wp.float64(filled[i]) - wp.float64(h[i]), wp.float64(0.0)))
-            if filled[i] <= before[i]:
-                limit = wp.float64(0.5) * wp.max(cut, wp.float64(0.0)) + wp.float64(0.05) * most
-                laid = most * wp.min(deposition / area[i], wp.float64(1.0))
-                laid = wp.min(laid, limit) / (wp.float64(1.0) + wp.float64(rate[i]))
-            h[i] = wp.float32(wp.float64(h[i]) + laid * wp.float64(part[i]))
-            j = towards(i, wp.int32(to[i]), grid.width)
-            load[j] = load[j] + come + (wp.float64(before[i]) - wp.float64(h[i]))
+    n = grid.width * grid.height
+    lay_down_samples(n, grid.width, deposition, to, order, area, part, rate, before, filled, load, h)
 
 
 @wp.kernel

@@ -82,16 +82,16 @@ def scene_subjects(
 ) -> list[Subject]:
     """The terrains of a .blend file, each with its own settings and in a folder of its own."""
     source = SceneFrames(blend, camera, resolution)
-    import bpy
 
     from ..effects.map_request import gathered
     from ..scene import session
+    from ..scene.land_request import raster_of
 
     look = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
         *_, request = gathered(obj, source.scene, names, frames, **look)
         request = replace(request, folder=out / file_name(obj))
-        field = session.open_field(bpy.path.abspath(obj.adaptive_terrain.store))
+        field = raster_of(request.store, request.land, session.open_field)
         subjects.append(Subject(obj.name, field, request))
     return subjects

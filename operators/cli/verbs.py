@@ -217,6 +217,8 @@ def run_maps(arguments) -> None:
         need_bpy("A .blend file")
     elif arguments.frames and not arguments.path:
         raise UsageError("--frames are those of a --path FILE.json, or of a scene")
+    if arguments.maps is not None and not arguments.maps.strip(", "):
+        raise UsageError("--maps names no map; expected names with commas between, as --maps detail_normal,sky")
     names = arguments.maps.split(",") if arguments.maps else None
     if arguments.scene:
         look = {"camera": arguments.camera, "resolution": arguments.resolution, "frames": arguments.frames}

@@ -10,6 +10,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...cbt_terrain.ask.linear import inverse
+from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects import splat_layers
 from ..effects.material import dress
@@ -21,6 +22,7 @@ from ..scene.map_properties import SHOT
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
+from .land import add_water
 from .materials import HAZE, level_material, plain_material, put_haze, sea_material
 
 ZENITH = (0.07, 0.20, 0.56, 1.0)
@@ -56,6 +58,9 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
     bake_island_maps(obj)
     wear_material(obj)
+    field = open_store(store)
+    if "water_depth" in field.layers:
+        add_water(scene, field, scene.objects["Sea"].data.materials[0])
     file = str((out / "island.blend").resolve())
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=file)
@@ -76,10 +81,17 @@ def bake_island_maps(obj) -> None:
 
 
 def wear_material(obj) -> None:
-    """The preset *Alpine* above a beach, and what the button *Terrain Material* makes of these layers, in haze."""
+    """The preset *Alpine* above a beach, snow and scree where they lie, and what the button *Terrain Material* makes of
+    these layers, in haze."""
     runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
     layers = obj.adaptive_terrain.layers
-    layers.remove(layers.find("Stream"))  # the island's pits are no lakes
+    layers.remove(layers.find("Stream"))  # its water is a mesh
+    for layer, depth, edge in (
+        (layers["Scree"], layers["Scree"].scree, 1.0),
+        (layers["Snow"], layers["Snow"].snow, 0.3),
+    ):
+        layer.relief.use = layer.slope.use = False
+        depth.use, depth.low, depth.edge = True, edge, edge
     layers["Meadow"].color, layers["Forest"].color = (0.11, 0.145, 0.04), (0.04, 0.072, 0.02)
     layers["Forest"].strength = 0.6
     beach = layers.add()

@@ -12,6 +12,7 @@ from ...cbt_terrain.maps.bake import Baked
 from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
 from ..scene import live, session
+from ..scene.land_request import raster_of
 from . import map_images
 from .map_baking import MapRequest, carry_out, summary
 from .map_request import gathered
@@ -37,18 +38,16 @@ class Job:
         self.stopping = threading.Event()
         self.thread: threading.Thread | None = None
 
-    def start(self, request: MapRequest, store: str) -> None:
+    def start(self, request: MapRequest) -> None:
         self.fraction, self.message = 0.0, "Baking maps"
-        self.thread = threading.Thread(
-            target=self.run, args=(request, store), name="adaptive_terrain_maps", daemon=True
-        )
+        self.thread = threading.Thread(target=self.run, args=(request,), name="adaptive_terrain_maps", daemon=True)
         self.thread.start()
 
-    def run(self, request: MapRequest, store: str) -> None:
+    def run(self, request: MapRequest) -> None:
         try:
             warmup.wait()
             with session.engine_lock:
-                field = session.open_field(store)
+                field = raster_of(request.store, request.land, session.open_field)
             self.baked = carry_out(request, field, self._progress, session.engine_lock)
         except Stopped:
             pass
@@ -91,14 +90,13 @@ class BakeMaps(bpy.types.Operator):
         except TerrainError as error:
             job.error = str(error)
         else:
-            job.run(request, bpy.path.abspath(obj.adaptive_terrain.store))
+            job.run(request)
         return self._finish(obj, job)
 
     def invoke(self, context, event):
         global _job
         obj = context.object
         self.job = _job = Job(obj.session_uid)
-        self.store = bpy.path.abspath(obj.adaptive_terrain.store)
         self.gathering = gathered(obj, context.scene)
         session.record_of(obj).status.error = ""
         self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
@@ -136,7 +134,7 @@ class BakeMaps(bpy.types.Operator):
             while time.monotonic() < end and not self.job.stopping.is_set():
                 found = next(self.gathering)
                 if isinstance(found, MapRequest):
-                    self.job.start(found, self.store)
+                    self.job.start(found)
                     return
                 self.job.fraction = found
         except TerrainError as error:

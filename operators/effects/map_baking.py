@@ -21,7 +21,8 @@ from ...cbt_terrain.maps.tiling import tiling_of
 @dataclass(frozen=True, eq=False)
 class MapRequest:
     """One bake. `views`: that the maps are to be fine enough for, none for all that the height map has; `placement`
-    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. Others as of `maps.bake.bake`."""
+    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. `store`, `land`: of the
+    heights, as of a scene's Request. Others as of `maps.bake.bake`."""
 
     asked: tuple[Asked, ...]
     folder: Path
@@ -32,6 +33,8 @@ class MapRequest:
     form: str = PNG
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
+    store: str = ""
+    land: object = None
 
 
 def carry_out(
@@ -43,12 +46,12 @@ def carry_out(
     """Bake what is asked for of a height field; touches nothing of Blender."""
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    finest = sizing.whole(tiling, field)
+    finest = shown = sizing.shown_by(tiling, field, request.asked)
     if request.views:
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
     texel_bytes = sum(coding_of(EFFECTS[item.name], request.form).texel_bytes for item in request.asked)
-    sides = sizing.resolutions(tiling, field, finest, texel_bytes, request.budget_mb)
+    sides = sizing.resolutions(tiling, finest, shown, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
     return bake(field, request.asked, request.folder, sides, **heights, **more)
 

@@ -17,6 +17,7 @@ from ...cbt_terrain.maps.folder import UDIM, read_index
 from ...cbt_terrain.maps.tiling import MARGIN
 from ..mesh.writer import UV_LAYER
 from ..scene.session import all_terrains, open_field
+from ..scene.shaped_land import store_of
 
 BESIDE = "_maps"
 GROUP = "Terrain Map UV"
@@ -44,7 +45,7 @@ def index_of(obj) -> dict | None:
     if not settings.store:
         return None
     index = read_index(map_folder(obj))
-    if index is None or index["height_field"] != open_field(bpy.path.abspath(settings.store)).raster_key:
+    if index is None or index["height_field"] != open_field(store_of(obj)).raster_key:
         return None
     return index
 

@@ -98,6 +98,8 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
         form=settings.form,
         vertical_scale=first.vertical_scale,
         vertical_offset=first.vertical_offset,
+        store=first.store,
+        land=first.land,
         **seen,
     )
 

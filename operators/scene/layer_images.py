@@ -16,9 +16,9 @@ T = TypeVar("T")
 _read: dict[tuple[str, type], tuple[tuple, object]] = {}
 
 
-def painted_of(image) -> Painted:
+def painted_of(image, whose: str = "of a splat layer") -> Painted:
     """The red of an image, row 0 south. Raises TerrainError for one without pixels."""
-    return kept_of(image, Painted, "of a splat layer", _painted)
+    return kept_of(image, Painted, whose, _painted)
 
 
 def _painted(_image, pixels: np.ndarray) -> Painted:
@@ -55,8 +55,9 @@ def forget_changed(_scene, depsgraph) -> None:
     for key in read:
         del _read[key]
     for obj in bpy.data.objects:
-        images = [layer.image for layer in obj.adaptive_terrain.layers if layer.image is not None]
-        if any(image.name_full in changed for image in images):
+        settings = obj.adaptive_terrain
+        images = [settings.ground.image, *(i for layer in settings.layers for i in (layer.image, layer.detail.image))]
+        if any(image is not None and image.name_full in changed for image in images):
             obj.update_tag()
 
 

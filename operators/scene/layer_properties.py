@@ -17,6 +17,7 @@ from ...cbt_terrain.effects import splat_rules as rules
 from ...cbt_terrain.effects.color import DEFAULT_COLORS
 from ...cbt_terrain.errors import TerrainError
 from .detail_properties import changed
+from .ground_properties import GroundDetail
 from .layer_images import painted_of
 
 
@@ -124,6 +125,7 @@ class LayerSettings(bpy.types.PropertyGroup):
         description="An image over the whole terrain, north up: the layer lies where its red is 1",
         type=bpy.types.Image, poll=_is_gray, update=changed,
     )  # fmt: skip
+    detail: PointerProperty(type=GroundDetail)
 
 
 for _kind, _group in BANDS.items():
@@ -187,4 +189,4 @@ def _number_of(layers, name: str, before: int) -> int:
     )
 
 
-CLASSES = (*BANDS.values(), AspectSettings, LayerSettings)
+CLASSES = (*BANDS.values(), AspectSettings, GroundDetail, LayerSettings)

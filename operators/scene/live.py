@@ -20,6 +20,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
 from . import previews, session
+from .kernels_asked import kernels_for
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
 
@@ -119,9 +120,23 @@ def _next_job() -> Job | None:
                 traceback.print_exc()
             continue
         if request.key() != record.live_key:
+            if not _is_prepared(record, request):
+                return None
             record.live_key, _started = request.key(), time.monotonic()
             return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
+
+
+def _is_prepared(record: session.Record, request: Request) -> bool:
+    """Whether the kernels that a request asks for are loaded; else that has begun, and the next turns wait for it."""
+    try:
+        ready = warmup.ask(kernels_for(request))
+    except TerrainError as error:
+        _report(record, error)
+        return True  # the update says the same
+    if not ready:
+        mark_dirty()
+    return ready
 
 
 def _refinement() -> Job | None:

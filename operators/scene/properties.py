@@ -20,7 +20,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED
 from ...cbt_terrain.field.lands import LANDS, Land
 from ...cbt_terrain.importing.raster import RAW_TYPES
-from . import effect_properties, layer_properties
+from . import effect_properties, land_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
 from .ground_properties import GroundDetail
 from .layer_properties import LayerSettings
@@ -192,6 +192,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     maps: PointerProperty(type=MapSettings)
     layers: CollectionProperty(type=LayerSettings)
     active_layer: IntProperty(name="Active Layer", options=set())
+    land: PointerProperty(type=land_properties.LandSettings)
     bake_error_m: FloatProperty(
         name="Bake Error",
         description="Largest vertical error of a baked static mesh, in metres",
@@ -221,8 +222,8 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (
-    *(*effect_properties.CLASSES, *layer_properties.CLASSES),
-    *(ViewportDetail, RenderDetail, GroundDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
+    *(*effect_properties.CLASSES, *layer_properties.CLASSES, *land_properties.CLASSES),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
 )
 
 

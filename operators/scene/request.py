@@ -14,13 +14,15 @@ from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
 from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.detail import Detail
+from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
-from .ground_properties import ground_of
+from .land_request import Land, land_of
+from .layered_ground import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
@@ -40,7 +42,7 @@ class Overrides:
     interpolation: str | None = None
     shading_floor: float | None = None
     effects: tuple[str, ...] | None = None
-    ground: Detail | None = None
+    ground: Ground | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +53,14 @@ class Request:
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
-    `effects`: those whose attributes the mesh gets.
+    `effects`: those whose attributes the mesh gets. `store`: folder of the height field, which is the shaped one where
+    there is one. `land`: what is to be made of it first, or None.
     """
 
     store: str
+    land: Land | None
     interpolation: str
-    ground: Detail | None
+    ground: Ground | LayeredDetail | None
     criterion: Criterion
     views: list[View]
     placement: np.ndarray
@@ -73,7 +77,7 @@ class Request:
     def key(self) -> tuple:
         """Equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects
-        return self.store, self.interpolation, self.ground, *self._shape(), *shown
+        return self.store, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -128,13 +132,17 @@ def gather(
     if criterion.needs_view:
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
+    store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    if land is not None and land.is_shaped:
+        store, land = land.folder, None
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
-        store=bpy.path.abspath(settings.store),
+        store=store,
+        land=land,
         interpolation=interpolation,
-        ground=overrides.ground or ground_of(settings.ground, obj.name),
+        ground=overrides.ground or ground_of(settings, obj.name),
         criterion=criterion,
         views=views,
         placement=placement,

@@ -13,21 +13,21 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.effects.evaluate import Evaluator
+from ...cbt_terrain.effects.layered_detail import laid
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
-from ...cbt_terrain.run import warmup
+from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.terrain import Terrain
 from ..demand import kept
 from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
-from . import frozen
+from . import frozen, land_request
 from .asked_effects import EffectStatus, statuses
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
@@ -38,7 +38,8 @@ from .request import VIEWPORT, Request, gather
 class Status:
     """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
     `left`: triangles that the clean-up has left. `request`: what was asked, of the height field with the key
-    `field_key`; None before the first update. `effects`: by name, what was made of each and why."""
+    `field_key`; None before the first update. `effects`: by name, what was made of each and why; `effects_bytes`: what
+    all of them hold, for the next update too."""
 
     mode: str = ""
     request: Request | None = None
@@ -57,6 +58,7 @@ class Status:
     left: int = 0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
     effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
     error: str = ""
 
     @property
@@ -65,7 +67,7 @@ class Status:
         return self.request.digest(self.field_key) if self.request else ""
 
 
-_OWN = ("mode", "request", "field_key", "left", "ms", "effects", "error")
+_OWN = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error")
 FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
 
 
@@ -211,7 +213,10 @@ def paint(record: Record, request: Request, update) -> None:
 
 def field_of(request: Request):
     """The height field that a request refines, with its interpolation and its detail."""
-    return with_detail(interpolated(open_field(request.store), request.interpolation), request.ground)
+    raster = land_request.raster_of(request.store, request.land, open_field)
+    field = interpolated(raster, request.interpolation)
+    placed = request.vertical_scale, request.vertical_offset
+    return laid(field, request.ground, *placed, launch.default_threads())
 
 
 def open_field(store: str):
@@ -252,6 +257,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         left=len(obj.data.polygons),
         ms=ms,
         effects=record.effects_made,
+        effects_bytes=record.evaluator.nbytes if record.evaluator is not None else 0,
         **{name: getattr(update, name) for name in FIGURES},
     )
     return written
@@ -292,3 +298,4 @@ def clear() -> None:
             record.generation += 1
         _records.clear()
         _fields.clear()
+        land_request.forget()

@@ -3,14 +3,13 @@
 
 import math
 
-import bpy
 import numpy as np
 
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
 from . import camera as cameras
-from . import session
+from . import session, shaped_land
 from .properties import CHOSEN_CAMERA
 
 NEAR_TO_FAR = 1e-5  # of a clip range, as Blender's own viewport has it: less, and the depth buffer mixes up far ridges
@@ -23,7 +22,7 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
     settings = placed.adaptive_terrain
     if not settings.store:
         raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
-    field = session.open_field(bpy.path.abspath(settings.store))
+    field = session.open_field(shaped_land.store_of(obj))
     x, y = _half_extent(field)
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
     corners = np.array([(i, j, h) for i in (-x, x) for j in (-y, y) for h in heights])
@@ -92,7 +91,7 @@ def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.n
 def is_below_ground(obj, point: np.ndarray) -> bool:
     """Whether a point of the world [3] is under the terrain's surface, as near as a sample tells."""
     settings = obj.adaptive_terrain
-    field = session.open_field(bpy.path.abspath(settings.store))
+    field = session.open_field(shaped_land.store_of(obj))
     matrix = np.array(obj.matrix_world, np.float64)
     try:
         place = inverse(matrix) @ [*point, 1.0]

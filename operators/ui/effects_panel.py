@@ -8,6 +8,7 @@ moves while someone aims at it.
 import bpy
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.evaluate import MOST_BYTES
 from ..scene import live, session
 from ..scene.effect_properties import is_number
 from ..scene.map_properties import label
@@ -28,9 +29,10 @@ class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         obj = context.object
-        statuses, settings = session.record_of(obj).status.effects, obj.adaptive_terrain.effects
+        status, settings = session.record_of(obj).status, obj.adaptive_terrain.effects
+        statuses = status.effects
         self.layout.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
-        figures(self.layout.column(align=True), summary_lines(statuses))
+        figures(self.layout.column(align=True), summary_lines(statuses, status.effects_bytes))
         rows = self.layout.column(align=True)
         for name in EFFECTS:
             _draw_row(rows, settings, name, statuses.get(name))
@@ -63,11 +65,15 @@ def _draw_details(box, name: str, status) -> None:
     column.label(text=cost_text(status))
 
 
-def summary_lines(statuses) -> list[tuple[str, str]]:
-    """The lines above the list: as many before the first update."""
+def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
+    """The lines above the list: as many before the first update. `nbytes`: what is held, see MOST_BYTES."""
     made = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
-    return [("Computed", f"{len(made)} of {len(EFFECTS)}"), ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB")]
+    return [
+        ("Computed", f"{len(made)} of {len(EFFECTS)}"),
+        ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
+        ("Held", f"{plain(nbytes / 1e6)} MB, limit {plain(MOST_BYTES / 1e6)} MB"),
+    ]
 
 
 class ShowEffect(bpy.types.Operator):

@@ -7,7 +7,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..scene import import_terrain
 from ..scene.imported import changed_settings, imported_of, lines_of
 from ..scene.properties import FILE
-from .panel_parts import TerrainSubpanel, figures, switched
+from .panel_parts import TerrainSubpanel, draw_ground, figures, switched
 
 
 class SourcePanel(TerrainSubpanel, bpy.types.Panel):
@@ -103,14 +103,7 @@ class GroundDetailPanel(TerrainSubpanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        column = self._columns()
-        ground = context.object.adaptive_terrain.ground
-        column.prop(ground, "amplitude")
-        column = column.column()
-        column.active = ground.amplitude > 0.0
-        column.prop(ground, "wavelength")
-        column.prop(ground, "roughness")
-        column.prop(ground, "seed")
+        draw_ground(self._columns(), context.object.adaptive_terrain.ground)
 
 
 CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, GroundDetailPanel)

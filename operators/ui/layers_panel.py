@@ -6,7 +6,7 @@ from bl_ui.utils import PresetPanel
 
 from ..effects.splat_layers import PRESET_PANEL, PRESETS
 from ..scene.layer_properties import BANDS
-from .panel_parts import TerrainSubpanel
+from .panel_parts import TerrainSubpanel, draw_ground
 
 
 class LayerList(bpy.types.UIList):
@@ -74,6 +74,9 @@ def _draw_layer(column, settings, layer) -> None:
     column.prop(layer, "noise_size")
     column.prop(layer, "ragged")
     column.prop(layer, "seed")
+    column.separator()
+    column.label(text="Detail")
+    draw_ground(column, layer.detail)
 
 
 def _draw_band(column, band, names: tuple[str, ...]) -> None:

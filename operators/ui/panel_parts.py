@@ -30,6 +30,16 @@ def switched(column, settings, switch: str, name: str) -> None:
         column.prop(settings, name)
 
 
+def draw_ground(column, ground) -> None:
+    """The settings of a detail: an image's, or those of noise."""
+    column.prop(ground, "amplitude")
+    column = column.column()
+    column.active = ground.amplitude > 0.0
+    column.prop(ground, "image")
+    for name in ("tile",) if ground.image is not None else ("wavelength", "roughness", "seed"):
+        column.prop(ground, name)
+
+
 def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
     """Names in the left part, of `factor` of the width, one or more figures in the right."""
     for name, *values in lines:

@@ -6,7 +6,16 @@ import bpy
 from ...cbt_terrain.run import warmup
 from ..scene import session
 from ..scene.properties import CHOSEN_CAMERA
-from . import detail_panel, effects_panel, height_map_panel, layers_panel, maps_panel, overlay_panel, statistics_panel
+from . import (
+    detail_panel,
+    effects_panel,
+    height_map_panel,
+    land_panel,
+    layers_panel,
+    maps_panel,
+    overlay_panel,
+    statistics_panel,
+)
 from .panel_parts import TerrainSubpanel, figures, switched
 from .status_row import draw_preparation, draw_status
 
@@ -93,6 +102,7 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
 CLASSES = (
     TerrainPanel,
     *height_map_panel.CLASSES,
+    *land_panel.CLASSES,
     CameraPanel,
     *detail_panel.CLASSES,
     overlay_panel.OverlayPanel,

@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from ..effects import bake_maps
-from ..scene import import_terrain, live, pack_store
+from ..scene import import_terrain, live, pack_store, shape_land
 
 TURN_S = 0.1
 WIDTH = 14  # in the interface's units, so that the bar does not move with its text
@@ -19,9 +19,11 @@ def work() -> tuple[float | None, str] | None:
     """How far what is under way is (0 .. 1; None where that is not known) and what it is; None if nothing is."""
     fraction = warmup.progress()
     if fraction is not None:
-        return fraction, "Preparing kernels (first start)"
+        return fraction, "Preparing kernels (first use)"
     for fraction, message in import_terrain.all_progress():
         return fraction, f"Importing: {message}"
+    for fraction, message in shape_land.all_progress():
+        return fraction, f"Shaping: {message}"
     fraction = pack_store.progress()
     if fraction is not None:
         return fraction, "Packing stores"

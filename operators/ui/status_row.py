@@ -45,7 +45,7 @@ def draw_preparation(layout) -> None:
     """A row that shows how far the kernels are, while they are prepared; an empty one otherwise."""
     fraction = warmup.progress()
     if fraction is not None and warmup.preparing():
-        layout.progress(factor=fraction, text="Preparing kernels (first start)")
+        layout.progress(factor=fraction, text="Preparing kernels (first use)")
     else:
         layout.label(text="")
 

@@ -30,6 +30,8 @@ from adaptive_terrain.benchmarks import (
     report,
     scale,
     scenes,
+    scree_rows,
+    shading_row,
     start,
     suite,
 )
@@ -209,6 +211,7 @@ def small_suite(monkeypatch):
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         land_rows: {"SAMPLES": SAMPLES},
+        scree_rows: {"SAMPLES": SAMPLES, "PER_KM2": 20.0},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
@@ -226,7 +229,8 @@ def small_suite(monkeypatch):
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
-ENGINE_ROWS += ["land_relief"]
+ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
+ENGINE_ROWS += ["land_scree", "land_droplets"]
 ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 
@@ -247,6 +251,16 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
     assert notes[-1] == "The rows cycles are measured with --with-cycles only."
+
+
+def test_shading_by_a_map_is_nearer_to_the_truth_than_by_vertices(monkeypatch, tmp_path):
+    monkeypatch.setattr(shading_row, "SAMPLES", 257)
+    monkeypatch.setattr(shading_row, "RESOLUTION", (160, 90))
+    error, flicker = shading_row.shading_rows(tmp_path)
+    assert (error.name, flicker.name) == ("shading_error", "shading_flicker")
+    assert {error.name, flicker.name} <= set(MEANING) and error.size > 100 and error.ms > 0
+    assert 0.5 < error.figures["of_255"] < error.figures["vertices_of_255"] < 60 and 0 < error.ratio < 1
+    assert 0 < flicker.figures["of_255"] < 30
 
 
 def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatch):

@@ -84,7 +84,7 @@ def test_no_triangle_in_a_cell_misses_more_of_a_masked_detail_than_is_said():
     """Of every cell's own most, at random places in cells."""
     rng, steps = np.random.default_rng(8), (2.0, 3.0)
     lattice = from_array(np.zeros((13, 18), np.float32), *steps).lattice
-    for tiled, near in ((Tiled(0.3, 5.0, IMAGES["rough"]), 4.0), (Tiled(1.0, 60.0, IMAGES["smooth"]), 20.0)):
+    for tiled, near in ((Tiled(0.3, 5.0, IMAGES["rough"]), 6.0), (Tiled(1.0, 60.0, IMAGES["smooth"]), 20.0)):
         covered, ratios = mask((13, 18)), []
         table = bounds.tables(bounds.masked(tiled.parts(1e-4), steps), steps, lattice.levels, 0, 2 * lattice.levels + 1)
         for depth in range(2 * lattice.levels + 1, 2 * lattice.levels + 14):
@@ -230,7 +230,7 @@ def test_pixels_that_no_leaf_can_show_are_smoothed_away():
 def test_the_measurement_sees_what_numpy_sees():
     field = field_of((27, 40), grounds((27, 40))["three"])
     view = ground_view(field, above=5.0)
-    found = Terrain(field, 1).update(Criterion(error_px=8.0, error_m=0.6, max_triangles=3000), [view])
+    found = Terrain(field, 1).update(Criterion(error_px=8.0, error_m=0.6, max_triangles=1000), [view])
     measured = measure(field, found.surface, view, threads=1)
     below = places_in(found.surface)
     off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()

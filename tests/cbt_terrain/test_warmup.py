@@ -122,6 +122,7 @@ def no_modules(monkeypatch):
     monkeypatch.setattr(launch, "default_threads", lambda: 4)
     monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
     monkeypatch.setattr(warmup, "_current", None)
+    monkeypatch.setattr(warmup, "_asked", None)
     yield sleeping
     warmup.stop()
 
@@ -163,3 +164,63 @@ def test_without_a_child_the_thread_compiles(monkeypatch):
     warmup.stop()
     assert set(loaded) == OF_A_FRAME | OF_THE_OVERLAY
     assert set(loaded[: len(OF_A_FRAME)]) == OF_A_FRAME, "those of a frame come first"
+
+
+def test_what_a_scene_asks_for_is_prepared_once_with_a_bar(no_modules, monkeypatch):
+    monkeypatch.setattr(warmup, "_tried", set())
+    wanted = warmup.other_modules()[:2]
+    loaded = []
+    monkeypatch.setattr(warmup, "load", loaded.append)
+    assert not warmup.ask(wanted) and warmup.preparing()
+    while len(no_modules) < 3:
+        threading.Event().wait(0.01)
+    assert warmup.progress() == 0.0 and not warmup.ask(wanted), "they are under way"
+    for process in no_modules:
+        process.kill()
+    warmup.wait()
+    assert loaded == wanted and warmup.ask(wanted) and not warmup.preparing()
+    assert warmup.ask([])
+
+
+def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
+    monkeypatch.setattr(warmup, "_tried", set())
+    monkeypatch.setattr(warmup, "_asked", None)
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/"))
+    monkeypatch.setattr(warmup, "load", lambda module: 1 / 0)
+    wanted = warmup.other_modules()[:1]
+    assert not warmup.ask(wanted)
+    warmup.wait()
+    assert warmup.ask(wanted) and "ZeroDivisionError" in capfd.readouterr().err
+
+
+FORESEEN = """
+import json, sys
+import numpy as np
+import warp as wp
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.effects.effect import Asked
+from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.effects.kernels_needed import kernels_of
+from adaptive_terrain.cbt_terrain.effects.plan import plan
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.run.warmup import other_modules
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 9, 3.0)
+view = View.look((50, 50, 60), (0, 0, 0), resolution=(60, 40))
+surface = Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface
+wanted = plan([Asked(name, ("a test",)) for name in sys.argv[1:]])
+Evaluator().attributes(wanted, field, surface, [view])
+loaded = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
+print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))]))
+"""
+
+
+@pytest.mark.parametrize("names", [["slope"], ["sky", "sun"], ["splat_1", "wetness"]])
+def test_kernels_that_effects_launch_are_foreseen(names):
+    """In a new process: what it has loaded in the end is what was said, or less."""
+    done = subprocess.run([sys.executable, "-c", FORESEEN, *names], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    loaded, foreseen = json.loads(done.stdout.splitlines()[-1])
+    assert loaded and set(loaded) <= set(foreseen)
+    assert len(foreseen) <= len(loaded) + 2, "and few more"

@@ -400,4 +400,7 @@ def test_the_command_bakes_a_scene_and_a_store(terrain, tmp_path, capsys):
     assert read_index(tmp_path / "b")["maps"]["detail_normal"]["format"] == "exr"
     assert main(["maps", "--store", store, "--out", str(tmp_path / "b"), "--maps", "rocks"]) == 1
     assert "There is no map 'rocks'" in capsys.readouterr().err
+    for nothing in ("", " , "):
+        assert main(["maps", "--store", store, "--out", str(tmp_path / "c"), "--maps", nothing]) == 2
+        assert "--maps names no map; expected names" in capsys.readouterr().err and not (tmp_path / "c").exists()
     assert main(["maps", "--store", store, "--out", str(tmp_path / "b"), "--frames", "1-3"]) == 2

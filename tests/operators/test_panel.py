@@ -190,7 +190,7 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
         add()
         layout = draw(TerrainPanel)
         bars = [call.kwargs for call in layout.mock_calls if call[0].endswith("progress")]
-        assert bars == [{"factor": 0.25, "text": "Preparing kernels (first start)"}]
+        assert bars == [{"factor": 0.25, "text": "Preparing kernels (first use)"}]
     assert draw(OutputPanel).row().enabled is False, "a bake or an export would hold up the window"
     preparing.fraction = None
     preparing.done.set()
@@ -289,7 +289,7 @@ def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):
 
 
 def test_the_status_bar_says_what_takes_long(scene, preparing, monkeypatch):
-    assert status_bar.work() == (0.25, "Preparing kernels (first start)")
+    assert status_bar.work() == (0.25, "Preparing kernels (first use)")
     preparing.fraction = None
     assert status_bar.work() is None
     monkeypatch.setattr(status_bar.live, "seconds_under_way", lambda: 12.4)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Effects on heights of the tests' own, whose results are known: a smoothing, a hill with a layer, one of the whole."""
 
+import math
+
 import numpy as np
 from adaptive_terrain.cbt_terrain.effects.effect import Parameter
 from adaptive_terrain.cbt_terrain.land.land_effect import Change, LandEffect, Layer
@@ -9,35 +11,31 @@ SWEEPS = 4
 
 
 def diffuse(ground, values, coarser):
-    """Explicit diffusion by sweeps of half the stable step: on each level so many, from the coarser change on."""
-    start = np.zeros_like(ground.heights) if coarser is None else coarser.heights
-    change = start.copy()
+    """Explicit diffusion: on each level so many sweeps at half the stable step, from the coarser change on."""
+    change = np.zeros_like(ground.heights) if coarser is None else coarser.heights.copy()
     for _ in range(int(values["sweeps"])):
         z = np.pad(ground.heights + change, 1, mode="edge")
-        change = change + np.float32(0.125) * (
-            z[:-2, 1:-1] + z[2:, 1:-1] + z[1:-1, :-2] + z[1:-1, 2:] - 4 * z[1:-1, 1:-1]
-        )
+        around = z[:-2, 1:-1] + z[2:, 1:-1] + z[1:-1, :-2] + z[1:-1, 2:]
+        change = change + np.float32(0.125) * (around - 4 * z[1:-1, 1:-1])
         ground.progress(0.5)
     return Change(change, {"worn": np.maximum(-change, 0)})
 
 
 def raise_hill(ground, values, coarser):
-    """A cone about a place of the raster, in metres from its south-western sample; what it adds is a layer."""
+    """A cone about a place, in metres from the raster's south-western sample; what it adds is a layer."""
     rows, columns = (np.arange(n) + first for n, first in zip(ground.heights.shape, ground.first, strict=True))
-    away = np.sqrt(
-        ((rows * ground.step_y - values["north"]) ** 2)[:, None] + (columns * ground.step_x - values["east"]) ** 2
-    )
+    north, east = rows * ground.step_y - values["north"], columns * ground.step_x - values["east"]
+    away = np.sqrt((north**2)[:, None] + east**2)
     hill = np.maximum(values["height"] * (1 - away / values["radius"]), 0).astype(np.float32)
     return Change(hill, {"fresh": hill, "mark": np.full_like(hill, values["height"])})
 
 
 def level_out(ground, values, coarser):
-    """Towards the mean of everything: of the whole raster alone."""
+    """Towards the mean of all heights; what it reads is handed on, doubled."""
     assert ground.heights.shape == ground.whole
-    worn = ground.layers["worn"].mean() if "worn" in ground.layers else 0
-    return Change(
-        (np.float32(ground.heights.mean()) - ground.heights) * np.float32(values["part"]) + np.float32(0 * worn)
-    )
+    worn = ground.layers.get("worn", np.zeros_like(ground.heights))
+    change = (np.float32(ground.heights.mean()) - ground.heights) * np.float32(values["part"])
+    return Change(change, {"twice": 2 * worn})
 
 
 def _example(_evaluate):
@@ -50,11 +48,10 @@ SMOOTH = LandEffect(
     "Diffusion",
     diffuse,
     _example,
-    (Parameter("sweeps", SWEEPS, 1, 100, "", ""),),
-    (Layer("worn", "m", ""),),
+    parameters=(Parameter("sweeps", SWEEPS, 1, 100, "", ""),),
+    layers=(Layer("worn", "m", ""),),
     halo=lambda values, step: values["sweeps"] * step,
     cost_ns=20,
-    source="test",
 )
 HILL = LandEffect(
     "hill",
@@ -62,15 +59,14 @@ HILL = LandEffect(
     "A cone",
     raise_hill,
     _example,
-    (
+    parameters=(
         Parameter("height", 100.0, -1e4, 1e4, "m", ""),
         Parameter("radius", 500.0, 1, 1e6, "m", ""),
         Parameter("east", 1000.0, 0, 1e6, "m", ""),
         Parameter("north", 1000.0, 0, 1e6, "m", ""),
     ),
-    (Layer("fresh", "m", ""), Layer("mark", "m", "", per_metre=False)),
+    layers=(Layer("fresh", "m", ""), Layer("mark", "m", "", per_metre=False)),
     cost_ns=10,
-    source="test",
 )
 LEVEL = LandEffect(
     "level",
@@ -78,10 +74,18 @@ LEVEL = LandEffect(
     "Towards the mean",
     level_out,
     _example,
-    (Parameter("part", 0.25, 0, 1, "", ""),),
+    parameters=(Parameter("part", 0.25, 0, 1, "", ""),),
+    layers=(Layer("twice", "m", ""),),
     reads=("worn",),
-    halo=lambda _v, _s: float("inf"),
+    halo=lambda _values, _step: math.inf,
     cost_ns=5,
-    source="test",
 )
 OWN = {effect.name: effect for effect in (SMOOTH, HILL, LEVEL)}
+
+
+def bumpy(rows: int, columns: int, seed: int = 0) -> np.ndarray:
+    """float32 [rows, columns] m: a land of some hundred metres with waves of all lengths and a little noise."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:rows, 0:columns] / 97.0
+    land = sum(np.sin(f * x + rng.uniform(0, 6)) * np.cos(f * y + rng.uniform(0, 6)) / f for f in (1, 2, 5, 11, 23))
+    return (200 * land + 2 * rng.standard_normal((rows, columns))).astype(np.float32)

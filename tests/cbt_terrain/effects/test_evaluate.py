@@ -164,3 +164,31 @@ def test_another_field_of_the_same_places_takes_over_nothing():
     evaluator = Evaluator()
     assert not evaluator.attributes(EVERY, one, surface)["slope"].array.any()
     assert (evaluator.attributes(EVERY, other, surface)["slope"].array > 0.09).all()
+
+
+def test_values_beyond_the_limit_are_held_once_the_costliest_last():
+    """Half of a flight's memory without a limit: what is cheapest to make for its size is made anew, with the same
+    bytes, and the rest is taken over."""
+    heights, eye = field(), np.array([-900.0, -700.0, 600.0])
+    wanted = plan([Asked(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
+    views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]
+    terrain = Terrain(heights, 2)
+    surfaces = []
+    evaluators = Evaluator(threads=2), Evaluator(threads=2)
+    for view in views:
+        surfaces.append(terrain.update(Criterion(error_px=0.1), [view]).surface)
+        count = len(surfaces[-1].positions)
+        # Places and levels twice, all values once, and two more numbers: those of the two that are costliest.
+        evaluators[1].most_bytes = 4 * count * (2 * 5 + 6 + 2)
+        one, two = (bytes_of(e.attributes(wanted, heights, surfaces[-1], [view])) for e in evaluators)
+        assert one == two
+    free, limited = evaluators
+    assert all(free.ran[name].computed < count for name in free.ran)
+    assert {name for name, ran in limited.ran.items() if ran.computed < count} == {"sky", "sun"}
+    room = 1.25  # buffers have more than is used
+    assert limited.nbytes <= room * limited.most_bytes < free.nbytes
+    evaluators[1].most_bytes = 0
+    assert bytes_of(limited.attributes(wanted, heights, surfaces[0], views[:1])) == bytes_of(
+        Evaluator().attributes(wanted, heights, surfaces[0], views[:1])
+    )
+    assert all(ran.computed == len(surfaces[0].positions) for ran in limited.ran.values())

@@ -10,9 +10,11 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.effects import light, sky, sky_layer
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.occluder import occluder_of
+from adaptive_terrain.cbt_terrain.effects.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
-from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.build import build, from_array
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, verify
 from adaptive_terrain.cbt_terrain.run import launch, stopping
 from adaptive_terrain.cbt_terrain.run.buffers import flat
 from adaptive_terrain.kernels.effects.light import sky_seen
@@ -246,11 +248,54 @@ def test_a_preview_is_near_and_the_same_before_and_after_the_layer_is_known():
     assert np.sqrt(((first - full) ** 2).mean()) < 0.1 and not np.array_equal(first, full)
 
 
-def test_large_rasters_take_rays(monkeypatch):
-    field = rough(40, 30)
+def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one_in_steps(monkeypatch):
+    """Of heights of 2 x 2 cells, made in sixteen steps that can be stopped after each; near the truth."""
+    field = rough(81, 60)
     places = every_sample(field)
-    monkeypatch.setattr(sky_layer, "MOST_SAMPLES", 1000)
-    assert np.array_equal(made("sky", places), sky.seen_from(places)) and not sky.is_quick(field, 1.0)
+    monkeypatch.setattr(sky_layer, "MOST_SAMPLES", 41 * 31)
+    assert sky_layer.layer_level(field) == 1 and not sky.is_quick(field, 1.0)
+    assert [sky.refine(field, 1.0, 2) for _ in range(16)] == [False] * 15 + [True]
+    assert sky.is_quick(field, 1.0)
+    found, truth = made("sky", places), sky.seen_from(places)
+    assert np.sqrt(((found - truth) ** 2).mean()) < 0.1
+    coarse = from_array(level_of(field, 1), 2 * field.lattice.step_x)
+    assert np.array_equal(field.found["sky", 1.0]["sky"], sky_layer_of(coarse))
+
+
+def sky_layer_of(field):
+    sky_layer.sky_layer(field, 1.0, 1)
+    return field.found["sky", 1.0]["sky"]
+
+
+def test_the_sky_is_kept_in_the_store_and_made_again_where_it_is_damaged(tmp_path):
+    """The next process has it at once; of three vertical scales the store keeps the last two."""
+    folder = tmp_path / "store"
+    draft = Draft(folder)
+    samples = draft.allocate("samples", (70, 90), np.float32)
+    samples[:] = raster(90, 70)
+    draft.publish(build(samples, 3.0, 3.0, missing=0, allocate=draft.allocate), "a test", {})
+    field = open_store(folder)
+    places = every_sample(field)
+    whole = made("sky", places)
+    again = open_store(folder)
+    assert sky.is_quick(again, 1.0) and np.array_equal(made("sky", every_sample(again)), whole)
+    assert sum(name.startswith("effect_sky_") for name in verify(folder)) == 1
+    (file,) = folder.glob("data-*/effect_sky_*.npy")
+    damaged = bytearray(file.read_bytes())
+    damaged[5000] ^= 1
+    file.write_bytes(damaged)
+    with pytest.raises(TerrainError, match="differs from its checksum.*delete the file, it is made again"):
+        verify(folder)
+    third = open_store(folder)
+    assert not sky.is_quick(third, 1.0) and np.array_equal(made("sky", every_sample(third)), whole)
+    for scale in (2.0, 3.0):
+        made("sky", every_sample(third, scale))
+    assert len(list(folder.glob("data-*/effect_sky_*.npy"))) == 2
+    assert [sky.is_quick(open_store(folder), scale) for scale in (1.0, 2.0, 3.0)] == [False, True, True]
+    file = next(folder.glob("data-*/effect_sky_*.npy"))
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(TerrainError, match="expected .* delete the file"):
+        verify(folder)
 
 
 @pytest.mark.parametrize("name", ["sky", "ambient_occlusion", "sun"])
@@ -281,5 +326,5 @@ def test_the_sky_is_kept_under_the_last_two_vertical_scales():
         places = every_sample(field, scale)
         whole, preview = made("sky", places), made("sky", places, quality=sky.PREVIEW)
     assert [sky.is_quick(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
-    assert sum(key[0] != "tops" for key in field.found) == 4
+    assert sum(key[0] in (sky_layer.LAYER, sky_layer.PREVIEW) for key in field.found) == 4
     assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)

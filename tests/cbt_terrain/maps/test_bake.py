@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.effects.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -229,3 +230,17 @@ def test_bands_change_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(baking, "BAND_TEXELS", 1)
     bake(field, [SLOPE], tmp_path / "b", [256])
     assert (values(tmp_path / "a", "slope", 0) == values(tmp_path / "b", "slope", 0)).all()
+
+
+def test_a_decal_may_be_finer_than_the_samples(tmp_path):
+    """A checker of 2 m pixels on ground of 16 m: its own colours are in the map, not their mean."""
+    field = from_array(np.zeros((17, 17), np.float32), 16.0)
+    checker = np.ones((128, 128, 4), np.float32)
+    checker[..., :3] = (np.indices((128, 128)).sum(0) % 2)[..., None]
+    decal = Decal("d", picture(checker, False), (-128.0, -128.0), (256.0, 0.0), (0.0, 256.0))
+    asked = [Asked("color", ("a test",), parameters=(("decals", (decal,)),))]
+    shares = []
+    for side in (16, 1024):
+        bake(field, asked, tmp_path / str(side), [side])
+        shares.append(np.ptp(values(tmp_path / str(side), "color", 0)[..., 0]))
+    assert shares[0] < 0.05 and shares[1] > 0.95

@@ -6,11 +6,13 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
+from adaptive_terrain.cbt_terrain.effects.decals import Decal, picture
+from adaptive_terrain.cbt_terrain.effects.effect import Asked
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.maps import sizing, tiling
-from adaptive_terrain.cbt_terrain.maps.tiling import tiling_of
+from adaptive_terrain.cbt_terrain.maps.tiling import MOST, tiling_of
 from fields import rough
 
 
@@ -59,6 +61,10 @@ def test_a_look_up_finds_the_texel_of_the_place(small_tiles, side):
         assert least <= across - column <= 1 - least and least <= up - row <= 1 - least
 
 
+def sized(tiles, field, footprints, texel_bytes, **budget):
+    return sizing.resolutions(tiles, footprints, sizing.shown_by(tiles, field, ()), texel_bytes, **budget)
+
+
 def _boxes(field):
     return sizing.boxes(tiling_of(field.lattice), field, 1.0, 0.0)
 
@@ -83,7 +89,7 @@ def test_no_texel_is_larger_than_the_finest_pixel(small_tiles, scale):
     tiles, placement = tiling_of(field.lattice), np.diag([scale, scale, scale, 1.0])
     placement[:3, 3] = 10.0, -20.0, 30.0
     view = View.look((900.0, -700.0, 400.0), (0, 0, 0), fov_deg=40)
-    sides = sizing.resolutions(tiles, field, sizing.footprints(_boxes(field), [view], placement), 4)
+    sides = sized(tiles, field, sizing.footprints(_boxes(field), [view], placement), 4)
     west, south, _, _ = field.lattice.rectangle()
     grid = np.stack([*np.meshgrid(west + np.arange(150) * 2.0, south + np.arange(120) * 2.0), field.heights()], -1)
     world = grid * scale + placement[:3, 3]
@@ -99,7 +105,7 @@ def test_resolutions_do_not_change_when_the_camera_turns(small_tiles):
     tiles, eye, found = tiling_of(field.lattice), np.array([-400.0, 100.0, 150.0]), set()
     for turn in np.linspace(0, 6, 12):
         view = View.look(eye, eye + (math.cos(turn), math.sin(turn), -0.2), fov_deg=15, resolution=(800, 300))
-        found.add(tuple(sizing.resolutions(tiles, field, sizing.footprints(_boxes(field), [view], np.eye(4)), 4)))
+        found.add(tuple(sized(tiles, field, sizing.footprints(_boxes(field), [view], np.eye(4)), 4)))
     assert len(found) == 1
 
 
@@ -134,17 +140,17 @@ def test_a_budget_is_kept_and_coarsens_all_alike(small_tiles):
     field = rough(500, 600, step=2.0)
     tiles = tiling_of(field.lattice)
     finest = np.geomspace(2.0, 40.0, len(tiles)) / 8
-    whole = sizing.resolutions(tiles, field, finest * 0 + 0.01, 8)
-    monkey = sizing.resolutions(tiles, field, finest, 8, budget_mb=1e6)
-    assert monkey == sizing.resolutions(tiles, field, finest, 8) and sum(whole) >= sum(monkey)
+    whole = sized(tiles, field, finest * 0 + 0.01, 8)
+    monkey = sized(tiles, field, finest, 8, budget_mb=1e6)
+    assert monkey == sized(tiles, field, finest, 8) and sum(whole) >= sum(monkey)
     for megabytes in (8.0, 2.0, 0.5):
-        sides = sizing.resolutions(tiles, field, finest, 8, budget_mb=megabytes)
+        sides = sized(tiles, field, finest, 8, budget_mb=megabytes)
         assert sum(side * side for side in sides) * 8 <= megabytes * 1e6 or set(sides) == {64}
         assert sides == sorted(sides, reverse=True)
-    eye_inside = sizing.resolutions(tiles, field, finest * 0, 8, budget_mb=8.0)
+    eye_inside = sized(tiles, field, finest * 0, 8, budget_mb=8.0)
     assert sum(side * side for side in eye_inside) * 8 <= 8e6, "footprints of 0 get coarser, too"
     with pytest.raises(TerrainError, match="expected more than 0"):
-        sizing.resolutions(tiles, field, finest, 8, budget_mb=0.0)
+        sized(tiles, field, finest, 8, budget_mb=0.0)
 
 
 def test_a_placement_that_is_flat_is_refused():
@@ -152,3 +158,20 @@ def test_a_placement_that_is_flat_is_refused():
     view = View.look((0, 0, 9), (0, 1, 0))
     with pytest.raises(TerrainError, match="axes lie in one plane"):
         sizing.footprints(_boxes(field), [view], np.diag([1.0, 1.0, 0.0, 1.0]))
+
+
+def test_a_tile_is_as_fine_as_the_decals_on_it(small_tiles):
+    """A decal of 0.5 m pixels on ground of 10 m: tiles that it touches have texels of 0.5 m or less, others of 10 m."""
+    field = from_array(np.zeros((70, 90), np.float32), 10.0)
+    tiles = tiling_of(field.lattice)
+    decal = Decal("d", picture(np.ones((64, 64, 4), np.float32), False), (-440.0, -340.0), (32.0, 0.0), (0.0, 32.0))
+    asked = [Asked("color", ("a test",), parameters=(("decals", (decal,)),))]
+    shown = sizing.shown_by(tiles, field, asked)
+    touched = [k for k in range(len(tiles)) if tiles.box(k)[0] <= -408 and tiles.box(k)[1] <= -308]
+    assert 1 <= len(touched) < len(tiles)
+    assert all((shown[k] == 0.5) == (k in touched) and shown[k] in (0.5, 10.0) for k in range(len(tiles)))
+    sides = sizing.resolutions(tiles, shown, shown, 4)
+    texels = [max(tiles.texel(side)) for side in sides]
+    assert all(texels[k] <= 0.5 or sides[k] == MOST for k in touched)
+    far = sizing.resolutions(tiles, np.full(len(tiles), 40.0), shown, 4)
+    assert max(far) <= min(sides) < max(sides), "what looks from afar needs no more"

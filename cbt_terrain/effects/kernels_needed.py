@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which modules of kernels a plan's effects launch from, so that they can be loaded ahead.
+
+Found by what the modules of the effects' functions name: themselves, or through other modules of effects. That may be
+a few too many, never one too few.
+"""
+
+import sys
+from functools import cache
+from types import ModuleType
+
+import warp as wp
+
+from ..run.warmup import other_modules
+from . import evaluate
+from .catalogue import EFFECTS
+from .plan import Plan
+
+ROOM = __name__.rpartition(".")[0]
+
+
+def kernels_of(plan: Plan) -> list[ModuleType]:
+    """Modules of kernels that are launched for the steps of a plan; none for none."""
+    named = _named_by(evaluate.__name__) if plan.steps else frozenset()
+    for step in plan.steps:
+        named |= _named_by(EFFECTS[step.name].make.__module__)
+    return [module for module in other_modules() if module.__name__ in named]
+
+
+@cache
+def _named_by(module: str) -> frozenset[str]:
+    """Names of the modules that a module of effects has in hand, and those of its own room that it uses."""
+    found, waiting = set(), [module]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.add(name)
+        # The evaluator knows every effect by the catalogue, and needs the kernels of none for that.
+        if name.startswith(ROOM) and name != EFFECTS_OF:
+            waiting += {_home(value) for value in vars(sys.modules[name]).values()} - {None}
+    return frozenset(found)
+
+
+EFFECTS_OF = f"{ROOM}.catalogue"
+
+
+def _home(value: object) -> str | None:
+    """The name of the module that a global of a module is, or is from."""
+    if isinstance(value, ModuleType):
+        return value.__name__
+    if isinstance(value, wp.Kernel):
+        return value.module.name
+    home = getattr(value, "__module__", None)
+    return home if isinstance(home, str) and home.startswith(ROOM) else None

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shaped land as a store that needs no stack, and as rasters for other programs."""
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.land.export import export_raster
+from ..scene import imported, land_request, session, shape_land
+from ..scene.land_request import land_of
+
+BAKED = "_baked"
+
+
+class _LandOperator:
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        try:
+            return self._carry_out(context.object, context.evaluated_depsgraph_get())
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+
+class BakeLand(_LandOperator, bpy.types.Operator):
+    """Make the shaped land the terrain's own height field, and empty its stack; the store it was made from stays"""
+
+    bl_idname = "adaptive_terrain.bake_land"
+    bl_label = "Bake to Store"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def _carry_out(self, obj, depsgraph):
+        land = shape_land.wanted_land(obj, depsgraph)
+        land_request.raster_of("", land, session.open_field)
+        settings = obj.adaptive_terrain
+        folder = free_folder(settings.store.rstrip("/") + BAKED)
+        copy_store(land.folder, bpy.path.abspath(folder))
+        settings.store, settings.frozen, settings.land.active = folder, "", 0
+        settings.land.entries.clear()
+        imported.tag_object(obj)
+        obj.update_tag()
+        self.report({"INFO"}, f"The land is in {folder}, and the stack is empty")
+        return {"FINISHED"}
+
+
+def free_folder(wanted: str) -> str:
+    """`wanted`, or with a number the first that is not there; a path may begin with the .blend file's folder."""
+    number, folder = 1, wanted
+    while Path(bpy.path.abspath(folder)).exists():
+        number += 1
+        folder = f"{wanted}_{number}"
+    return folder
+
+
+class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
+    """Write the heights of the land as a float32 raster with its place on Earth, GeoTIFF or EXR, and each by-product of
+    its stack in a file beside it"""
+
+    bl_idname = "adaptive_terrain.export_heights"
+    bl_label = "Export Heights"
+
+    filename_ext = ".tif"
+    check_extension = None  # the suffix that the user types is the format
+    filter_glob: bpy.props.StringProperty(default="*.tif;*.tiff;*.exr", options={"HIDDEN"})
+
+    def _carry_out(self, obj, depsgraph):
+        store = bpy.path.abspath(obj.adaptive_terrain.store)
+        if not store:
+            raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+        land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        land_request.raster_of(store, land, session.open_field)
+        files = export_raster(store if land is None else land.folder, self.filepath)
+        self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
+        return {"FINISHED"}
+
+
+CLASSES = (BakeLand, ExportHeights)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

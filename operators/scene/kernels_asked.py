@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which kernels a request needs beside those that every terrain does."""
+
+from types import ModuleType
+
+from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.effects.kernels_needed import kernels_of
+from ...cbt_terrain.effects.layered_detail import LayeredDetail
+from ...cbt_terrain.effects.plan import plan
+from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.run.warmup import other_modules
+from .request import Request
+
+DETAIL, HIDING = "kernels.detail.", "horizon_map"
+
+
+def kernels_for(request: Request) -> list[ModuleType]:
+    """Modules of kernels, for `warmup.ask`. Raises TerrainError for effects that cannot be."""
+    asked = list(request.effects.asked)
+    if isinstance(request.ground, LayeredDetail):
+        asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+    found = kernels_of(plan(asked))
+    for module in other_modules():
+        if DETAIL in module.__name__ and request.ground is not None:
+            found.append(module)
+        elif module.__name__.endswith(HIDING) and request.criterion.hidden_factor != 1.0:
+            found.append(module)
+    return found

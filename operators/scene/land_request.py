@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shaped land that a request is about: which store has it, and what stands in for it until it is there.
+
+A stack is shaped into a folder beside its source's store, named for the source's content and the stack's key. So the
+settings alone decide which land is shown: Undo brings back the one before at once, and terrains that ask for the same
+share it. Nothing here touches Blender but `land_of`.
+"""
+
+import functools
+import hashlib
+import re
+import shutil
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.land.preview import Preview, preview
+from ...cbt_terrain.land.shape_process import shape_store
+from ...cbt_terrain.land.stack import Stack
+from ...cbt_terrain.run import launch
+from . import land_stack
+
+MASKS = "masks"
+MOST_SHAPED = 8  # steps of Undo that take no time
+_NAME = re.compile("[0-9a-f]{16}")
+MOST_PREVIEWS = 4  # a preview holds about 12 MB
+_previews: dict[str, Preview] = {}  # by `Land.folder`, the last one last
+made = {"previews": 0, "stores": 0}  # how often land was made, for whoever wants to know what a scene costs
+_shaping = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Land:
+    """A stack on a source. `source`: folder of its store. `folder`: of the shaped store, whether or not it is there;
+    its name tells one stack from another. `waits`: a preview will not do."""
+
+    source: str
+    folder: str
+    waits: bool
+    stack: Stack = field(compare=False)
+
+    @property
+    def tiles(self) -> Path:
+        """Where tiles are kept, of all stacks on this source."""
+        return Path(self.folder).parent / stores.TILES
+
+    @property
+    def is_shaped(self) -> bool:
+        return (Path(self.folder) / stores.JSON_NAME).exists()
+
+
+def folder_beside(source: str) -> Path:
+    """The folder of all that was made of a source's store by stacks."""
+    return Path(f"{source.rstrip('/')}_land")
+
+
+def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
+    """What the stack of a terrain makes of its source; None without a stack. None, too, where a preview would do and
+    the viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
+    settings = evaluated.adaptive_terrain
+    if not settings.store or not any(entry.on for entry in settings.land.entries):
+        return None
+    if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
+        return None
+    source = bpy.path.abspath(settings.store)
+    folder = folder_beside(source)
+    stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
+    if not stack.active:
+        return None
+    content = f"{_source_key(source)} {stack.key()}".encode()
+    name = hashlib.blake2b(content, digest_size=8).hexdigest()
+    return Land(source, str(folder / name), waits, stack)
+
+
+def _source_key(store: str) -> str:
+    try:
+        return _key_of(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
+    except OSError:
+        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.") from None
+
+
+@functools.lru_cache(maxsize=64)
+def _key_of(store: str, _changed_ns: int) -> str:
+    return stores.read_json(Path(store))["key"]
+
+
+def raster_of(store: str, land: Land | None, open_field) -> HeightField:
+    """The height field of a request's store, or of its land: that is shaped first if it has to be, else a preview does.
+    For any thread. Raises TerrainError."""
+    if land is None:
+        return open_field(store)
+    if land.waits and not land.is_shaped:
+        with _shaping:  # two renders of one land make it once
+            if not land.is_shaped:
+                shape_store(land.source, land.stack, land.folder, tiles=land.tiles)
+                made["stores"] += 1
+                remove_old(land)
+    if land.is_shaped:
+        return open_field(land.folder)
+    return previewed(land, open_field).field
+
+
+def previewed(land: Land, open_field) -> Preview:
+    found = _previews.pop(land.folder, None)
+    if found is None:
+        made["previews"] += 1
+        found = preview(open_field(land.source), land.stack, _images_of(land.stack), launch.default_threads())
+    _previews[land.folder] = found
+    while len(_previews) > MOST_PREVIEWS:
+        del _previews[next(iter(_previews))]
+    return found
+
+
+def remove_old(land: Land) -> None:
+    """Keep no more than MOST_SHAPED shaped stores of a source: those that were made last, and that of `land`. What is
+    removed can be shaped again."""
+    beside = Path(land.folder).parent
+    shaped = [
+        folder for folder in beside.iterdir() if _NAME.fullmatch(folder.name) and (folder / stores.JSON_NAME).exists()
+    ]
+    shaped.sort(key=lambda folder: (str(folder) == land.folder, (folder / stores.JSON_NAME).stat().st_mtime_ns))
+    for folder in shaped[:-MOST_SHAPED]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _images_of(stack: Stack) -> dict[str, np.ndarray]:
+    """The files that land_masks.py has written, row 0 south."""
+    files = {entry.mask.image for entry in stack.active if entry.mask is not None and entry.mask.image}
+    return {file: np.load(file)[::-1] for file in files}
+
+
+def preview_of(land: Land) -> Preview | None:
+    """The preview that was made of a land, if it is still known."""
+    return _previews.get(land.folder)
+
+
+def forget() -> None:
+    _previews.clear()

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shape the land in a child process: Blender stays usable, and the mesh shows the result when it is there."""
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.shape_process import ShapeJob
+from ...cbt_terrain.run import warmup
+from . import live, session
+from .land_request import Land, land_of, made, raster_of, remove_old
+
+POLL_S = 0.1
+_jobs: dict[int, ShapeJob] = {}  # by the object's session_uid
+_progress: dict[int, tuple[float, str]] = {}
+
+
+def progress_of(obj) -> tuple[float, str] | None:
+    """Fraction done (0 .. 1) and what is being done, or None when the object's land is not being shaped."""
+    return _progress.get(obj.session_uid)
+
+
+def all_progress() -> list[tuple[float, str]]:
+    """The same of all that are being shaped."""
+    return list(_progress.values())
+
+
+def wanted_land(obj, depsgraph) -> Land:
+    """What is to be shaped. Raises TerrainError where there is nothing."""
+    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    if land is None:
+        raise TerrainError(
+            f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off; add an effect."
+        )
+    return land
+
+
+def _check_is_seen(obj, depsgraph) -> None:
+    if obj.hide_render and not obj.visible_get(view_layer=depsgraph.view_layer):
+        raise TerrainError(
+            f"The terrain {obj.name!r} is hidden in viewports and in renders, and is not shaped: show it."
+        )
+
+
+class ShapeLand(bpy.types.Operator):
+    """Apply the stack at all its levels; Blender stays usable meanwhile"""
+
+    bl_idname = "adaptive_terrain.shape"
+    bl_label = "Shape Now"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+
+    def invoke(self, context, event):
+        obj = context.object
+        self.uid = obj.session_uid
+        try:
+            _check_is_seen(obj, context.evaluated_depsgraph_get())
+            self.land = wanted_land(obj, context.evaluated_depsgraph_get())
+            _jobs[self.uid] = ShapeJob(self.land.source, self.land.stack, self.land.folder, tiles=self.land.tiles)
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        made["stores"] += 1
+        _progress[self.uid] = 0.0, "Starting"
+        session.record_of(obj).status.error = ""
+        self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        job = _jobs[self.uid]
+        progress = job.poll()
+        _progress[self.uid] = progress.fraction, progress.message
+        live.redraw_panels()
+        if not progress.done or warmup.preparing():  # what follows may update the mesh
+            return {"PASS_THROUGH"}
+        self._end(context)
+        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+        if obj is None:
+            return {"CANCELLED"}
+        if job.cancelled:
+            self.report({"INFO"}, progress.error)
+            return {"CANCELLED"}
+        if progress.error:
+            return self._failed(obj, progress.error)
+        remove_old(self.land)
+        return self._take(obj)
+
+    def execute(self, context):
+        obj = context.object
+        try:
+            _check_is_seen(obj, context.evaluated_depsgraph_get())
+            raster_of("", wanted_land(obj, context.evaluated_depsgraph_get()), session.open_field)
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        return self._take(obj)
+
+    def cancel(self, context):
+        """Another file is loaded, or Blender quits."""
+        _jobs[self.uid].cancel()
+        self._end(context)
+
+    def _end(self, context):
+        context.window_manager.event_timer_remove(self.timer)
+        del _jobs[self.uid], _progress[self.uid]
+        live.redraw_panels()
+
+    def _failed(self, obj, message: str):
+        session.record_of(obj).status.error = message
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+    def _take(self, obj):
+        """What is shown is decided by the settings: the next update finds the shaped store."""
+        if obj.adaptive_terrain.live and not bpy.app.background:
+            live.mark_dirty()
+            return {"FINISHED"}
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
+        return {"FINISHED"}
+
+
+class _JobOperator:
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.session_uid in _jobs
+
+
+class CancelShaping(_JobOperator, bpy.types.Operator):
+    """Stop shaping; what was there stays, and what is done so far is not done again"""
+
+    bl_idname = "adaptive_terrain.shape_cancel"
+    bl_label = "Cancel"
+
+    def execute(self, context):
+        _jobs[context.object.session_uid].cancel()
+        return {"FINISHED"}
+
+
+class FinishShaping(_JobOperator, bpy.types.Operator):
+    """Be content with the levels that are done: coarser, but the whole"""
+
+    bl_idname = "adaptive_terrain.shape_finish"
+    bl_label = "Finish Early"
+
+    def execute(self, context):
+        _jobs[context.object.session_uid].finish_early()
+        return {"FINISHED"}
+
+
+CLASSES = (ShapeLand, CancelShaping, FinishShaping)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for job in _jobs.values():
+        job.cancel()
+    _jobs.clear()
+    _progress.clear()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

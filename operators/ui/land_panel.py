@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel *Land*: the stack of effects that change heights, what is shown of it, and what it leaves behind.
+
+The list and what is below it have as many rows whatever they say: nothing moves while someone aims at it.
+"""
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from ...cbt_terrain.land.catalogue import LAND_EFFECTS
+from ..effects.land_presets import PRESET_PANEL, PRESETS
+from ..scene import land_stack, session, shape_land, shaped_land
+from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE
+from ..text.effect_lines import readers_text
+from ..text.numbers import length_text, plain
+from .panel_parts import TerrainSubpanel, figures, fixed_lines
+
+NAME_WIDTH = 0.7  # of a row of the list
+ABOUT_LINES, NOTE_LINES = 2, 2
+BANDS = (("height", ("low", "high", "edge")), ("slope", ("low", "high", "edge")),
+         ("aspect", ("direction", "within", "edge")))  # fmt: skip
+
+
+class LandList(bpy.types.UIList):
+    """An effect a row: whether it is switched on, its name, what it took."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_UL_land"
+
+    def draw_item(self, context, layout, _data, entry, _icon, _active_data, _active_name, index):
+        row = layout.row(align=True)
+        row.prop(entry, "on", text="", icon="CHECKBOX_HLT" if entry.on else "CHECKBOX_DEHLT", emboss=False)
+        row = row.split(factor=NAME_WIDTH, align=True)
+        left = row.row(align=True)
+        left.active = entry.on
+        known = entry.effect in LAND_EFFECTS
+        left.prop(entry, "name", text="", emboss=False, icon="NONE" if known else "ERROR")
+        if entry.mask.kind != "NONE":
+            left.label(icon="MOD_MASK")
+        took = row.row()
+        took.alignment = "RIGHT"
+        took.label(text=time_text(shaped_land.state_of(context.object).ms.get(index)))
+
+
+def time_text(ms: float | None) -> str:
+    """`35 ms`, `4.2 s`; `-` where it is not known."""
+    if ms is None:
+        return "-"
+    return f"{plain(ms)} ms" if ms < 1000.0 else f"{plain(ms / 1000.0)} s"
+
+
+class LandPresets(PresetPanel, bpy.types.Panel):
+    bl_label = "Land Presets"
+    preset_subdir = PRESETS
+    preset_extensions = {".json"}
+    preset_operator = "adaptive_terrain.land_preset"
+    preset_add_operator = "adaptive_terrain.land_preset_add"
+
+
+# Blender finds the panel by the name of its class.
+LandPresets.__name__ = LandPresets.bl_idname = PRESET_PANEL
+
+
+class AddLandMenu(bpy.types.Menu):
+    """Effects on heights, with what each is"""
+
+    bl_idname = "ADAPTIVE_TERRAIN_MT_land_add"
+    bl_label = "Add Land Effect"
+
+    def draw(self, _context):
+        self.layout.operator_enum("adaptive_terrain.land_add", "effect")
+
+
+class LandPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land"
+    bl_label = "Land"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, _context):
+        LandPresets.draw_panel_header(self.layout)
+
+    def draw(self, context):
+        obj = context.object
+        land, state = obj.adaptive_terrain.land, shaped_land.state_of(obj)
+        row = self.layout.row()
+        row.template_list(LandList.bl_idname, "", land, "entries", land, "active", rows=6)
+        buttons = row.column(align=True)
+        buttons.menu(AddLandMenu.bl_idname, text="", icon="ADD")
+        buttons.operator("adaptive_terrain.land_remove", text="", icon="REMOVE")
+        buttons.separator()
+        buttons.operator("adaptive_terrain.land_duplicate", text="", icon="DUPLICATE")
+        buttons.separator()
+        buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_UP").by = -1
+        buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_DOWN").by = 1
+        _draw_shaping(self.layout.row(align=True), obj, state)
+        box = self.layout.box().column(align=True)
+        figures(box, status_lines(state), factor=0.3)
+        fixed_lines(box, state.note, NOTE_LINES)
+
+
+def _draw_shaping(row, obj, state) -> None:
+    """One row: the button, or how far it is with what ends it."""
+    progress = shape_land.progress_of(obj)
+    if progress is None:
+        row.enabled = state.wanted
+        text = "Shape Now" if state.wanted else "Nothing to Shape" if not state.active else "Shaped"
+        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if state.wanted else "CHECKMARK")
+        return
+    row.progress(factor=progress[0], text=progress[1])
+    row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
+    row.operator("adaptive_terrain.shape_cancel", text="", icon="CANCEL")
+
+
+def status_lines(state) -> list[tuple[str, str]]:
+    """As many lines whatever there is to say."""
+    tiles = f"{state.tiles[0]:,} of {state.tiles[1]:,}" if state.tiles else "-"
+    spacing = f", {length_text(state.step_m)} apart" if state.step_m else ""
+    return [("Shown", f"{state.shown}{spacing}"), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
+
+
+class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
+    """The chosen effect: its numbers, where it acts."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_effect"
+    bl_label = "Effect"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
+
+    def draw(self, context):
+        land = context.object.adaptive_terrain.land
+        entry = land.entries[land.active]
+        effect = LAND_EFFECTS.get(entry.effect)
+        if effect is None:
+            fixed_lines(self.layout.column(align=True), land_stack.unknown(entry.effect), 4)
+            return
+        fixed_lines(self.layout.column(align=True), effect.about, ABOUT_LINES)
+        column = self._columns()
+        column.active = entry.on
+        for parameter in effect.parameters:
+            column.prop(getattr(entry, effect.name), parameter.name)
+        column.separator()
+        column.prop(entry, "seed")
+        _draw_mask(column, entry.mask)
+
+
+def _draw_mask(column, mask) -> None:
+    column.separator()
+    column.prop(mask, "kind")
+    if mask.kind == BY_IMAGE:
+        column.prop(mask, "image")
+    elif mask.kind == BY_OBJECT:
+        column.prop(mask, "object")
+    elif mask.kind == BY_RULE:
+        for name, numbers in BANDS:
+            _draw_band(column, getattr(mask, name), numbers)
+    if mask.kind != "NONE":
+        column.prop(mask, "factor")
+
+
+def _draw_band(column, band, names: tuple[str, ...]) -> None:
+    """A switch, and below it, in one row, the numbers of what is switched on."""
+    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
+    if band.use:
+        numbers = column.row(align=True)
+        numbers.use_property_split = False
+        for name in names:
+            numbers.prop(band, name, text="")
+
+
+class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
+    """What the stack leaves beside the heights, and who reads it."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
+    bl_label = "By-Products"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        statuses = session.record_of(context.object).status.effects
+        column = self.layout.column(align=True)
+        layers = shaped_land.layers_of(context.object.adaptive_terrain.land)
+        for layer in layers:
+            row = column.split(factor=0.4)
+            row.label(text=f"{layer.name} ({layer.unit})" if layer.unit else layer.name)
+            row.label(text=readers_text(statuses.get(layer.name)))
+        if not layers:
+            column.label(text="None", icon="INFO")
+
+
+class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
+    """The shaped land for other programs, or as a store that needs no stack."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
+    bl_label = "Bake Land"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, _context):
+        column = self._columns()
+        column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
+        column.operator("adaptive_terrain.export_heights", icon="EXPORT")
+
+
+CLASSES = (*(LandList, LandPresets, AddLandMenu, LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel),)

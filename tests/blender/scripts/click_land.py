@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add rivers to the island by a click, look at the preview, shape, undo, hide; write down what came of it: FOLDER.
+
+Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
+between turns only.
+"""
+
+import importlib
+import json
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+[folder] = sys.argv[sys.argv.index("--") + 1 :]
+folder = Path(folder)
+WAIT_S = 240.0
+# So many clicks of the list's button, its menu's first entry: a place in pixels from the panel's own corner would move.
+PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
+result = {"version": bpy.app.version_string}
+
+
+def module(name: str):
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+session, shaped_land, land_request, shape_land = (
+    module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_request", "shape_land")
+)
+warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
+OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
+
+
+def parts():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    return window, area, next(region for region in area.regions if region.type == "UI")
+
+
+def terrain():
+    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
+
+
+def shown() -> str:
+    return shaped_land.state_of(terrain()).shown
+
+
+def relief() -> float:
+    """Metres: how rough the mesh is. Rivers cut, so that it grows."""
+    mesh = terrain().data
+    heights = [0.0] * (3 * len(mesh.vertices))
+    mesh.vertices.foreach_get("co", heights)
+    return sum(heights[2::3]) / max(len(mesh.vertices), 1)
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"waited in vain: {shown()}, {session.record_of(terrain()).status.error}")
+        yield 0.02
+
+
+def turns(condition):
+    """Wait, and count; returns the longest time between two turns, seconds."""
+    longest, before, end = 0.0, time.monotonic(), time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.02
+        longest, before = max(longest, time.monotonic() - before), time.monotonic()
+    return longest
+
+
+def run(operator, *how, **asked):
+    window, area, region = parts()
+    with bpy.context.temp_override(window=window, area=area, region=region, object=terrain()):
+        return operator(*how, **asked)
+
+
+def picture(name: str):
+    (folder / name).touch()
+    end = time.monotonic() + WAIT_S
+    while not (folder / f"{name}_pictured").exists() and time.monotonic() < end:
+        yield 0.1
+
+
+def only_land_is_open():
+    panels.unregister()
+    for cls in panels.CLASSES:
+        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
+            cls.bl_options = set() if cls.bl_idname in OPEN else {"DEFAULT_CLOSED"}
+    panels.register()
+
+
+def steps():
+    yield 2.0
+    only_land_is_open()
+    window, area, region = parts()
+    area.spaces.active.show_region_ui = True
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    area.tag_redraw()
+    yield 1.5
+    parts()[2].active_panel_category = "Terrain"
+    area.tag_redraw()
+    yield 1.0
+    run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT")
+    yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0 and not warmup.preparing())
+    yield 1.0
+    result["source"] = relief()
+    yield from rivers_are_shown_at_once()
+    yield from a_slider_never_blocks()
+    yield from shaping_runs_beside_the_window()
+    yield from undo_and_hide()
+    (folder / "done.json").write_text(json.dumps(result))
+
+
+def rivers_are_shown_at_once():
+    run(bpy.ops.adaptive_terrain.land_add, effect="rivers")
+    bpy.ops.ed.undo_push(message="Rivers")
+    yield from until(lambda: shown() == "Preview")  # the first compiles kernels
+    yield 1.0
+    result["preview"], result["tiles"] = relief(), shaped_land.state_of(terrain()).tiles
+    yield from picture("preview")
+
+
+def a_slider_never_blocks():
+    entry, seconds, longest = terrain().adaptive_terrain.land.entries[0], [], 0.0
+    for years in (250e3, 200e3, 400e3):
+        start, before = time.monotonic(), land_request.made["previews"]
+        request = session.record_of(terrain()).status.request
+        entry.rivers.years = years
+        changed = lambda request=request: session.record_of(terrain()).status.request is not request  # noqa: E731
+        longest = max(longest, (yield from turns(changed)))
+        seconds.append(time.monotonic() - start)
+        result["previews_a_step"] = land_request.made["previews"] - before
+    result["slider_s"], result["longest_turn_s"] = seconds, longest
+    bpy.ops.ed.undo_push(message="Years")
+
+
+def shaping_runs_beside_the_window():
+    run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
+    yield 0.3
+    result["progress"] = shape_land.progress_of(terrain()) is not None
+    run(bpy.ops.adaptive_terrain.shape_cancel)
+    yield from until(lambda: shape_land.progress_of(terrain()) is None)
+    result["after_cancel"] = shown()
+    start = time.monotonic()
+    run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
+    yield 1.5
+    yield from picture("shaping")
+    result["longest_turn_shaping_s"] = yield from turns(lambda: shown() == "Shaped")
+    result["shaped_s"], result["shaped"] = time.monotonic() - start, relief()
+    result["tiles_shaped"] = shaped_land.state_of(terrain()).tiles
+    yield 1.0
+    yield from picture("shaped")
+
+
+def undo_and_hide():
+    run(bpy.ops.adaptive_terrain.land_add, effect="snow")
+    bpy.ops.ed.undo_push(message="Snow")
+    yield from until(lambda: shown() == "Preview")
+    stores = land_request.made["stores"]
+    window, area, region = parts()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.ed.undo()
+    yield from until(lambda: len(terrain().adaptive_terrain.land.entries) == 1 and shown() == "Shaped")
+    result["stores_for_undo"] = land_request.made["stores"] - stores
+    terrain().hide_set(True)
+    terrain().hide_render = True
+    yield 1.0
+    before = dict(land_request.made)
+    terrain().adaptive_terrain.land.entries[0].rivers.years = 123e3
+    yield 3.0
+    result["hidden_cost"] = [land_request.made[name] - before[name] for name in before]
+    terrain().hide_set(False)
+    yield from until(lambda: shown() == "Preview")
+    result["shown_cost"] = [land_request.made[name] - before[name] for name in before]
+
+
+running = steps()
+
+
+def turn():
+    try:
+        return next(running)
+    except StopIteration:
+        return None
+    except Exception as error:
+        traceback.print_exc()
+        (folder / "done.json").write_text(json.dumps(result | {"error": repr(error)}))
+        return None
+
+
+bpy.app.timers.register(turn, first_interval=1.0)

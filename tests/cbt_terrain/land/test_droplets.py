@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Droplets: nothing is lost, the amount does not depend on the spacing, tiles and threads change nothing."""
+
+import math
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.island import SIDE, island
+from adaptive_terrain.cbt_terrain.land import droplets
+from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels, finer
+from adaptive_terrain.cbt_terrain.run import launch
+from fields import rough
+
+
+def values(**other: float) -> dict[str, float]:
+    return droplets.DROPLETS.defaults() | other
+
+
+def land(size: int, every: int) -> np.ndarray:
+    return np.ascontiguousarray(np.maximum(island(size), 0.0)[::every, ::every])
+
+
+def hills(rows: int, columns: int, seed: int = 0) -> np.ndarray:
+    """float32 m, none of it in the sea."""
+    return rough(rows, columns, seed).samples[:rows, :columns].astype(np.float32) + 500.0
+
+
+@pytest.mark.parametrize("steps", [(10.0, 10.0), (9.0, 14.0)])
+def test_what_is_taken_is_laid_down_or_leaves_over_the_rim(steps):
+    """1e-12 of what moved, over a raster of odd sides with holes, of steps that differ; holes do not change."""
+    heights = hills(90, 141)
+    missing = np.random.default_rng(4).random(heights.shape) < 0.02
+    ground = Ground(heights, *steps, whole=heights.shape, missing=missing, seed=5)
+    change, carried = droplets.rain_on(ground, values(droplets=5000.0))
+    moved = np.abs(change).sum() * steps[0] * steps[1]
+    assert moved > 1e5 and carried > 0.0 and not change[missing].any()
+    assert abs(change.sum() * steps[0] * steps[1] + carried) < 1e-12 * moved
+    made = droplets.apply(ground, values(droplets=5000.0), None)
+    assert np.array_equal(made.layers["sediment"] - made.layers["wear"], made.heights)
+    assert abs(made.heights.sum(dtype=np.float64) * steps[0] * steps[1] + carried) < 1e-6 * moved
+
+
+def test_the_amount_does_not_depend_on_the_spacing():
+    """Metres, rms: within a fourth of each other at 16 and 8 m; in samples it would be three times as much."""
+    found = []
+    for every in (2, 1):
+        heights, step = land(1025, every)[: 500 // every, : 400 // every], SIDE / 1024 * every
+        heights = np.ascontiguousarray(heights)
+        made = droplets.apply(
+            Ground(heights, step, step, whole=heights.shape, threads=2), values(droplets=4000.0), None
+        )
+        found.append(math.sqrt(np.mean(made.heights**2)))
+    assert abs(found[0] / found[1] - 1.0) < 0.25 and found[1] > 0.2, found
+
+
+def test_fewer_samples_than_a_level_has_are_only_rounded():
+    """Below 8 m a level has the gullies of the coarser one, and as much of them."""
+    ground = Ground(hills(151, 120), 4.0, 4.0, whole=(151, 120))
+    coarse = droplets.apply(Ground(ground.heights[::2, ::2].copy(), 8.0, 8.0, whole=(76, 60)), values(), None)
+    coarse = type(coarse)(finer(coarse.heights, (151, 120)))
+    made = droplets.apply(ground, values(), coarse)
+    assert abs(made.heights.sum(dtype=np.float64) - coarse.heights.sum(dtype=np.float64)) < 1e-2
+    assert 0.0 < np.abs(made.heights - coarse.heights).max() < 0.5 * np.abs(coarse.heights).max()
+
+
+def test_threads_do_not_change_a_byte(monkeypatch):
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 1)
+    heights = hills(300, 410, seed=2)
+    made = [
+        droplets.apply(Ground(heights, 16.0, 16.0, whole=heights.shape, threads=threads), values(droplets=300.0), None)
+        for threads in (1, 2, 3)
+    ]
+    assert made[0].heights.any() and len({change.heights.tobytes() for change in made}) == 1
+
+
+def test_a_tile_with_its_halo_is_the_whole_but_for_a_thousandth():
+    """At odd offsets, with parts of the droplets' own tiles at its rims."""
+    heights, step, wide, corner = 10.0 * hills(420, 453, seed=1), 32.0, 96, (155, 171)
+    numbers = values(droplets=3000.0)
+    halo = math.ceil(droplets.DROPLETS.halo(numbers, step) / step)
+    whole = droplets.apply(Ground(heights, step, step, whole=heights.shape, threads=2), numbers, None).heights
+    window = tuple(slice(at - halo, at + wide + halo) for at in corner)
+    first = tuple(part.start for part in window)
+    ground = Ground(heights[window].copy(), step, step, first, heights.shape)
+    tile = droplets.apply(ground, numbers, None).heights[halo : halo + wide, halo : halo + wide]
+    there = whole[tuple(slice(at, at + wide) for at in corner)]
+    apart = np.abs(tile - there)
+    assert (
+        np.abs(there).max() > 0.2
+        and apart.max() < 0.01
+        and (apart == 0).mean() > 0.9
+        and math.sqrt(np.mean(apart**2)) < 1e-3 * there.std()
+    )
+
+
+def test_a_mask_lets_no_rock_be_taken():
+    heights = hills(129, 129, seed=3)
+    mask = np.zeros(heights.shape, np.float32)
+    mask[:, 64:] = 1.0
+    made = droplets.apply(Ground(heights, 10.0, 10.0, whole=heights.shape, mask=mask), values(), None)
+    assert made.layers["wear"][:, :60].max() == 0.0 and made.layers["wear"][:, 66:].max() > 1.0
+    assert made.layers["sediment"][:, :60].max() > 0.01
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (2, 2), (2, 700), (300, 3)])
+def test_narrow_rasters_are_finite(shape):
+    heights = (100.0 * np.random.default_rng(1).random(shape)).astype(np.float32)
+    made = apply_by_levels(droplets.DROPLETS, Ground(heights, 30.0, 30.0), values())
+    assert made.heights.shape == shape and np.isfinite(made.heights).all()

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.land import level_plan
+from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.land.shape import shape
+from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
+from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
+from adaptive_terrain.cbt_terrain.land.tiles import all_tiles, levels_of
+from land_effects import HILL, LEVEL, SMOOTH, bumpy
+
+STEPS = 8.0, 11.0
+STACK = Stack((Entry("smooth"), Entry("hill", {"east": 4000.0, "north": 3000.0}), Entry("level")))
+
+
+@pytest.fixture(autouse=True)
+def _own(own_effects):
+    pass
+
+
+@pytest.fixture
+def by_tiles(monkeypatch):
+    """Finer levels go by tiles though all of them are asked for."""
+    monkeypatch.setattr(level_plan, "MOST_WHOLE", 0)
+
+
+@pytest.fixture(scope="module")
+def land():
+    return from_array(bumpy(700, 1000), *STEPS)
+
+
+def some_tiles(field, *tiles):
+    return [dict.fromkeys(tiles, 0.0), *({} for _ in levels_of(field.lattice)[1:])]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("tiled", [False, True])
+def test_smoothing_equals_that_of_the_whole_raster(monkeypatch, tiled, seed):
+    """Tiles with as much halo as sweeps look: the same to a float's last bits, of 700 x 1000 unequal steps."""
+    if tiled:
+        monkeypatch.setattr(level_plan, "MOST_WHOLE", 0)
+    heights = bumpy(700, 1000, seed)
+    expected = apply_by_levels(SMOOTH, Ground(heights, *STEPS), SMOOTH.defaults())
+    field = from_array(heights, *STEPS)
+    made = shape(field, Stack((Entry("smooth"),)), all_tiles(field.lattice))
+    assert abs(expected.heights).max() > 15
+    assert abs(made.change - expected.heights).max() < 1e-4
+    assert abs(made.layers["worn"] - expected.layers["worn"]).max() < 1e-4
+
+
+@pytest.mark.usefixtures("by_tiles")
+def test_threads_and_the_order_of_tiles_change_no_bit(land, tmp_path):
+    every = all_tiles(land.lattice)
+    first = shape(land, STACK, every, threads=1)
+    backwards = [dict(reversed(tiles.items())) for tiles in every]
+    others = [shape(land, STACK, backwards, threads=n, cache=TileCache(tmp_path / "c")) for n in (2, 3)]
+    for other in others:
+        assert first.change.tobytes() == other.change.tobytes()
+        assert all(first.layers[name].tobytes() == other.layers[name].tobytes() for name in first.layers)
+
+
+@pytest.mark.usefixtures("by_tiles")
+def test_effects_find_what_those_before_them_have_left(land):
+    """The layer that the third effect reads, and the heights: the sum of what each makes after the ones before."""
+    made = shape(land, STACK, all_tiles(land.lattice))
+    one = shape(land, Stack(STACK.entries[:1]), all_tiles(land.lattice))
+    assert abs(made.layers["twice"] - 2 * one.layers["worn"]).max() < 1e-4
+    two = shape(land, Stack(STACK.entries[:2]), all_tiles(land.lattice))
+    before = land.heights() + two.change
+    assert abs(made.change - two.change - 0.25 * (before.mean() - before)).max() < 1e-2
+    assert made.depths == {"worn", "fresh", "twice"} and (made.layers["mark"] == 100).all()
+
+
+def test_what_nobody_asks_for_runs_no_time(land):
+    cache, off = TileCache(), Stack((Entry("smooth", on=False), Entry("hill", mask=Mask(factor=0.0))))
+    made = shape(land, off, all_tiles(land.lattice), cache=cache)
+    assert not cache.made and not made.change.any() and not made.added and made.layers == {}
+
+
+def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
+    cache = TileCache()
+    made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 7), cache=cache)
+    assert [tuple(tiles) for tiles in made.tiles] == [(7,), (0, 1, 2, 3), (0,)]
+    assert made.tile_counts == [12, 4, 1] and cache.made["smooth"] == 3
+    whole = shape(land, Stack((Entry("smooth"),)), all_tiles(land.lattice))
+    rows, columns = levels_of(land.lattice)[0].window(7)
+    inner = slice(rows.start + 16, rows.stop - 16), slice(columns.start + 16, columns.stop - 16)
+    assert abs(made.change[inner] - whole.change[inner]).max() < 1e-4
+    away = np.ones(land.samples.shape, bool)
+    away[rows.start - 16 : rows.stop + 16, columns.start - 16 : columns.stop + 16] = False
+    coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
+    assert (made.change[away] == coarse.change[away]).all() and coarse.level == 1
+    assert 0.5 < made.left_out_m[0] < made.left_out_m[1]
+
+
+def test_beside_tiles_that_are_left_out_the_ground_has_no_step(land):
+    """Along the border of a tile, heights change from sample to sample by no more than within it."""
+    made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 5))
+    _, columns = levels_of(land.lattice)[0].window(5)
+    jumps = abs(np.diff(made.change, axis=1)).max(axis=0)
+    border = jumps[columns.stop - 20 : columns.stop + 20].max()
+    assert border <= jumps.max() and border < 1.2 * jumps[columns.start + 20 : columns.stop - 20].max()
+
+
+def test_more_tiles_and_another_last_effect_compute_only_what_is_new(land, tmp_path):
+    stack = Stack(STACK.entries[:2])
+
+    def made_by(stack, *tiles):
+        cache = TileCache(tmp_path)
+        shape(land, stack, some_tiles(land, *tiles), cache=cache)
+        return dict(cache.made)
+
+    assert made_by(stack, 0) == {"smooth": 3, "hill": 3}
+    assert made_by(stack, 0) == {}
+    assert made_by(stack, 0, 11) == {"smooth": 1, "hill": 1}
+    other = Stack((stack.entries[0], Entry("hill", {"height": 7.0})))
+    assert made_by(other, 0, 11) == {"hill": 4}
+    assert made_by(Stack((Entry("smooth", {"sweeps": 2}), *other.entries[1:])), 0)["smooth"] == 3
+
+
+def test_a_damaged_tile_is_made_again(land, tmp_path):
+    stack = Stack((Entry("hill"),))
+    first = shape(land, stack, some_tiles(land, 0), cache=TileCache(tmp_path))
+    for number, file in enumerate(sorted(tmp_path.glob("*.npy"))):
+        content = bytearray(file.read_bytes())
+        content[5000 + number] ^= 1
+        file.write_bytes(content[: len(content) - 1000 * (number == 1)])
+    cache = TileCache(tmp_path)
+    again = shape(land, stack, some_tiles(land, 0), cache=cache)
+    assert cache.made["hill"] == 3 and not cache.kept and first.change.tobytes() == again.change.tobytes()
+
+
+def test_levels_that_add_less_than_the_error_are_not_made(land):
+    """A wide hill is nearly all there on coarse levels: finer ones add millimetres, which nobody asks for at 1 m."""
+    stack = Stack((Entry("hill", {"radius": 4e4, "east": 4000.0, "north": 3000.0}),))
+    wanted = [dict.fromkeys(range(level.tile_count), 1.0) for level in levels_of(land.lattice)]
+    cache = TileCache()
+    made = shape(land, stack, wanted, cache=cache)
+    exact = HILL.apply(Ground(land.heights(), *STEPS), stack.entries[0].values, None).heights
+    assert made.tiles[0] == [] and made.left_out_m[1] < 1.0 and abs(made.change - exact).max() < 1.0
+    assert shape(land, stack, all_tiles(land.lattice)).tiles[0] == list(range(12))
+
+
+def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
+    heights = bumpy(400, 333)
+    heights[50:90, 60:99] = np.nan
+    field = from_array(heights, 30.0, holes=True)
+    made = shape(field, Stack((Entry("smooth"), Entry("hill", {"radius": 900.0}))), all_tiles(field.lattice))
+    assert not made.change[field.valid == 0].any() and made.change[field.valid == 1].any()
+    hill = shape(field, Stack((Entry("hill", {"radius": 900.0}),)), all_tiles(field.lattice)).change
+    assert (hill[100:] == 0.0).all() and hill[33, 33] > 90
+
+
+def test_a_mask_lets_through_its_part_at_every_level_alike(land):
+    """Half of an effect is half of what it makes, however many levels there are, in heights and in depths."""
+    whole = shape(land, Stack((Entry("hill"),)), all_tiles(land.lattice))
+    half = shape(land, Stack((Entry("hill", mask=Mask(factor=0.5)),)), all_tiles(land.lattice))
+    assert abs(half.change - 0.5 * whole.change).max() < 1e-5
+    assert abs(half.layers["fresh"] - 0.5 * whole.layers["fresh"]).max() < 1e-5
+    assert (half.layers["mark"] == whole.layers["mark"]).all(), "a state is no depth"
+    high = Mask(rules=(GroundRule("height", low=50.0, edge=20.0),))
+    ruled = shape(land, Stack((Entry("hill", {"radius": 1e5}, mask=high),)), all_tiles(land.lattice))
+    ground = land.heights()
+    assert not ruled.change[ground < 40].any() and abs(ruled.change / whole_of(land) - 1)[ground > 60].max() < 1e-5
+
+
+def whole_of(land):
+    return shape(land, Stack((Entry("hill", {"radius": 1e5}),)), all_tiles(land.lattice)).change
+
+
+def test_where_the_mask_is_black_no_tile_is_made(land):
+    image = np.zeros((7, 10), np.float32)
+    image[:, :2] = 1.0
+    cache, stack = TileCache(), Stack((Entry("smooth", mask=Mask("m.png")),))
+    made = shape(land, stack, some_tiles(land, 0, 3, 11), images={"m.png": image}, cache=cache)
+    assert made.tiles[0] == [0] and made.added[-1].computed == 1
+    assert made.change[:, :150].any() and not made.change[:, 300:].any()
+
+
+def test_finishing_early_gives_the_levels_that_are_complete(land):
+    asked = []
+
+    def finish():
+        asked.append(1)
+        return len(asked) > 12  # five times a level, of which two are whole
+
+    made = shape(land, Stack((Entry("smooth"),)), all_tiles(land.lattice), finish=finish)
+    coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
+    assert made.finished_early and made.level == 1 and made.change.tobytes() == coarse.change.tobytes()
+
+
+def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_level(monkeypatch):
+    monkeypatch.setattr(level_plan, "MOST_WHOLE_FOR_SOME", 600)
+    field, cache = from_array(bumpy(300, 900), 5.0), TileCache()
+    made = shape(field, Stack((Entry("level"),)), some_tiles(field, 0), cache=cache)
+    assert cache.made["level"] == 2 and made.tiles[0] == [0]
+    exact = LEVEL.apply(Ground(field.heights(), 5.0, 5.0, whole=(300, 900)), LEVEL.defaults(), None).heights
+    assert abs(made.change - exact)[::2, ::2].max() < 1.0

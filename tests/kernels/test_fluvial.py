@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The loops of rivers in C, against the same in numpy and Python: the same bits."""
+
+import numpy as np
+import pytest
+import warp as wp
+from adaptive_terrain.cbt_terrain.effects.routing import route
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.run.buffers import flat
+from adaptive_terrain.kernels.land import fluvial
+
+F, D = np.float32, np.float64
+STEPS = 12.0, 7.0
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Drained noise with basins, and arrays of random numbers for what the loops read."""
+    rng = np.random.default_rng(8)
+    shape = (53, 121)
+    h = (30 * rng.standard_normal(shape) + np.indices(shape)[0] * 2).astype(F)
+    drainage = route(h, *STEPS)
+    found = {name: rng.random(h.size).astype(F) for name in ("part", "soft", "rate")}
+    found["part"][::7], found["rate"][::11] = 0.0, 0.0
+    found["rate"] *= F(30)
+    return drainage, h.reshape(-1), found
+
+
+def receivers(drainage):
+    to = drainage.to.astype(int)
+    return np.arange(len(to)) + (to // 3 - 1) * drainage.grid.width + to % 3 - 1
+
+
+def test_rates_are_those_of_numpy(case):
+    drainage, h, found = case
+    made, shape = np.empty_like(h), (53, 121)
+    numbers = [84.0, 5e3, 0.08]
+    arrays = [flat(drainage.to, wp.uint8), flat(drainage.catchments, wp.float64), flat(found["soft"], wp.float32)]
+    inputs = [drainage.grid, *numbers, *arrays, flat(made, wp.float32)]
+    launch.spread(fluvial.find_rates, shape[0], inputs, step="test")
+    axis = np.where(drainage.to % 2 == 0, 2, np.where((drainage.to == 3) | (drainage.to == 5), 0, 1))
+    near = np.array([*drainage.grid.nearness], F)[axis]
+    area = drainage.catchments.astype(F) * F(84.0) + F(5e3)
+    assert np.array_equal(made, np.sqrt(area) * near * found["soft"] * F(0.08))
+
+
+def test_the_cut_is_that_of_a_loop_in_single_precision(case):
+    drainage, h, found = case
+    made, filled, drop = h.copy(), np.empty_like(h), np.array([8.0, 5.0, 9.0], F)
+    arrays = [flat(a, wp.float32) for a in (found["part"], found["rate"], filled, made)]
+    inputs = [drainage.grid, wp.vec3f(*drop), 1, flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), *arrays]
+    launch.once(fluvial.cut_down, inputs, step="test")
+    z, water, to, other = h.copy(), h.copy(), drainage.to, receivers(drainage)
+    for i in drainage.order[::-1]:
+        j, rate = other[i], found["rate"][i]
+        if to[i] != 4 and z[i] > z[j] and rate > 0:
+            v = z[j] + (z[i] - z[j]) / (F(1) + rate)
+            top = z[j] + drop[2 if to[i] % 2 == 0 else 0 if to[i] in (3, 5) else 1]
+            z[i] = v - max(v - top, F(0)) * found["part"][i]
+        water[i] = z[i] if to[i] == 4 else max(z[i], water[j])
+    assert np.array_equal(made, z) and (z != h).mean() > 0.3
+    assert np.array_equal(filled, water) and (water > z).any()
+    untouched = h.copy()
+    inputs[2], inputs[-2:] = 0, [flat(np.full_like(h, 7.0), wp.float32), flat(untouched, wp.float32)]
+    launch.once(fluvial.cut_down, inputs, step="test")
+    assert np.array_equal(untouched, z)
+
+
+def test_creep_is_that_of_numpy(case):
+    drainage, h, found = case
+    made = h.copy()
+    arrays = [flat(drainage.base, wp.uint8), *(flat(a, wp.float32) for a in (found["part"], h, made))]
+    launch.spread(fluvial.creep, 51, [drainage.grid, 0.2, 0.11, *arrays], step="test", threads=3)
+    z, inner = h.reshape(53, 121), np.s_[1:-1, 1:-1]
+    twice = z + z
+    u = (z[1:-1, :-2] + z[1:-1, 2:] - twice[inner]) * F(0.2)
+    v = (z[:-2, 1:-1] + z[2:, 1:-1] - twice[inner]) * F(0.11)
+    expected = z.copy()
+    expected[inner] += (u + v) * found["part"].reshape(z.shape)[inner]
+    assert np.array_equal(made.reshape(z.shape), expected)
+
+
+def test_sediment_is_that_of_a_loop_in_double_precision(case):
+    drainage, before, found = case
+    h = before - F(4) * np.random.default_rng(2).random(len(before)).astype(F)
+    made, load, filled = h.copy(), np.zeros(len(h)), np.maximum(drainage.filled() - F(5), h)
+    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
+    arrays += [flat(a, wp.float32) for a in (found["part"], found["rate"], before, filled)]
+    inputs = [drainage.grid, 1.7, *arrays, flat(load, wp.float64), flat(made, wp.float32)]
+    launch.once(fluvial.lay_down, inputs, step="test")
+    z, carried, other = h.copy(), np.zeros(len(h)), receivers(drainage)
+    for i in drainage.order:
+        if drainage.to[i] == 4:
+            continue
+        most, cut = max(carried[i], 0.0), D(before[i]) - D(z[i])
+        laid = min(most, D(filled[i]) - D(z[i]))
+        if filled[i] <= z[i]:
+            laid = most * min(1.7 / drainage.catchments[i], 1.0)
+            laid = min(laid, 0.5 * max(cut, 0.0) + 0.05 * most) / (1.0 + D(found["rate"][i]))
+        z[i] = F(D(z[i]) + laid * D(found["part"][i]))
+        carried[other[i]] += carried[i] + (D(before[i]) - D(z[i]))
+    assert np.array_equal(made, z) and np.array_equal(load, carried) and (z != h).mean() > 0.3

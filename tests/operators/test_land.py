@@ -1,0 +1,359 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stack that shapes the land, in Blender: its settings, its list, its presets, and what a scene pays for it."""
+
+import json
+import shutil
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.scene import land_masks, land_properties, land_request, land_stack, session, shaped_land
+from adaptive_terrain.operators.scene.land_entries import free_name
+from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, store, tmp_path):
+    """A terrain with a store of its own, of which nothing was shaped."""
+    own = tmp_path / "hills"
+    shutil.copytree(store, own)
+    obj = add_terrain()
+    obj.adaptive_terrain.store = str(own)
+    land_request.forget()
+    land_request.made.update(previews=0, stores=0)
+    return obj
+
+
+def add(effect: str, **numbers):
+    assert bpy.ops.adaptive_terrain.land_add(effect=effect) == {"FINISHED"}
+    land = bpy.context.object.adaptive_terrain.land
+    entry = land.entries[land.active]
+    for name, value in numbers.items():
+        setattr(getattr(entry, effect), name, value)
+    return entry
+
+
+def names(terrain) -> list[str]:
+    return [entry.name for entry in terrain.adaptive_terrain.land.entries]
+
+
+def stack_now(terrain, tmp_path):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return land_stack.stack_of(terrain.evaluated_get(depsgraph), depsgraph, tmp_path / "masks")
+
+
+@pytest.mark.parametrize("effect", LAND_EFFECTS)
+def test_settings_are_those_of_the_declarations(terrain, tmp_path, effect):
+    """Name by name; the default is the declaration's own to the last bit, the ends of the range are reached."""
+    entry = add(effect)
+    group = getattr(entry, effect)
+    declared = LAND_EFFECTS[effect].parameters
+    assert set(group.bl_rna.properties.keys()) - {"rna_type", "name"} == {parameter.name for parameter in declared}
+    assert stack_now(terrain, tmp_path).entries[0].parameters == {}
+    for parameter in declared:
+        assert land_properties.number_of(parameter, group) == parameter.default
+        for value in (parameter.least, parameter.most):
+            land_properties.set_number(parameter, group, value)
+            assert land_properties.number_of(parameter, group) == pytest.approx(value, rel=1e-6, abs=1e-12)
+    stack_now(terrain, tmp_path).check()
+
+
+def test_lengths_and_angles_have_their_units():
+    declared = [(name, parameter) for name, effect in LAND_EFFECTS.items() for parameter in effect.parameters]
+    for name, parameter in declared:
+        item = land_properties.GROUPS[name].__annotations__[parameter.name].keywords
+        if parameter.unit == "m":
+            assert item["unit"] == "LENGTH", (name, parameter.name)
+        elif parameter.unit in land_properties.DEGREES:
+            assert item["subtype"] == "ANGLE" and item["max"] <= 2 * np.pi + 1e-6, (name, parameter.name)
+        elif parameter.unit:
+            assert item["unit" if "unit" in item else "name"].upper() != parameter.name.upper()
+        assert item["options"] == set(), "another number is another land: nothing is animated"
+
+
+def test_the_list_is_worked_as_a_list_of_modifiers(terrain):
+    add("relief", wave=80.0)
+    add("thermal")
+    add("relief")
+    assert names(terrain) == ["Fine Relief", LAND_EFFECTS["thermal"].label, "Fine Relief.001"]
+    land = terrain.adaptive_terrain.land
+    assert [entry.seed for entry in land.entries] == [0, 1, 2]
+    land.active = 0
+    assert bpy.ops.adaptive_terrain.land_duplicate() == {"FINISHED"}
+    assert names(terrain)[:2] == ["Fine Relief", "Fine Relief.002"] and land.active == 1
+    assert land.entries[1].relief.wave == 80.0 and land.entries[1].seed == land.entries[0].seed
+    assert bpy.ops.adaptive_terrain.land_move(by=1) == {"FINISHED"}
+    assert names(terrain)[2] == "Fine Relief.002" and land.active == 2
+    assert bpy.ops.adaptive_terrain.land_move(by=5) == {"CANCELLED"}
+    assert bpy.ops.adaptive_terrain.land_remove() == {"FINISHED"}
+    assert names(terrain)[2:] == ["Fine Relief.001"] and land.active == 2
+    while land.entries:
+        bpy.ops.adaptive_terrain.land_remove()
+    assert not bpy.ops.adaptive_terrain.land_remove.poll()
+
+
+def test_names_are_numbered_as_blender_does():
+    assert free_name("Snow", set()) == "Snow"
+    assert free_name("Snow", {"Snow", "Snow.001"}) == "Snow.002"
+    assert free_name("Snow.001", {"Snow.001"}) == "Snow.002" or free_name("Snow.001", {"Snow.001"}) == "Snow.003"
+
+
+def test_a_copied_object_has_a_stack_of_its_own(terrain):
+    add("relief", wave=80.0)
+    copy = terrain.copy()
+    copy.adaptive_terrain.land.entries[0].relief.wave = 40.0
+    assert terrain.adaptive_terrain.land.entries[0].relief.wave == 80.0
+    assert copy.adaptive_terrain.land.entries[0].effect == "relief"
+
+
+def test_a_stack_is_saved_and_opened(terrain, tmp_path):
+    entry = add("thermal", depth=12.5)
+    entry.on, entry.mask.kind, entry.mask.height.use = False, "RULE", True
+    path = str(tmp_path / "land.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    entry = bpy.data.objects["Terrain"].adaptive_terrain.land.entries[0]
+    assert (entry.effect, entry.on, entry.thermal.depth, entry.mask.kind) == ("thermal", False, 12.5, "RULE")
+
+
+def test_an_effect_of_another_version_is_told_of(terrain):
+    entry = add("relief")
+    entry.effect = "glacier"
+    with pytest.raises(session.TerrainError, match="'glacier' is not one of this version's: rivers"):
+        session.update_object(terrain)
+    entry.on = False
+    session.update_object(terrain)
+
+
+def test_a_preset_file_is_the_commands_file(terrain, tmp_path):
+    given = {
+        "version": 1,
+        "entries": [
+            {"effect": "rivers", "parameters": {"years": 20000}, "seed": 4, "name": "Old rivers"},
+            {"effect": "snow", "on": False, "parameters": {"wind": 90, "line": 1200},
+             "mask": {"factor": 0.5, "rules": [{"of": "height", "low": 600, "edge": 50},
+                                               {"of": "slope", "high": 45, "edge": 10},
+                                               {"of": "aspect", "low": 0, "edge": 0.5, "direction": 270}]}},
+        ],
+    }  # fmt: skip
+    file = tmp_path / "stack.json"
+    file.write_text(json.dumps(given))
+    add("relief")
+    assert bpy.ops.adaptive_terrain.land_preset(filepath=str(file)) == {"FINISHED"}
+    land = terrain.adaptive_terrain.land
+    assert names(terrain) == ["Old rivers", LAND_EFFECTS["snow"].label]
+    assert land.entries[1].snow.wind == pytest.approx(np.pi / 2) and land.entries[1].mask.slope.high == pytest.approx(
+        np.pi / 4
+    )
+    rivers, snow = land_stack.preset_of(land).entries
+    assert rivers.parameters == {"years": 20000.0} and (rivers.seed, rivers.mask) == (4, None)
+    assert snow.parameters == pytest.approx({"wind": 90.0, "line": 1200.0}) and not snow.on
+    found = [(rule.of, rule.low, rule.high, rule.edge, rule.direction) for rule in snow.mask.rules]
+    for rule, expected in zip(
+        found,
+        [("height", 600, np.inf, 50, 0), ("slope", -np.inf, 45, 10, 0), ("aspect", 0, np.inf, 0.5, 270)],
+        strict=True,
+    ):
+        assert rule[0] == expected[0] and rule[1:] == pytest.approx(expected[1:], abs=1e-4)
+    file.write_text('{"version": 1, "entries": [{"effect": "rivers", "parameters": {"age": 3}}]}')
+    with pytest.raises(RuntimeError, match="has a parameter 'age'; expected some of: years"):
+        bpy.ops.adaptive_terrain.land_preset(filepath=str(file))
+    assert names(terrain)[0] == "Old rivers"
+
+
+def test_bundled_presets_can_be_applied(terrain):
+    files = [path for folder in bpy.utils.preset_paths("adaptive_terrain/land") for path in sorted_files(folder)]
+    assert len(files) >= 4
+    for file in files:
+        assert bpy.ops.adaptive_terrain.land_preset(filepath=file) == {"FINISHED"}
+        assert len(terrain.adaptive_terrain.land.entries) >= 2
+
+
+def sorted_files(folder: str) -> list[str]:
+    import os
+
+    return [os.path.join(folder, name) for name in sorted(os.listdir(folder)) if name.endswith(".json")]
+
+
+def test_a_preset_is_saved_and_removed(terrain, tmp_path, monkeypatch):
+    monkeypatch.setattr(bpy.utils, "user_resource", lambda _kind, path="", create=False: str(tmp_path))
+    monkeypatch.setattr(
+        bpy.utils, "preset_find", lambda name, _folder, ext: str(f) if (f := tmp_path / (name + ext)).exists() else None
+    )
+    add("thermal", depth=44.0)
+    assert bpy.ops.adaptive_terrain.land_preset_add(name="My land") == {"FINISHED"}
+    [file] = tmp_path.glob("My*.json")
+    assert json.loads(file.read_text())["entries"][0]["parameters"] == {"depth": 44.0}
+    with pytest.raises(RuntimeError, match="There is a preset 'My land' already"):
+        bpy.ops.adaptive_terrain.land_preset_add(name="My land")
+    assert bpy.ops.adaptive_terrain.land_preset_add(name="My land", remove_name=True) == {"FINISHED"}
+    assert not file.exists()
+
+
+def test_a_hidden_terrain_costs_nothing(terrain):
+    """Counted: neither previews nor stores are made of it, whatever asks; once it is shown they are."""
+    add("relief")
+    for hide in ("hide_viewport", "eye"):
+        if hide == "eye":
+            terrain.hide_viewport = False
+            terrain.hide_set(True)
+        else:
+            terrain.hide_viewport = True
+        terrain.hide_render = True
+        bpy.context.view_layer.update()
+        session.update_object(terrain)
+        handlers.update_all(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), "VIEWPORT")
+        assert session.record_of(terrain).status.request.land is None
+        with pytest.raises(RuntimeError, match="is hidden in viewports and in renders"):
+            bpy.ops.adaptive_terrain.shape()
+    assert land_request.made == {"previews": 0, "stores": 0}
+    terrain.hide_set(False)
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert land_request.made == {"previews": 1, "stores": 0}
+
+
+def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
+    add("thermal", scree_angle=0.4)
+    state = shaped_land.state_of(terrain)
+    assert (state.active, state.wanted) == (True, True)
+    session.update_object(terrain)
+    state = shaped_land.state_of(terrain)
+    assert state.shown == "Preview" and state.step_m == 10.0 and list(state.ms) == [0]
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    state = shaped_land.state_of(terrain)
+    assert (state.shown, state.wanted) == ("Shaped", False) and state.tiles == (1, 1)
+    assert [name for name, _ in status_lines(state)] == ["Shown", "Tiles", "Time"]
+    folder = shaped_land.store_of(terrain)
+    request = session.record_of(terrain).status.request
+    assert request.store == folder and request.land is None
+    assert land_request.made == {"previews": 1, "stores": 1}
+    bpy.ops.adaptive_terrain.shape()
+    assert land_request.made == {"previews": 1, "stores": 1}, "what is there is not made again"
+
+
+def test_the_land_is_what_the_command_makes(terrain, tmp_path):
+    add("thermal", depth=60.0)
+    bpy.ops.adaptive_terrain.shape()
+    stack = land_stack.preset_of(terrain.adaptive_terrain.land)
+    run_shape(terrain.adaptive_terrain.store, stack, tmp_path / "other")
+    mine, other = open_store(shaped_land.store_of(terrain)), open_store(tmp_path / "other")
+    assert mine.key == other.key and np.array_equal(mine.heights(), other.heights())
+
+
+def test_undo_brings_the_land_before_back_at_once(terrain):
+    """The settings alone decide which store is shown."""
+    entry = add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    first = shaped_land.store_of(terrain)
+    entry.thermal.depth = 3.0
+    bpy.ops.adaptive_terrain.shape()
+    assert shaped_land.store_of(terrain) != first
+    entry.thermal.depth = 30.0
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == first and land_request.made["stores"] == 2
+    entry.on = False
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == terrain.adaptive_terrain.store
+    assert shaped_land.state_of(terrain) == shaped_land.State()
+
+
+def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
+    add("thermal", depth=80.0)
+    session.update_object(terrain)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made == {"previews": 1, "stores": 1}
+    assert shaped_land.state_of(terrain).shown == "Shaped"
+    assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
+
+
+def test_no_more_than_some_shaped_stores_are_kept(terrain, monkeypatch):
+    monkeypatch.setattr(land_request, "MOST_SHAPED", 2)
+    entry = add("thermal")
+    for depth in (10.0, 20.0, 40.0):
+        entry.thermal.depth = depth
+        bpy.ops.adaptive_terrain.shape()
+    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    assert sum((folder / "store.json").exists() for folder in beside.iterdir()) == 2
+    assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_baked_land_needs_no_stack(terrain):
+    add("thermal", depth=80.0)
+    before = open_store(terrain.adaptive_terrain.store).key
+    source = terrain.adaptive_terrain.store
+    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
+    baked = terrain.adaptive_terrain.store
+    assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
+    assert open_store(source).key == before != open_store(baked).key
+    shutil.rmtree(land_request.folder_beside(source))
+    session.update_object(terrain)
+    assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
+    with pytest.raises(RuntimeError, match="has nothing to shape"):
+        bpy.ops.adaptive_terrain.bake_land()
+
+
+def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
+    import rasterio
+
+    add("thermal", depth=80.0)
+    assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
+    shaped = open_store(shaped_land.land_request.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
+    with rasterio.open(tmp_path / "land.tif") as file:
+        assert np.array_equal(file.read(1)[::-1], shaped.heights())
+    assert sorted(path.name for path in tmp_path.glob("land_*.tif")) == [f"land_{n}.tif" for n in sorted(shaped.layers)]
+    with pytest.raises(RuntimeError, match="is of no format"):
+        bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.png"))
+
+
+def only_shaped(terrain) -> str:
+    [folder] = {path.parent for path in land_request.folder_beside(terrain.adaptive_terrain.store).glob("*/store.json")}
+    return folder.name
+
+
+def test_masks_by_rule_image_and_object(terrain, tmp_path):
+    entry = add("thermal")
+    entry.mask.kind = "IMAGE"
+    with pytest.raises(session.TerrainError, match="masked by an image, and none is chosen"):
+        session.update_object(terrain)
+    image = bpy.data.images.new("Paint", 6, 3, float_buffer=True)
+    pixels = np.zeros((3, 6, 4), np.float32)
+    pixels[0, :2, 0], pixels[2, 5, 0] = 1.0, 0.25  # the lower rows of an image are south
+    image.pixels.foreach_set(pixels.ravel())
+    entry.mask.image, entry.mask.factor = image, 0.5
+    [found] = stack_now(terrain, tmp_path).entries
+    kept = np.load(found.mask.image)
+    assert found.mask.factor == 0.5 and kept.shape == (3, 6)
+    assert (kept[2, :2] == 1.0).all() and kept[0, 5] == 0.25 and kept.sum() == 2.25, "the first row is north"
+    entry.mask.kind = "OBJECT"
+    with pytest.raises(session.TerrainError, match="masked by an object, and none is chosen"):
+        session.update_object(terrain)
+    mesh = bpy.data.meshes.new("Patch")
+    mesh.from_pydata([(0, 0, 5), (640, 0, 9), (640, 320, 0), (0, 320, 0)], [], [(0, 1, 2, 3)])
+    patch = bpy.data.objects.new("Patch", mesh)
+    bpy.context.scene.collection.objects.link(patch)
+    entry.mask.object = patch
+    kept = np.load(stack_now(terrain, tmp_path).entries[0].mask.image)
+    assert kept.shape == (512, 512) and kept[:256, 256:].mean() == pytest.approx(0.5, abs=0.01)
+    assert kept[256:].max() == 0.0 and kept[:, :255].max() == 0.0, "only the north-eastern quarter, its southern half"
+    assert kept[:127].max() == 0.0 and kept[130:255, 258:].min() == 1.0
+    session.update_object(terrain)
+
+
+def test_a_shadow_is_the_part_that_is_covered():
+    """Of a triangle: its area, from points that no triangle rule was written for."""
+    triangle = np.array([[[-30.0, -20.0], [45.0, -10.0], [5.0, 28.0]]])
+    (ax, ay), (bx, by), (cx, cy) = triangle[0]
+    area = abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)) / 2
+    found = land_masks.shadow(triangle, (100.0, 60.0))
+    assert found.shape == (308, 512) and found.sum() * (100.0 / 512) * (60.0 / 308) == pytest.approx(area, rel=2e-3)
+    assert land_masks.shadow(triangle[:, ::-1], (100.0, 60.0)).tobytes() == found.tobytes()
+    assert land_masks.shadow(triangle + 500.0, (100.0, 60.0)).max() == 0.0
+
+
+def test_times_are_short():
+    assert [time_text(ms) for ms in (None, 0.4, 35.2, 4200.0)] == ["-", "0.4 ms", "35.2 ms", "4.2 s"]

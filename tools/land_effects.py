@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The part of docs/effects.md that is about effects on heights and about built-in lands: pictures, and what they cost.
+
+write_effects.py asks for it. Every figure is measured on the built-in island, in the run that writes the page.
+"""
+
+import io
+import math
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.lands import LANDS, Land
+from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land.land_effect import LandEffect
+from adaptive_terrain.cbt_terrain.land.shape import shape
+from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
+from adaptive_terrain.cbt_terrain.land.tiles import all_tiles
+from adaptive_terrain.operators.text.numbers import plain
+from PIL import Image
+
+PRESETS = Path(__file__).resolve().parents[1] / "operators" / "effects" / "presets" / "adaptive_terrain" / "land"
+SIZE = 1025
+WIDE = 480  # pixels, of each half of a picture
+# What is shown of each effect: parameters that differ, the part of the island that is looked at (west, south, side, of
+# 1), and what of its layers is drawn over the ground.
+SHOWN: dict[str, tuple[dict, tuple[float, float, float], str]] = {
+    "rivers": ({"years": 4e5}, (0.05, 0.05, 0.9), ""),
+    "thermal": ({}, (0.4, 0.36, 0.3), "scree"),
+    "relief": ({"wave": 128.0, "beds": 60.0}, (0.44, 0.4, 0.2), ""),
+    "snow": ({"line": 450.0}, (0.25, 0.2, 0.6), "snow"),
+    "water": ({}, (0.1, 0.3, 0.5), "water_depth"),
+    "flood": ({"minutes": 15.0, "rain": 200.0}, (0.1, 0.3, 0.5), "water_depth"),
+}
+WHOLE = (0.0, 0.0, 1.0)
+TINTS = {"scree": (0.72, 0.66, 0.58), "snow": (0.97, 0.98, 1.0), "water_depth": (0.16, 0.42, 0.6)}
+FULL = {"scree": 12.0, "snow": 0.6, "water_depth": 0.8}  # metres of a layer that hide the ground
+LAND_RAMP = (
+    (0.0, (0.80, 0.74, 0.58)),
+    (0.04, (0.42, 0.47, 0.27)),
+    (0.5, (0.40, 0.42, 0.28)),
+    (1.0, (0.60, 0.55, 0.49)),
+)
+SAND = ((0.0, (0.80, 0.63, 0.42)), (1.0, (0.90, 0.77, 0.58)))
+ROCK = ((0.0, (0.45, 0.36, 0.28)), (0.3, (0.67, 0.40, 0.27)), (0.8, (0.82, 0.66, 0.50)), (1.0, (0.56, 0.55, 0.38)))
+MEADOWS = ((0.0, (0.38, 0.44, 0.26)), (0.4, (0.42, 0.44, 0.29)), (1.0, (0.58, 0.55, 0.50)))
+RAMPS = {"dunes": SAND, "canyon": ROCK, "mountains": MEADOWS}
+SEAS = ("island", "archipelago")
+HEAD = """## Effects that shape the land
+
+These change heights: a stack of them on a terrain makes a store of its own beside the source's, level by level
+and only for the tiles that a shot sees finer than that. They take metres and years, not pixels: a finer raster
+adds detail and does not change the shape. What they leave behind (depth of scree, snow, water, what was worn) are
+layers, which materials, splats and maps may read; `adaptive-terrain shape --store DIR --stack FILE.json --out DIR`
+applies a stack, and so does the panel Land.
+
+Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture
+shows it. *Finer by one level*: root mean square of what the last halving of the spacing changed, at the samples that
+both have. Seconds are the processor's.
+
+| effect | changes heights by, rms | finer by one level | s | microseconds a sample |
+| --- | ---: | ---: | ---: | ---: |
+"""
+LANDS_HEAD = """## Built-in lands
+
+`adaptive-terrain import NAME --size N --seed S --store DIR` makes one at any resolution, from no file: a place has
+the same height at every resolution and the same bytes on every machine. On the left as it is imported, on the right
+with the preset stack that suits it.
+"""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An effect or a stack on a land: heights before and after and layers (float32 [rows, columns]), metres between
+    samples, processor seconds."""
+
+    before: np.ndarray
+    after: np.ndarray
+    layers: dict[str, np.ndarray]
+    step: float
+    seconds: float
+
+
+def land_section() -> tuple[list[str], dict[str, bytes]]:
+    """Lines of the page, and its pictures by file name."""
+    pictures, rows, sections = {}, [], []
+    for effect in LAND_EFFECTS.values():
+        parameters, part, layer = SHOWN.get(effect.name, ({}, WHOLE, ""))
+        stack = Stack((Entry(effect.name, parameters),))
+        coarse, shown = (shaped(LANDS["island"], size, stack) for size in (SIZE // 2 + 1, SIZE))
+        change = shown.after - shown.before
+        finer = rms(change[::2, ::2] - (coarse.after - coarse.before))
+        moved = f"{plain(rms(change))} m | {plain(finer)} m" if change.any() else "not: its layers say it | -"
+        cost = f"{plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
+        rows.append(f"| [{effect.name}](#{effect.name}) | {moved} | {cost} |")
+        pictures[f"land_{effect.name}.jpg"] = beside(shown, part, layer, LAND_RAMP, True)
+        sections.append(effect_section(effect, parameters))
+    lines = [
+        HEAD.format(size=SIZE, step=LANDS["island"].side / (SIZE - 1)) + "\n".join(rows) + "\n",
+        *sections,
+        LANDS_HEAD,
+    ]
+    for land in LANDS.values():
+        entries = read_stack(PRESETS / f"{land.preset}.json") if land.preset else Stack()
+        shown = shaped(land, SIZE, entries)
+        layer = next((name for name in ("snow", "water_depth") if name in shown.layers), "")
+        ramp = RAMPS.get(land.name, LAND_RAMP)
+        pictures[f"land_of_{land.name}.jpg"] = beside(shown, WHOLE, layer, ramp, land.name in SEAS)
+        suits = f"; preset *{land.preset.replace('_', ' ')}*" if land.preset else ""
+        lines.append(f"![{land.about}](images/land_of_{land.name}.jpg)\n")
+        lines.append(
+            f"**{land.name}**: {land.about[0].lower()}{land.about[1:]}. {land.side / 1e3:g} km a side{suits}.\n"
+        )
+    return lines, pictures
+
+
+def effect_section(effect: LandEffect, parameters: dict) -> str:
+    """An effect as its declaration has it, below its picture."""
+    drawn = ", ".join(f"{name} {plain(value)}" for name, value in parameters.items())
+    lines = [f"### {effect.name}\n", f"![{effect.about}](images/land_{effect.name}.jpg)\n"]
+    lines.append(
+        f"**{effect.label}**. {effect.about}. {f'Shown with {drawn}.' if drawn else ''}\n".replace(" \n", "\n")
+    )
+    halo = effect.halo(effect.defaults(), 1.0)
+    facts = [f"**Limit** {effect.limit}"] if effect.limit else []
+    facts += [f"**Conserves** {effect.conserves}"] if effect.conserves else []
+    facts += [f"**Converges** {effect.converges}"] if effect.converges else []
+    facts.append(f"**Looks** {'at the whole raster' if math.isinf(halo) else f'{plain(halo)} m around a tile of 1 m'}")
+    facts += [f"**Reads** {', '.join(effect.reads)}"] if effect.reads else []
+    facts.append(f"**Source** {effect.source}")
+    lines.append(" · ".join(facts) + "\n")
+    lines.append("| parameter | | | |\n| --- | ---: | --- | --- |")
+    lines += [
+        f"| `{p.name}` | {p.default:g} {p.unit} | {p.least:g} to {p.most:g} | {p.about} |" for p in effect.parameters
+    ]
+    if effect.layers:
+        lines.append("\n| layer | | |\n| --- | --- | --- |")
+        lines += [f"| `{layer.name}` | {layer.unit} | {layer.about} |" for layer in effect.layers]
+    return "\n".join([*lines, ""])
+
+
+def shaped(land: Land, size: int, stack: Stack) -> Shown:
+    """A stack over a whole land, in memory."""
+    heights, step = land.heights(size), land.side / (size - 1)
+    field = from_array(heights, step)
+    start = time.process_time()
+    made = shape(field, stack, all_tiles(field.lattice))
+    seconds = time.process_time() - start
+    return Shown(heights, heights + made.change, made.layers, step, seconds)
+
+
+def rms(values: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(np.square(values, dtype=np.float64))))
+
+
+def beside(shown: Shown, part: tuple[float, float, float], layer: str, ramp: tuple, sea: bool) -> bytes:
+    """A JPEG file: the ground before and after, in low sun from the north-west, north on top."""
+    count = shown.before.shape[0]
+    west, south, side = (round(p * (count - 1)) for p in part)
+    cut = np.s_[south : south + side + 1, west : west + side + 1]
+    land = shown.before[shown.before > 0.0] if sea else shown.before
+    limits = float(np.percentile(land, 1)), float(max(shown.before.max(), shown.after.max()))
+    halves = [shaded(h[cut], shown.step, ramp, limits, sea) for h in (shown.before, shown.after)]
+    if layer in shown.layers:
+        depth = shown.layers[layer][cut]
+        dry = (shown.after[cut] > 0.0) if sea and layer == "water_depth" else np.ones(depth.shape, bool)
+        cover = (np.clip(depth / FULL[layer], 0.0, 1.0) * dry)[:, :, None]
+        tint = shaded(shown.after[cut], shown.step, ((0.0, TINTS[layer]), (1.0, TINTS[layer])), limits, False)
+        halves[1] = halves[1] * (1.0 - cover) + tint * cover
+    gap = np.ones((WIDE, 6, 3))
+    pixels = [_resized(half[::-1]) for half in halves]
+    picture = (255 * np.clip(np.concatenate([pixels[0], gap, pixels[1]], axis=1), 0, 1) + 0.5).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=86)
+    return file.getvalue()
+
+
+def _resized(pixels: np.ndarray) -> np.ndarray:
+    image = Image.fromarray((255 * np.clip(pixels, 0, 1) + 0.5).astype(np.uint8))
+    return np.asarray(image.resize((WIDE, WIDE), Image.Resampling.LANCZOS), np.float64) / 255
+
+
+def shaded(heights: np.ndarray, step: float, ramp: tuple, limits: tuple[float, float], sea: bool) -> np.ndarray:
+    """float64 [rows, columns, 3]: the ramp's colours by height, in sun and sky; the sea by its depth."""
+    h = heights.astype(np.float64)
+    north, east = np.gradient(h, step)
+    length = np.sqrt(1 + east**2 + north**2)
+    sun = np.clip((0.56 * east - 0.56 * north + 0.62) / length, 0, 1)[:, :, None]
+    sky = (0.5 + 0.5 / length)[:, :, None]
+    at = (h - limits[0]) / max(limits[1] - limits[0], 1e-9)
+    places, colours = [place for place, _ in ramp], np.array([colour for _, colour in ramp])
+    ground = np.stack([np.interp(at, places, colours[:, k]) for k in range(3)], -1)
+    lit = ground * (1.25 * sun * np.array([1.0, 0.95, 0.86]) + 0.36 * sky * np.array([0.8, 0.9, 1.1]))
+    if not sea:
+        return lit
+    deep = np.clip(-h / 120.0, 0, 1)[:, :, None]
+    water = np.array([0.26, 0.52, 0.58]) * (1 - deep) + np.array([0.08, 0.2, 0.34]) * deep
+    return np.where(h[:, :, None] <= 0.0, water, lit)
+
+
+if __name__ == "__main__":  # to look at the pictures alone
+    folder = Path(sys.argv[1])
+    text, files = land_section()
+    (folder / "land.md").write_text("\n".join(text), encoding="utf-8")
+    for name, content in files.items():
+        (folder / name).write_bytes(content)

@@ -45,7 +45,8 @@ class _Applied:
 @dataclass
 class Preview:
     """`field`: heights in memory. `ms`: milliseconds of each active entry that is in it. `step_m`: metres between
-    samples of the level that they were applied to. `without`: the entry that was too slow, with which it ends, or ""."""
+    samples of the level that they were applied to. `without`: the entry that was too slow, with which it ends, or "".
+    """
 
     field: HeightField
     ms: list[float] = field(default_factory=list)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The land in the real program: rivers at a click, a preview that never blocks, shaping, undo, and what hiding saves."""
+"""The land in the real program: rivers at a click, a preview that never blocks, shaping, undo, what hiding saves."""
 
 import json
 import os
+import time
 from pathlib import Path
 
-from program_window import SCREEN, read_screen, wait_for, window
+from program_window import GUARD_S, SCREEN, read_screen, wait_for, window
 from real_program import SCRIPTS
 
 MOMENTS = ("preview", "shaping", "shaped")
@@ -22,7 +23,7 @@ def test_land_is_shaped_beside_the_window(program, tmp_path):
                 wait_for_either(tmp_path, moment, blender)
                 read_screen(tmp_path).save(pictures / f"land_{moment}.png")
                 (tmp_path / f"{moment}_pictured").touch()
-            wait_for(tmp_path / "done.json", blender, 400)
+            wait_for(tmp_path / "done.json", blender)
         finally:
             read_screen(tmp_path).save(pictures / "land_end.png")
     said = json.loads((tmp_path / "done.json").read_text())
@@ -44,9 +45,7 @@ def wait_for_either(folder: Path, moment: str, blender) -> None:
 
 
 def wait_for_one(folder: Path, moment: str, blender) -> None:
-    import time
-
-    end = time.monotonic() + 400
+    end = time.monotonic() + GUARD_S
     while not ((folder / moment).exists() or (folder / "done.json").exists()):
         assert blender.poll() is None, f"the program ended with {blender.returncode} before {moment}"
         assert time.monotonic() < end, f"{moment} did not come"

@@ -16,7 +16,7 @@ import bpy
 
 [folder] = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
-WAIT_S = 240.0
+WAIT_S = 900.0  # only so that a hang ends
 # So many clicks of the list's button, its menu's first entry: a place in pixels from the panel's own corner would move.
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string}

@@ -70,13 +70,13 @@ def test_heights_are_fastscapelibs_where_there_are_no_pits(still, years):
 
 
 def test_what_is_cut_is_laid_down_or_leaves():
-    """Hard case 55."""
+    """Hard case 55; creep only exchanges, see below."""
     h = rough(83, 140)
     fixed = (h <= 0).reshape(-1)
     lift = np.where(fixed, 0, 3e-4 * np.random.default_rng(1).random(h.size)).astype(np.float32)
     part = np.random.default_rng(2).random(h.size).astype(np.float32)
     bed = bed_of(h, 12.0, 9.0, fixed=fixed, lift=lift, part=part)
-    values, left, moved, raised = RIVERS.defaults() | {"deposition": 2.0}, 0.0, 0.0, 0.0
+    values, left, moved, raised = RIVERS.defaults() | {"deposition": 2.0, "creep": 0.0}, 0.0, 0.0, 0.0
     for number in range(5):
         before = bed.heights.astype(np.float64)
         lifted = bed.heights + np.float32(20e3) * lift
@@ -87,6 +87,17 @@ def test_what_is_cut_is_laid_down_or_leaves():
     change = bed.heights.sum(dtype=np.float64) - h.sum(dtype=np.float64)
     assert moved > 1e5 and abs(change + left - raised) < 1e-6 * moved
     assert bed.sediment.sum() > 1e3 and (bed.sediment >= 0).all()
+
+
+@pytest.mark.parametrize("spread", [30.0, 3000.0])
+def test_creep_only_exchanges(spread):
+    """In both of its ways, away from where water leaves."""
+    h = np.full((83, 140), 50.0, np.float32)
+    h[35:45, 60:80] = rough(10, 20)
+    bed = bed_of(h, 12.0, 9.0)
+    fluvial._creep(bed, bed.drain(), spread)
+    change = bed.heights.astype(np.float64) - h.reshape(-1)
+    assert np.abs(change).sum() > 1e3 and abs(change.sum()) < 1e-5 * np.abs(change).sum()
 
 
 def test_rock_worn_and_sediment_make_up_the_change():

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, Land
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
@@ -95,7 +96,9 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
         finer = rms(change[::2, ::2] - (coarse.after - coarse.before))
         moved = f"{plain(rms(change))} m | {plain(finer)} m" if change.any() else "not: its layers say it | -"
         cost = f"{plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
-        rows.append(f"| [{effect.name}](#{effect.name}) | {moved} | {cost} |")
+        # Of two headings of one name the second has a number.
+        anchor = f"{effect.name}-1" if effect.name in EFFECTS else effect.name
+        rows.append(f"| [{effect.name}](#{anchor}) | {moved} | {cost} |")
         pictures[f"land_{effect.name}.jpg"] = beside(shown, part, layer, LAND_RAMP, True)
         sections.append(effect_section(effect, parameters))
     lines = [

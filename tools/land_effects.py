@@ -58,6 +58,8 @@ adds detail and does not change the shape. What they leave behind (depth of scre
 layers, which materials, splats and maps may read; `adaptive-terrain shape --store DIR --stack FILE.json --out DIR`
 applies a stack, and so does the panel Land.
 
+![A valley of the demo's island: a lake, scree below cliffs, snow above](images/land_valley.jpg)
+
 Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture
 shows it. *Finer by one level*: root mean square of what the last halving of the spacing changed, at the samples that
 both have. Seconds are the processor's.

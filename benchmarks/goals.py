@@ -44,10 +44,13 @@ GOALS: dict[tuple[str, int], float] = {
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
     ("land_relief", ANY_SIZE): 0.2,
+    ("land_water", ANY_SIZE): 0.01,
+    ("land_snow", ANY_SIZE): 0.25,
     ("land_routing", ANY_SIZE): 0.25,
     ("land_rivers", ANY_SIZE): 0.4,
     ("land_sediment", ANY_SIZE): 1.5,
     ("land_scree", ANY_SIZE): 0.06,
+    ("land_demanded", ANY_SIZE): 0.35,
     ("maps_normal", ANY_SIZE): 1.0,
     # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.
     ("shading_error", ANY_SIZE): 0.36,

@@ -4,11 +4,15 @@
 import numpy as np
 
 from ..cbt_terrain.effects.routing import route
+from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.island import SIDE, island
 from ..cbt_terrain.land import fluvial
 from ..cbt_terrain.land.land_effect import Ground
 from ..cbt_terrain.land.relief import RELIEF
 from ..cbt_terrain.land.rivers import RIVERS
+from ..cbt_terrain.land.shape import shape
+from ..cbt_terrain.land.stack import Entry, Stack
+from ..cbt_terrain.land.tiles import all_tiles
 from .measure import Row, alternate, stopwatch
 
 SAMPLES = 1025
@@ -20,6 +24,7 @@ def land_rows():
     heights, step = island(SAMPLES), SIDE / (SAMPLES - 1)
     yield _relief(heights, step)
     yield from _rivers(heights, step)
+    yield _demanded()
 
 
 def _relief(heights: np.ndarray, step: float) -> Row:
@@ -39,6 +44,24 @@ def _relief(heights: np.ndarray, step: float) -> Row:
     timed = alternate(ours, plain)
     figures = {"ns_sample": timed.ms["total"] * 1e6 / heights.size, "octaves": octaves}
     return Row("land_relief", heights.size, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)
+
+
+def _demanded() -> Row:
+    """Relief on one tile of the finest level, with all that it starts from, beside every tile; one thread each."""
+    size = 2 * SAMPLES - 1
+    field = from_array(island(size), SIDE / (size - 1))
+    stack, every = Stack((Entry("relief", {"wave": WAVE}),)), all_tiles(field.lattice)
+    some = [dict.fromkeys([len(every[0]) // 2], 0.0), *({} for _ in every[1:])]
+    made = []
+
+    def took(wanted) -> float:
+        with stopwatch() as elapsed:
+            made.append(shape(field, stack, wanted))
+        return elapsed[0]
+
+    timed = alternate(lambda: {"total": took(some)}, lambda: took(every))
+    tiles = {"tiles": sum(map(len, made[0].tiles)), "of": sum(made[0].tile_counts)}
+    return Row("land_demanded", field.samples.size, timed.ms["total"], "every tile", timed.baseline_ms, figures=tiles)
 
 
 def _octaves(shape: tuple[int, int], step: float, count: int) -> np.ndarray:

@@ -54,9 +54,15 @@ MEANING = {
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "land_relief": "Fine relief of the built-in island, 1,025 x 1,025 samples, waves of 128 m and less led by slope "
     "and bend, beside numpy's plain octaves of the same noise; one thread.",
+    "land_water": "Depth, speed and discharge of steady rain on the built-in island, 257 x 257 samples, beside an hour "
+    "of rain marched as shallow water in our own vector rows; one thread.",
+    "land_snow": "Snow of the built-in island, 257 x 257 samples: 14 horizons of each and 48 sweeps of slides, beside "
+    "both by numpy's whole arrays; one thread.",
     "land_routing": "Receivers, depressions, order and areas of the same samples beside fastscapelib's; one thread.",
     "land_rivers": "A step of rivers of 20,000 years beside fastscapelib's, without creep and sediment; one thread.",
     "land_sediment": "The same step with sediment beside itself without.",
+    "land_demanded": "Relief on one tile of the island of 2,049 x 2,049 samples, with all that it starts from, beside "
+    "relief on every tile. tiles, of: how many were made, of how many there are.",
     "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
     "to the same bytes; one thread.",
     "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",

@@ -203,7 +203,7 @@ def serve(work: Serve, what: Callable[[dict], str], heard: Callable[[], None] = 
     called when the parent writes something more."""
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print goes to stderr
-    request = json.loads(sys.stdin.readline())
+    request = json.loads(sys.stdin.buffer.raw.readline())  # byte by byte: what follows is for who watches the parent
     said = 0.0
 
     def say(content: dict) -> None:

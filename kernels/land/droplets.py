@@ -80,13 +80,6 @@ def patch(
 
 
 @wp.func
-def weight(rain: Rain, x: wp.float64, y: wp.float64, column: wp.int32, row: wp.int32, more: wp.int32) -> wp.float64:
-    u = (x - wp.float64(rain.first_column + column)) / wp.float64(rain.brush_x + more + 1)
-    v = (y - wp.float64(rain.first_row + row)) / wp.float64(rain.brush_y + more + 1)
-    return wp.max(wp.float64(1.0) - u * u - v * v, wp.float64(0.0))
-
-
-@wp.func
 def lay(
     rain: Rain,
     x: wp.float64,
@@ -103,17 +96,27 @@ def lay(
     east = wp.min(middle_x + rain.brush_x + more, rain.width - 1) + 1
     south = wp.max(middle_y - rain.brush_y - more, 0)
     north = wp.min(middle_y + rain.brush_y + more, rain.height - 1) + 1
+    none = wp.float64(0.0)
+    per_x = wp.float64(1.0) / wp.float64(rain.brush_x + more + 1)
+    per_y = wp.float64(1.0) / wp.float64(rain.brush_y + more + 1)
     total = wp.float64(0.0)
     for row in range(south, north):
-        for column in range(west, east):
-            if ground[row * rain.width + column] == ground[row * rain.width + column]:
-                total += weight(rain, x, y, column, row, more)
-    part = volume / (rain.step_x * rain.step_y * total)
-    for row in range(south, north):
+        v = (y - wp.float64(rain.first_row + row)) * per_y
+        rest = wp.float64(1.0) - v * v
         for column in range(west, east):
             i = row * rain.width + column
+            u = (x - wp.float64(rain.first_column + column)) * per_x
             if ground[i] == ground[i]:
-                change[i] = change[i] + part * weight(rain, x, y, column, row, more)
+                total += wp.max(rest - u * u, none)
+    part = volume / (rain.step_x * rain.step_y * total)
+    for row in range(south, north):
+        v = (y - wp.float64(rain.first_row + row)) * per_y
+        rest = wp.float64(1.0) - v * v
+        for column in range(west, east):
+            i = row * rain.width + column
+            u = (x - wp.float64(rain.first_column + column)) * per_x
+            if ground[i] == ground[i]:
+                change[i] = change[i] + part * wp.max(rest - u * u, none)
 
 
 @wp.func

@@ -55,7 +55,7 @@ FACE_ROW = """
     float* __restrict out = facing.data;
     const int nx = s0.width, south = y > 0 ? -nx : 0, north = y + 1 < s0.height ? nx : 0, rows = (north - south) / nx;
     const float by_x = 0.5f / s0.step_x, by_y = 1.0f / (s0.step_y * (float)(rows > 1 ? rows : 1));
-    auto face = [&](int i, int west, int east, float by) {
+    auto face = [&](int i, int west, int east, float by) __attribute__((always_inline)) {
         float u = ((b[i + east] + l[i + east] + s[i + east]) - (b[i + west] + l[i + west] + s[i + west])) * by;
         float v = ((b[i + north] + l[i + north] + s[i + north]) - (b[i + south] + l[i + south] + s[i + south])) * by_y;
         float p = __builtin_fabsf(u), q = __builtin_fabsf(v), most = p > q ? p : q, d = (p + q) * 0.70710678f;
@@ -102,13 +102,13 @@ SETTLE_SLAB = """
     float* __restrict s = scree.data;
     const float* __restrict facing = facing_of.data;
     const float span = s0.hard - s0.soft, per_bed = 1.0f / s0.thick;
-    auto hash = [&](unsigned n) {
+    auto hash = [&](unsigned n) __attribute__((always_inline)) {
         n = n * 0x9E3779B9u + s0.seed;
         n = (n ^ (n >> 15)) * 0x7FEB352Du;
         n = (n ^ (n >> 15));
         return (float)(int)(n >> 8) * 5.9604645e-08f;
     };
-    auto settle = [&](int i, int j, float run, float dip) {
+    auto settle = [&](int i, int j, float run, float dip) __attribute__((always_inline)) {
         float li = l[i], lj = l[j], zi = b[i] + li, zj = b[j] + lj, si = s[i], sj = s[j];
         float fi = facing[i], fj = facing[j];
         float drop = (zi + si) - (zj + sj);
@@ -124,10 +124,11 @@ SETTLE_SLAB = """
         sl += sh - kept;
         sh = kept;
         float bare = zh - (zl + sl);
-        float t = (zh + dip) * per_bed, f = __builtin_floorf(t);
-        int n = (int)f;
+        float t = (zh + dip) * per_bed;
+        int n = (int)t;
+        n -= (float)n > t ? 1 : 0;
         float u = hash((unsigned)n), v = hash((unsigned)n + 1u);
-        float w = (t - f) * 4.0f - 3.0f;
+        float w = (t - (float)n) * 4.0f - 3.0f;
         w = w > 0.0f ? w : 0.0f;
         float hardness = u * (1.0f - w) + v * w;
         float fade = s0.thick / (bare > s0.thick ? bare : s0.thick);

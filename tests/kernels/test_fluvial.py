@@ -7,7 +7,7 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.effects.routing import route
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat
-from adaptive_terrain.kernels.land import fluvial
+from adaptive_terrain.kernels.land import far_creep, fluvial
 
 F, D = np.float32, np.float64
 STEPS = 12.0, 7.0
@@ -78,6 +78,26 @@ def test_creep_is_that_of_numpy(case):
     expected = z.copy()
     expected[inner] += (u + v) * found["part"].reshape(z.shape)[inner]
     assert np.array_equal(made.reshape(z.shape), expected)
+
+
+def test_far_creep_solves_its_equations(case):
+    """Along the columns, then along the rows: what comes out, put into them, gives what went in."""
+    drainage, h, found = case
+    z, part, fixed = h.copy(), found["part"], drainage.base.reshape(53, 121) == 1
+    scratch, arrays = np.empty_like(h), [flat(drainage.base, wp.uint8), flat(part, wp.float32)]
+
+    def residual(kernel, count, inputs, ratio, axis):
+        before = z.reshape(53, 121).astype(D)
+        rest = [*arrays, flat(scratch, wp.float32), flat(z, wp.float32)]
+        launch.spread(kernel, count, [*inputs, ratio, *rest], step="test", threads=3, cost=1e9)
+        u = z.reshape(53, 121).astype(D)
+        bend = 2 * u - np.roll(u, 1, axis) - np.roll(u, -1, axis)
+        given = u + np.where(fixed, 0, part.reshape(u.shape) * D(F(ratio)) * bend)
+        return np.abs(given - before).max()
+
+    assert residual(far_creep.creep_along_columns, 2, [64, drainage.grid], 7.0, 0) < 1e-2
+    assert residual(far_creep.creep_along_rows, 53, [drainage.grid], 11.0, 1) < 1e-2
+    assert np.array_equal(z[drainage.base == 1], h[drainage.base == 1]) and np.ptp(z) < np.ptp(h)
 
 
 def test_sediment_is_that_of_a_loop_in_double_precision(case):

@@ -47,7 +47,8 @@ class _Applied:
 @dataclass
 class Preview:
     """`field`: heights in memory. `ms`: milliseconds of each active entry that is in it. `step_m`: metres between
-    samples of the level that they were applied to. `without`: the entry before which it ends, as too slow, or ""."""
+    samples of the level that they were applied to. `without`: the entry before which it ends, as too slow, or "".
+    """
 
     field: HeightField
     ms: list[float] = field(default_factory=list)

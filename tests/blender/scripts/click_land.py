@@ -17,7 +17,7 @@ import mathutils
 
 [folder] = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
-WAIT_S = 240.0
+WAIT_S = 900.0  # only so that a hang ends
 SIDE = 32_000.0  # metres: of the island itself
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string}

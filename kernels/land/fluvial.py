@@ -167,8 +167,10 @@ def creep(
         const float was = before.data[i], water = filled.data[i];
         const double come = l[i], most = come > 0.0 ? come : 0.0, cut = (double)was - z[i];
         double laid = (double)water - z[i];
-        if (laid > 0.0)
+        if (laid > 0.0) {
+            laid = 0.25 * laid;
             laid = laid < most ? laid : most;
+        }
         else {
             const double half = cut > 0.0 ? 0.5 * cut : 0.0, twentieth = 0.05 * most, limit = half + twentieth;
             double share = deposition / area.data[i];
@@ -216,10 +218,11 @@ def lay_down(
 ):
     """Serial, from the springs down: what the step has taken is carried along, and a part of it laid down.
 
-    A lake (where `filled`, the surface of the water, is above the ground) catches all that fits below
-    it; a channel lays down `deposition` over its area in samples of what it carries (Davy and Lague 2009; Yuan et
-    al. 2019, equation 7), but no more than half of what it was just cut by and a twentieth of the load; of that the cut
-    leaves 1 / (1 + F), as of any height above its receiver. `before`: heights before the step, lifted.
+    A lake (where `filled`, the surface of the water, is above the ground) catches what comes, a quarter of its depth in
+    a step at most, so that no path through it fills first; a channel lays down `deposition` over its area in samples of
+    what it carries (Davy and Lague 2009; Yuan et al. 2019, equation 7), but no more than half of what it was just cut
+    by and a twentieth of the load; of that the cut leaves 1 / (1 + F), as of any height above its receiver.
+    `before`: heights before the step, lifted.
     `load`: 0 before; after it metres times samples that have come to each; at roots, what has left. The differences of
     stored heights are what is carried, so that mass is lost to no rounding of heights.
     """

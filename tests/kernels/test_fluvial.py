@@ -113,7 +113,7 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
         if drainage.to[i] == 4:
             continue
         most, cut = max(carried[i], 0.0), D(before[i]) - D(z[i])
-        laid = min(most, D(filled[i]) - D(z[i]))
+        laid = min(most, 0.25 * (D(filled[i]) - D(z[i])))
         if filled[i] <= z[i]:
             laid = most * min(1.7 / drainage.catchments[i], 1.0)
             laid = min(laid, 0.5 * max(cut, 0.0) + 0.05 * most) / (1.0 + D(found["rate"][i]))

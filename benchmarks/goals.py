@@ -44,6 +44,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("light_rays", ANY_SIZE): 0.03,
     ("light_preview", ANY_SIZE): 0.02,
     ("land_relief", ANY_SIZE): 0.2,
+    ("land_water", ANY_SIZE): 0.01,
+    ("land_snow", ANY_SIZE): 0.25,
     ("land_routing", ANY_SIZE): 0.25,
     ("land_rivers", ANY_SIZE): 0.4,
     ("land_sediment", ANY_SIZE): 1.5,

@@ -54,6 +54,10 @@ MEANING = {
     "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
     "land_relief": "Fine relief of the built-in island, 1,025 x 1,025 samples, waves of 128 m and less led by slope "
     "and bend, beside numpy's plain octaves of the same noise; one thread.",
+    "land_water": "Depth, speed and discharge of steady rain on the built-in island, 257 x 257 samples, beside an hour "
+    "of rain marched as shallow water in our own vector rows; one thread.",
+    "land_snow": "Snow of the built-in island, 257 x 257 samples: 14 horizons of each and 48 sweeps of slides, beside "
+    "both by numpy's whole arrays; one thread.",
     "land_routing": "Receivers, depressions, order and areas of the same samples beside fastscapelib's; one thread.",
     "land_rivers": "A step of rivers of 20,000 years beside fastscapelib's, without creep and sediment; one thread.",
     "land_sediment": "The same step with sediment beside itself without.",

@@ -35,6 +35,7 @@ from . import (
     scree_rows,
     shading_row,
     start,
+    water_rows,
 )
 from .baselines import RoamRebuild, build_roam_rebuild
 from .measure import Row
@@ -135,6 +136,7 @@ def everything(
     yield partial(light_rows.light_rows)
     yield partial(land_rows.land_rows)
     yield partial(scree_rows.scree_rows)
+    yield water_rows.water_rows
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows

@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, land_presets, splat_layers, terrain_material
+from .effects import bake_maps, land_presets, splat_layers, terrain_material, water_object
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -23,6 +23,7 @@ from .scene import (
     session,
     shape_land,
     update_terrain,
+    water_surface,
 )
 from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
 
@@ -38,11 +39,13 @@ MODULES = (
     bake_land,
     bake_maps,
     terrain_material,
+    water_object,
     splat_layers,
     layer_images,
     land_list,
     land_presets,
     shape_land,
+    water_surface,
     export_terrain,
     measuring,
     measure_accuracy,

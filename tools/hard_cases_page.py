@@ -82,7 +82,7 @@ CASES = {
     54: "A pit with no outlet; a perfect plateau",
     55: "Mass: water, snow, rock and sediment",
     56: "Twice the resolution",
-    57: "Land tile by tile",
+    57: "Tile by tile",
     58: "The same seed, the same bytes",
     59: "Light: rays along axes, through corners, grazing, from outside, upright; the sun below the horizon",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",

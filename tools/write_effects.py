@@ -26,9 +26,11 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
+from adaptive_terrain.cbt_terrain.land.shape_process import shape_store
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.demo.demo import FLIGHT
+from adaptive_terrain.operators.demo.stack import STACK
 from adaptive_terrain.operators.output.exporting import write_files
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.numbers import plain
@@ -82,7 +84,8 @@ test from then on, and the panel, the command line and this page have it.
 def main() -> int:
     try:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-effects-") as folder:
-            import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "island")
+            import_source(ImportSettings(source=ISLAND, size=SIZE), Path(folder) / "source")
+            shape_store(Path(folder) / "source", STACK, Path(folder) / "island")
             field = open_store(Path(folder) / "island")
             demo = of_demo(Path(folder))
             drawn = {name: picture(name, field, demo.given) for name in EFFECTS}
@@ -106,7 +109,7 @@ def jpg(pixels: np.ndarray) -> bytes:
 
 def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     """The island in its material beside all effects: in colour those of `worn`, in grey those that nothing reads."""
-    island = Image.open(DOCS / "images" / "island.jpg").convert("RGB")
+    island = Image.open(DOCS / "images" / "land_whole.jpg").convert("RGB")
     columns, side, gap = 4, 150, 8
     rows = -(-len(EFFECTS) // columns)
     high = rows * (side + LETTERS + gap)
@@ -270,6 +273,7 @@ def colours(values: np.ndarray) -> np.ndarray:
 
 def _scale(values: np.ndarray) -> np.ndarray:
     low, middle, high = np.percentile(values, (2, 50, 98))
+    high = high if high > low else values.max()  # a layer that lies in few places
     if low < 0 < high:  # both signs: white is 0
         most = max(-low, high)
         return matplotlib.colormaps["RdBu"](0.5 + 0.5 * values / most)[:, :, :3]

@@ -204,7 +204,7 @@ FLOOD = LandEffect(
     masks=True,
     limit="steps of 0.95 / sqrt(g h (1 / dx^2 + 1 / dy^2)) seconds at most; longer times are divided",
     conserves="water that stands, has left and has rained: 1e-13",
-    converges="",
-    cost_ns=0,
+    converges="of a real valley mean depth to 2 %, more than 10 cm on 55, 40, 38 km2 at 129 to 513 samples",
+    cost_ns=11_000,
     source="Bates, Horritt and Fewtrell 2010; de Almeida et al. 2012; Mei, Decaudin and Hu 2007 (limited fluxes)",
 )

@@ -23,7 +23,9 @@ from .tiles import Level, levels_of
 
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
-SECONDS = 5.0  # after which a preview goes without the effects that are left
+SECONDS = 10.0  # after which a preview goes without the effects that are left
+COMPILING = 120.0  # more, where an effect has not been applied before: its kernels may have to be compiled
+_applied: set[str] = set()
 _FOUND = ("land preview",)  # in HeightField.found
 
 
@@ -45,7 +47,8 @@ class _Applied:
 @dataclass
 class Preview:
     """`field`: heights in memory. `ms`: milliseconds of each active entry that is in it. `step_m`: metres between
-    samples of the level that they were applied to. `without`: the entry that was too slow, with which it ends, or ""."""
+    samples of the level that they were applied to. `without`: the entry before which it ends, as too slow, or "".
+    """
 
     field: HeightField
     ms: list[float] = field(default_factory=list)
@@ -113,10 +116,10 @@ def _apply(
     source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
 ) -> list[_Applied]:
     """The ground without any entry, and after each of the active ones until time is over; kept for the next call."""
-    end = time.monotonic() + seconds
+    end, more = time.monotonic() + seconds, 0.0
 
     def go_on(_part: float) -> None:
-        if time.monotonic() > end:
+        if time.monotonic() > end + more:
             raise _TooSlow
 
     kept = source.found.get(_FOUND, [])
@@ -134,7 +137,9 @@ def _apply(
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=go_on)
         try:
             go_on(0.0)
+            more += 0.0 if entry.effect in _applied else COMPILING
             states.append(_after(states[-1], ground, entry, key))
+            _applied.add(entry.effect)
         except _TooSlow:
             break
     source.found[_FOUND] = states

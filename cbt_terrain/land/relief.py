@@ -15,6 +15,8 @@ from .land_effect import Change, Ground, LandEffect
 # Of the longest wave: over this much of it the ground's slope and bend are taken.
 LOOKS = 0.25
 BLOCK_ROWS = 256
+# Metres of what rivers have laid down that bury all relief: valley floors and lakes that are filled stay flat.
+BURIED = 2.0
 # Beds dip towards this direction (east, north).
 DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 # Where the waves so far have a slope whose square is one over this, finer ones are halved.
@@ -32,6 +34,8 @@ def apply(ground: Ground, values, _coarser) -> Change:
         count, cost = min(BLOCK_ROWS, rows - first), 2.0 * (look.octaves + 1) * columns
         launch.spread(add_relief, count, inputs, step="relief", threads=ground.threads, cost=cost)
         ground.progress((first + count) / rows)
+    if "sediment" in ground.layers:
+        added *= np.clip(1.0 - ground.layers["sediment"] * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
     if ground.missing is not None:
         added[ground.missing] = 0.0
     return Change(added)
@@ -75,6 +79,7 @@ RELIEF = LandEffect(
     about="Rock, gullies and ledges finer than the data, where slope and bend of the ground call for them",
     apply=apply,
     example=_example,
+    reads=("sediment",),
     parameters=(
         Parameter("wave", 100.0, 0.1, 10_000.0, "m", "the longest: about four times the spacing of the data"),
         Parameter("roughness", 0.3, 0.0, 2.0, "", "height over half a wave where the ground's slope is 1"),

@@ -88,7 +88,7 @@ WATER = LandEffect(
     halo=lambda _values, _step: math.inf,
     finest=4097,
     conserves="discharge at the rim and the sea is the rain, to 1e-8",
-    converges="",
-    cost_ns=200,
+    converges="of a real valley of 27 km wet area 49, 41, 38 km2 at 513 to 2,049 samples, log discharge r 0.86, 0.92",
+    cost_ns=220,
     source="Quinn et al. 1991 (flow to all lower neighbours), Manning's formula, Leopold and Maddock 1953 (width)",
 )

@@ -8,41 +8,78 @@ off, so far below it that the river ends half-way.
 
 import numpy as np
 
-from ..field.lattice import Lattice
+from ..field.heightfield import HeightField
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
+from .land_effect import Ground
+from .water import DEPTH, DISCHARGE, SPEED, WATER
 
+# Samples along a side, at most; what a surface is made of.
+MOST_SAMPLES = 1025
+NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
 # Metres of water that make a surface, at least.
 LEAST_DEPTH = 0.05
+# Metres by which the heights of one lake differ, at most.
+SAME = 1e-3
+# m^3/s, of streams: by their depth alone they would have gaps wherever they are fast. What half a square kilometre
+# gives of a metre of rain a year.
+LEAST_DISCHARGE = 0.016
+
+
+def water_of(field: HeightField, threads: int = 1) -> Surface:
+    """The surface of the water of a height field: of its layers, where its stack has made some, else of a metre of
+    rain a year. Of a raster with more than MOST_SAMPLES along a side, from every second sample, or fourth and so on."""
+    every = 1
+    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MOST_SAMPLES:
+        every *= 2
+
+    def thinned(samples: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(samples[::every, ::every])
+
+    lattice, heights = field.lattice, thinned(field.heights())
+    steps = lattice.step_x * every, lattice.step_y * every
+    missing = None if field.valid is None else thinned(field.valid) == 0
+    layers = {name: thinned(layer) for name, layer in field.layers.items() if name in NAMES}
+    if DEPTH.name not in layers:
+        ground = Ground(heights, *steps, whole=heights.shape, missing=missing, threads=threads)
+        layers = WATER.apply(ground, WATER.defaults(), None).layers
+    found = [layers.get(name) for name in NAMES]
+    return water_surface(heights, *found, missing, corner=lattice.rectangle()[:2], steps=steps, threads=threads)
 
 
 def water_surface(
-    lattice: Lattice,
     heights: np.ndarray,
     depth: np.ndarray,
     speed: np.ndarray | None = None,
+    discharge: np.ndarray | None = None,
     missing: np.ndarray | None = None,
+    *,
+    corner: tuple[float, float],
+    steps: tuple[float, float],
     least: float = LEAST_DEPTH,
     threads: int = 1,
 ) -> Surface:
-    """The surface of all water that is at least so deep, metres, with the attributes `water_depth` and `water_speed`.
+    """The surface of all water that is at least so deep, metres, or of a stream that carries LEAST_DISCHARGE, with the
+    attributes `water_depth` and `water_speed`.
 
-    lattice: of the samples; heights, depth: float32 [rows, columns] m; speed: m/s, likewise, or None for still water;
-    missing: bool, likewise, holes, which no triangle touches. Triangles are two for each cell that has water at a
-    corner, cut at the shore; they face up. Without any water the surface is empty.
+    heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or None for still water;
+    missing: bool, likewise, holes, which no triangle touches. corner: place of sample [0, 0], steps: from sample to
+    sample eastwards and northwards, metres. Triangles are two for each cell that has water at a corner, cut at the
+    shore; they face up. Without any water the surface is empty.
     """
     wet = depth >= least
+    if discharge is not None:
+        wet |= (discharge >= LEAST_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
-    deep, level = _to_the_shore(heights, depth, wet, least)
+    deep, level, wet = _to_the_shore(heights, depth, wet, least)
     corners, sides = _triangles(deep, wet, missing)
     used, numbers = _numbered(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
-    west, south, _, _ = lattice.rectangle()
-    x, y = west + column * lattice.step_x, south + row * lattice.step_y
+    x, y = corner[0] + column * steps[0], corner[1] + row * steps[1]
     positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
-    uv = np.stack([column / (lattice.width - 1), row / (lattice.height - 1)], axis=-1).astype(np.float32)
+    uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
     fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
     attributes = {
         NORMALS: Attribute(np.tile(np.float32([0.0, 0.0, 1.0]), (len(used), 1)), POINT),
@@ -72,21 +109,27 @@ def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
 
 def _to_the_shore(
     heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, least: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """float64 [rows, columns] m: how far the water's surface is above the ground, below it at dry samples beside wet
-    ones, and the surface's height."""
+    ones, and the surface's height; and what is wet, with the shallow rims of lakes."""
     ground = heights.astype(np.float64)
-    deep, count = np.where(wet, depth, 0.0).astype(np.float64), wet.astype(np.float64)
-    level = np.where(wet, ground + deep, 0.0)
-    beside, many, thick = (_sums(array) for array in (level, count, deep))
-    near = ~wet & (many > 0)
-    many = np.maximum(many, 1.0)
-    beside, thick = beside / many, thick / many
-    # Too shallow a rim of the same water goes on; beside a river that is higher than its banks it ends half-way.
-    same = ground + depth >= beside - least
+    surface = ground + depth
+    near, beside, _ = _beside(surface, depth, wet)
+    # The shallow rim of a lake is of the lake, so that its shore is where the ground comes out of the water.
+    wet = wet | (near & (depth > 0.0) & (ground < beside) & (abs(surface - beside) < SAME))
+    near, beside, thick = _beside(surface, depth, wet)
+    # Where the rim is wider it ends in between; a river that is higher than its banks ends half-way.
+    same = surface >= beside - least
     below = np.where(beside < ground, ground - beside, np.where(same, beside - ground, thick))
-    over = np.where(wet, deep, np.where(near, -below, 0.0))
-    return over, np.where(wet, level, ground + over)
+    over = np.where(wet, depth, np.where(near, -below, 0.0))
+    return over, np.where(wet, surface, ground + over), wet
+
+
+def _beside(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Dry samples beside wet ones, and the means of the surface and of the depth of those."""
+    level, thick, count = (_sums(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
+    near, count = ~wet & (count > 0), np.maximum(count, 1.0)
+    return near, level / count, thick / count
 
 
 def _sums(array: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from ..output.exporting import export_frames, make_folder, write_text
 from ..output.frame_sources import StoreFrames
 from ..text.console import Progress
 from .page import write_page
+from .stack import STACK
 
 SIZE = 4097
 FRAMES = range(1, 25)
@@ -67,8 +68,6 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         import_source(ImportSettings(source="island", size=SIZE), out / "source")
         warmup.wait()
         done("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
-        from .land import STACK
-
         shape_store(out / "source", STACK, store)
         done("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}", WEIGHT["land"])
         summaries, criterion = _export(out, store)

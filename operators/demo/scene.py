@@ -22,8 +22,8 @@ from ..scene.map_properties import SHOT
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
-from .land import add_water
 from .materials import HAZE, level_material, plain_material, put_haze, sea_material
+from .water import add_water
 
 ZENITH = (0.07, 0.20, 0.56, 1.0)
 PAPER = (0.93, 0.925, 0.90, 1.0)
@@ -86,12 +86,11 @@ def wear_material(obj) -> None:
     runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
     layers = obj.adaptive_terrain.layers
     layers.remove(layers.find("Stream"))  # its water is a mesh
-    for layer, depth, edge in (
-        (layers["Scree"], layers["Scree"].scree, 1.0),
-        (layers["Snow"], layers["Snow"].snow, 0.3),
-    ):
+    for name, metres in (("Scree", 1.0), ("Snow", 0.3)):
+        layer = layers[name]
+        depth = getattr(layer, name.lower())
         layer.relief.use = layer.slope.use = False
-        depth.use, depth.low, depth.edge = True, edge, edge
+        depth.use, depth.low, depth.edge = True, metres, metres
     layers["Meadow"].color, layers["Forest"].color = (0.11, 0.145, 0.04), (0.04, 0.072, 0.02)
     layers["Forest"].strength = 0.6
     beach = layers.add()

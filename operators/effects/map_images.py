@@ -101,6 +101,16 @@ def map_vector(tree, obj) -> bpy.types.NodeSocket:
     return node.outputs["Vector"]
 
 
+def tile_metres(obj) -> float:
+    """Metres of the world across an image of a map of several; 0 where there are no maps."""
+    index = index_of(obj)
+    if index is None:
+        return 0.0
+    place = index["place"]
+    across = min((place["east"] - place["west"]) / index["columns"], (place["north"] - place["south"]) / index["rows"])
+    return across / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
+
+
 def _entry(obj, name: str) -> dict | None:
     index = index_of(obj)
     return None if index is None else index["maps"].get(name)

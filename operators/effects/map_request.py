@@ -2,21 +2,17 @@
 """What a bake of maps is asked for: a scene and its settings in, plain numbers for the engine out."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.linear import inverse, product
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.maps.folder import read_index
 from ..scene.map_properties import CHOSEN, FRAME, SHOT
-from ..scene.pauses import paused
 from ..scene.request import RENDER, Overrides, gather
+from ..scene.shot import frames_of, look_through
 from . import map_images
 from .map_baking import MapRequest, known
 
@@ -72,22 +68,12 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **look)
     seen = {"only_seen": frames is not None or settings.frames == SHOT}
     if frames is None:
-        frames = {FRAME: [scene.frame_current], SHOT: range(scene.frame_start, scene.frame_end + 1)}
+        frames = {FRAME: [scene.frame_current], SHOT: frames_of(scene)}
         frames = frames.get(settings.frames, [])
-    views, now = [], (scene.frame_current, scene.frame_subframe)
-    frames = list(frames)
-    try:
-        for number, frame in enumerate(frames):
-            if frame != scene.frame_current:
-                with paused():
-                    scene.frame_set(frame)
-            moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
-            views += [_as_seen_from(view, moved.placement, first.placement) for view in moved.views]
-            yield number / len(frames)
-    finally:
-        if (scene.frame_current, scene.frame_subframe) != now:
-            with paused():
-                scene.frame_set(now[0], subframe=now[1])
+    views = []
+    for views in look_through(obj, scene, frames, first.placement, **look):
+        if isinstance(views, float):
+            yield views
     budget = settings.budget_mb if settings.use_budget else None
     yield MapRequest(
         asked=first.effects.asked,
@@ -102,10 +88,3 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
         land=first.land,
         **seen,
     )
-
-
-def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
-    """A view of a terrain that stands at `placement`, for one that stays where it was first."""
-    if np.array_equal(placement, first):
-        return view
-    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

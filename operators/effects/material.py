@@ -11,6 +11,7 @@ from itertools import chain, count
 
 import bpy
 
+from ...cbt_terrain.maps.tiling import MARGIN
 from .nodes import Nodes
 
 GROUP = "Terrain Layers"
@@ -27,6 +28,8 @@ RAGGED = 0.9
 BANDED = 6.0
 # What the noise does to a colour.
 LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
+# How far from a seam of tiles a pixel may reach, as a part of its distance.
+SEAM = 0.01
 # Octaves of the variation, by its size, and how far each is seen, in its own size.
 BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
@@ -35,12 +38,14 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 class Sources:
     """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
     `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
-    attribute. `place`: adds nodes to a tree that give the place in them; returns their output."""
+    attribute. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
+    world across an image of several that make a map."""
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
     light: Sequence[str] = ()
     maps: Mapping[str, bpy.types.Image] = field(default_factory=dict)
     place: Callable[[bpy.types.NodeTree], bpy.types.NodeSocket] | None = None
+    tile: float = 0.0
 
 
 def reads(sources: Sources) -> tuple[str, ...]:
@@ -192,9 +197,30 @@ def _value(n: Nodes, sources: Sources, name: str):
 
 
 def _texture(n: Nodes, sources: Sources, name: str):
-    """The image of a map, at the terrain's own place; the node's outputs."""
-    inputs = {"Vector": sources.place(n.tree)} if sources.place else {}
-    return n.add("ShaderNodeTexImage", inputs, image=sources.maps[name], extension="EXTEND").outputs
+    """The image of a map, at the terrain's own place: its Color and Alpha.
+
+    Where two tiles meet EEVEE takes the jump from one to the other for the derivative of the place, and shows the mean
+    of a whole tile in a line of a pixel or two. So there it gets the image without mips: with cubic interpolation.
+    """
+    place = sources.place(n.tree) if sources.place else None
+    inputs = {"Vector": place} if place else {}
+    given = {"image": sources.maps[name], "extension": "EXTEND"}
+    found = n.add("ShaderNodeTexImage", inputs, **given).outputs
+    if place is None or given["image"].source != "TILED":
+        return {name: found[name] for name in ("Color", "Alpha")}
+    sharp = n.add("ShaderNodeTexImage", inputs, interpolation="Cubic", **given).outputs
+    near = _near_seams(n, place, sources.tile)
+    alpha = n.math("MULTIPLY_ADD", near, n.math("SUBTRACT", sharp["Alpha"], found["Alpha"]), found["Alpha"])
+    return {"Color": n.mix(near, found["Color"], sharp["Color"]), "Alpha": alpha}
+
+
+def _near_seams(n: Nodes, place, tile: float):
+    """1 within a few pixels of where tiles of `tile` metres meet, else 0."""
+    off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
+    x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
+    inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
+    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    return n.math("LESS_THAN", inside, n.math("MULTIPLY", away, SEAM / max(tile, 1e-9)))
 
 
 def _weights(n: Nodes, sources: Sources, group: int):

@@ -7,7 +7,7 @@ from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.errors import TerrainError
 from ..scene import session
 from ..scene.layer_properties import colors_of
-from .map_images import map_image, map_vector
+from .map_images import map_image, map_vector, tile_metres
 from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress
 
 
@@ -50,7 +50,7 @@ def sources_of(obj, light) -> Sources:
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     layers = [] if COLORS in maps else layers  # they are in it
     light = [name for name in (SKY, SUN) if name in light or name in maps]
-    return Sources(layers, light, maps, lambda tree: map_vector(tree, obj))
+    return Sources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
 
 
 register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

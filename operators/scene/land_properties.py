@@ -23,6 +23,7 @@ from .detail_properties import changed
 from .layer_properties import BANDS, AspectSettings
 
 EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
+EVERYWHERE_FINE, SEEN = "WHOLE", "SEEN"
 DEGREES = {"degrees", "deg", "°"}
 # The unit of a declaration -> what Blender calls it; others stand in the label.
 UNITS = {
@@ -60,7 +61,7 @@ def _kept(parameter: Parameter, value: float) -> float:
 def _property(parameter: Parameter):
     known, about = UNITS.get(parameter.unit, {}), parameter.about
     label = parameter.name.replace("_", " ").title()
-    if parameter.unit and not known:
+    if parameter.unit and not known and parameter.unit != parameter.name:
         label = f"{label} ({parameter.unit.replace('2', '²')})"
     said = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
     if isinstance(parameter.default, int):
@@ -68,8 +69,8 @@ def _property(parameter: Parameter):
     least, most, default = (_kept(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
     if not parameter.unit and (least, most) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
-    # So that a default of 2e-6 is not shown as 0.
-    digits = 3 if default == 0.0 else min(6, max(3, 1 - math.floor(math.log10(abs(default)))))
+    # About as many digits of a default of 2e-6 as of one of 300,000.
+    digits = 3 if default == 0.0 else min(6, max(0, 3 - math.floor(math.log10(abs(default)))))
     return FloatProperty(**said, default=default, min=least, max=most, precision=digits, **known)
 
 
@@ -129,6 +130,13 @@ class LandSettings(bpy.types.PropertyGroup):
     """Effects on heights, in the order in which they act."""
 
     entries: CollectionProperty(type=LandEntry)
+    where: EnumProperty(
+        name="Detail",
+        description="Where the finer levels are made",
+        items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain as fine as its height map"),
+               (SEEN, "Where the Shot Looks", "As fine as the frames of the scene show it; coarser levels elsewhere")],
+        **STILL,
+    )  # fmt: skip
     active: IntProperty(name="Active", options=set())
 
 

@@ -24,7 +24,7 @@ from ...cbt_terrain.land.preview import Preview, preview
 from ...cbt_terrain.land.shape_process import shape_store
 from ...cbt_terrain.land.stack import Stack
 from ...cbt_terrain.run import launch
-from . import land_stack
+from . import land_stack, land_tiles
 
 MASKS = "masks"
 MOST_SHAPED = 8  # steps of Undo that take no time
@@ -38,12 +38,14 @@ _shaping = threading.Lock()
 @dataclass(frozen=True)
 class Land:
     """A stack on a source. `source`: folder of its store. `folder`: of the shaped store, whether or not it is there;
-    its name tells one stack from another. `waits`: a preview will not do."""
+    its name tells one stack from another. `waits`: a preview will not do. `seen`: who looks, where only what is seen is
+    to be fine; None for everything."""
 
     source: str
     folder: str
     waits: bool
     stack: Stack = field(compare=False)
+    seen: land_tiles.Seen | None = field(default=None, compare=False)
 
     @property
     def tiles(self) -> Path:
@@ -52,12 +54,16 @@ class Land:
 
     @property
     def is_shaped(self) -> bool:
-        return (Path(self.folder) / stores.JSON_NAME).exists()
+        """Whether the store is there, and of this version."""
+        try:
+            return bool(_key_of(self.folder, (Path(self.folder) / stores.JSON_NAME).stat().st_mtime_ns))
+        except (OSError, TerrainError):
+            return False
 
 
 def folder_beside(source: str) -> Path:
     """The folder of all that was made of a source's store by stacks."""
-    return Path(f"{source.rstrip('/')}_land")
+    return Path(source.rstrip("/\\") + "_land")
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
@@ -73,7 +79,7 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
     if not stack.active:
         return None
-    content = f"{_source_key(source)} {stack.key()}".encode()
+    content = f"{_source_key(source)} {stack.key()} {settings.land.where}".encode()
     name = hashlib.blake2b(content, digest_size=8).hexdigest()
     return Land(source, str(folder / name), waits, stack)
 
@@ -95,15 +101,23 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     For any thread. Raises TerrainError."""
     if land is None:
         return open_field(store)
-    if land.waits and not land.is_shaped:
+    if land.waits and (land.seen or not land.is_shaped):
         with _shaping:  # two renders of one land make it once
-            if not land.is_shaped:
-                shape_store(land.source, land.stack, land.folder, tiles=land.tiles)
+            wanted = wanted_tiles(land, open_field)
+            if not land.is_shaped or not land_tiles.has(land.folder, wanted):
+                wanted = land_tiles.with_known(land.folder, wanted)
+                shape_store(land.source, land.stack, land.folder, wanted, tiles=land.tiles)
+                land_tiles.note(land.folder, wanted)
                 made["stores"] += 1
                 remove_old(land)
     if land.is_shaped:
         return open_field(land.folder)
     return previewed(land, open_field).field
+
+
+def wanted_tiles(land: Land, open_field) -> land_tiles.Tiles | None:
+    """Those that the land's views need; None for all."""
+    return None if land.seen is None else land.seen.tiles(open_field(land.source))
 
 
 def previewed(land: Land, open_field) -> Preview:
@@ -127,6 +141,7 @@ def remove_old(land: Land) -> None:
     shaped.sort(key=lambda folder: (str(folder) == land.folder, (folder / stores.JSON_NAME).stat().st_mtime_ns))
     for folder in shaped[:-MOST_SHAPED]:
         shutil.rmtree(folder, ignore_errors=True)
+        land_tiles.forget(str(folder))
 
 
 def _images_of(stack: Stack) -> dict[str, np.ndarray]:

@@ -21,7 +21,9 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
+from .land_properties import SEEN
 from .land_request import Land, land_of
+from .land_tiles import Seen
 from .layered_ground import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 
@@ -133,7 +135,12 @@ def gather(
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
     store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
-    if land is not None and land.is_shaped:
+    if land is not None and views and mode == RENDER and settings.land.where == SEEN:
+        scale = settings.vertical_scale, settings.vertical_offset
+        land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
+    elif land is not None and frozen and mode != RENDER and not land.is_shaped:
+        land = None  # the triangles are those of the raster, and a preview has another
+    elif land is not None and land.is_shaped:
         store, land = land.folder, None
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide

@@ -1,16 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shape the land in a child process: Blender stays usable, and the mesh shows the result when it is there."""
 
-import bpy
+import time
+from dataclasses import replace
 
+import bpy
+import numpy as np
+
+from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.shape_process import ShapeJob
 from ...cbt_terrain.run import warmup
-from . import live, session
-from .land_request import Land, land_of, made, raster_of, remove_old
+from . import land_tiles, live, session
+from .land_properties import SEEN
+from .land_request import Land, land_of, made, raster_of, remove_old, wanted_tiles
+from .land_tiles import Seen
+from .shot import frames_of, look_through
 
 POLL_S = 0.1
-_jobs: dict[int, ShapeJob] = {}  # by the object's session_uid
+TURN_S = 0.05  # so long frames are looked at before the window has its turn
+_jobs: dict[int, ShapeJob | None] = {}  # by the object's session_uid; None while frames are looked at
 _progress: dict[int, tuple[float, str]] = {}
 
 
@@ -24,9 +33,14 @@ def all_progress() -> list[tuple[float, str]]:
     return list(_progress.values())
 
 
-def wanted_land(obj, depsgraph) -> Land:
-    """What is to be shaped. Raises TerrainError where there is nothing."""
-    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
+    """What is to be shaped: everywhere, or where these views look. Raises TerrainError where there is nothing."""
+    evaluated = obj.evaluated_get(depsgraph)
+    land = land_of(obj, evaluated, depsgraph, waits=True)
+    if land is not None and views:
+        settings, placement = evaluated.adaptive_terrain, np.array(evaluated.matrix_world, np.float64)
+        scale = settings.vertical_scale, settings.vertical_offset
+        land = replace(land, seen=Seen(tuple(views), placement, settings.render.error_px, *scale))
     if land is None:
         raise TerrainError(
             f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off; add an effect."
@@ -39,6 +53,15 @@ def _check_is_seen(obj, depsgraph) -> None:
         raise TerrainError(
             f"The terrain {obj.name!r} is hidden in viewports and in renders, and is not shaped: show it."
         )
+
+
+def _views(obj, scene):
+    """Turn by turn: the views of the shot, where only what it sees is to be fine."""
+    if obj.adaptive_terrain.land.where != SEEN:
+        yield []
+        return
+    placement = np.array(obj.matrix_world, np.float64)
+    yield from look_through(obj, scene, frames_of(scene), placement)
 
 
 class ShapeLand(bpy.types.Operator):
@@ -55,15 +78,14 @@ class ShapeLand(bpy.types.Operator):
 
     def invoke(self, context, event):
         obj = context.object
-        self.uid = obj.session_uid
+        self.uid, self.looking = obj.session_uid, None
         try:
             _check_is_seen(obj, context.evaluated_depsgraph_get())
-            self.land = wanted_land(obj, context.evaluated_depsgraph_get())
-            _jobs[self.uid] = ShapeJob(self.land.source, self.land.stack, self.land.folder, tiles=self.land.tiles)
+            wanted_land(obj, context.evaluated_depsgraph_get())
         except TerrainError as error:
             return self._failed(obj, str(error))
-        made["stores"] += 1
-        _progress[self.uid] = 0.0, "Starting"
+        self.looking = _views(obj, context.scene)
+        _jobs[self.uid], _progress[self.uid] = None, (0.0, "Looking at frames")
         session.record_of(obj).status.error = ""
         self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -72,39 +94,70 @@ class ShapeLand(bpy.types.Operator):
     def modal(self, context, event):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
+        live.redraw_panels()
+        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+        if obj is None:
+            self.cancel(context)
+            return {"CANCELLED"}
+        if self.looking is not None:
+            return self._look(context, obj)
         job = _jobs[self.uid]
         progress = job.poll()
         _progress[self.uid] = progress.fraction, progress.message
-        live.redraw_panels()
         if not progress.done or warmup.preparing():  # what follows may update the mesh
             return {"PASS_THROUGH"}
         self._end(context)
-        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-        if obj is None:
-            return {"CANCELLED"}
         if job.cancelled:
             self.report({"INFO"}, progress.error)
             return {"CANCELLED"}
         if progress.error:
             return self._failed(obj, progress.error)
+        land_tiles.note(self.land.folder, self.wanted)
         remove_old(self.land)
         return self._take(obj)
+
+    def _look(self, context, obj):
+        """Look at some more frames; after the last the child process begins."""
+        end = time.monotonic() + TURN_S
+        try:
+            while time.monotonic() < end:
+                found = next(self.looking)
+                if isinstance(found, list):
+                    self.looking.close()
+                    self.looking = None
+                    self._start(obj, context.evaluated_depsgraph_get(), found)
+                    break
+                _progress[self.uid] = found, "Looking at frames"
+        except TerrainError as error:
+            self._end(context)
+            return self._failed(obj, str(error))
+        return {"PASS_THROUGH"}
+
+    def _start(self, obj, depsgraph, views: list[View]) -> None:
+        self.land = land = wanted_land(obj, depsgraph, views)
+        self.wanted = land_tiles.with_known(land.folder, wanted_tiles(land, session.open_field))
+        _jobs[self.uid] = ShapeJob(land.source, land.stack, land.folder, self.wanted, tiles=land.tiles)
+        made["stores"] += 1
 
     def execute(self, context):
         obj = context.object
         try:
             _check_is_seen(obj, context.evaluated_depsgraph_get())
-            raster_of("", wanted_land(obj, context.evaluated_depsgraph_get()), session.open_field)
+            *_, views = _views(obj, context.scene)
+            raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self._failed(obj, str(error))
         return self._take(obj)
 
     def cancel(self, context):
         """Another file is loaded, or Blender quits."""
-        _jobs[self.uid].cancel()
+        if _jobs[self.uid] is not None:
+            _jobs[self.uid].cancel()
         self._end(context)
 
     def _end(self, context):
+        if self.looking is not None:
+            self.looking.close()  # the scene is at its frame again
         context.window_manager.event_timer_remove(self.timer)
         del _jobs[self.uid], _progress[self.uid]
         live.redraw_panels()
@@ -129,7 +182,7 @@ class ShapeLand(bpy.types.Operator):
 class _JobOperator:
     @classmethod
     def poll(cls, context):
-        return context.object is not None and context.object.session_uid in _jobs
+        return context.object is not None and _jobs.get(context.object.session_uid) is not None
 
 
 class CancelShaping(_JobOperator, bpy.types.Operator):
@@ -163,7 +216,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    for job in _jobs.values():
+    for job in filter(None, _jobs.values()):
         job.cancel()
     _jobs.clear()
     _progress.clear()

@@ -2,7 +2,7 @@
 """What there is to say of a terrain's land: what its mesh shows of the stack, what that took, what it leaves behind."""
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import bpy
@@ -11,13 +11,15 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land.land_effect import Layer
-from ..text.numbers import plain
+from ..text.numbers import length_text, plain
 from . import land_request, session
-from .land_properties import EVERYWHERE
+from .imported import imported_of
+from .land_properties import EVERYWHERE, SEEN
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
+SMALL_M = 500.0
 NOTES = {
-    SOURCE: "Not shown: hidden, or without Live Update",
+    SOURCE: "Not shown: hidden, frozen, or without Live Update",
     PREVIEW: "Shape Now makes the rest; a render waits for it",
 }
 
@@ -26,7 +28,8 @@ NOTES = {
 class State:
     """`active`: whether anything is switched on. `shown`: what the mesh was made of. `step_m`: metres between the
     samples that the stack was applied to. `tiles`: built, and there are. `ms`: milliseconds by the entries' numbers.
-    `finished_early`: finer levels were not waited for."""
+    `finished_early`: finer levels were not waited for. `seen`: only what a shot sees is fine, and that may be
+    another place by now."""
 
     active: bool = False
     shown: str = SOURCE
@@ -35,6 +38,7 @@ class State:
     ms: dict[int, float] = field(default_factory=dict)
     note: str = ""
     finished_early: bool = False
+    seen: bool = False
 
     @property
     def total_ms(self) -> float | None:
@@ -43,7 +47,7 @@ class State:
     @property
     def wanted(self) -> bool:
         """Whether there is something to shape."""
-        return self.active and (self.shown != SHAPED or self.finished_early)
+        return self.active and (self.shown != SHAPED or self.finished_early or self.seen)
 
 
 def store_of(obj) -> str:
@@ -71,6 +75,15 @@ def state_of(obj) -> State:
     numbers = active_numbers(obj.adaptive_terrain.land)
     if not numbers:
         return State()
+    state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
+    state = replace(state, seen=obj.adaptive_terrain.land.where == SEEN)
+    longer = max(found.extent_m) if found is not None else SMALL_M
+    if longer < SMALL_M:  # as the Add menu's own
+        state = replace(state, note=f"Effects are in metres, and the terrain has {length_text(longer)}: set its Size")
+    return state
+
+
+def _as_updated(obj, numbers: list[int]) -> State:
     request = session.record_of(obj).status.request
     if request is not None and request.land is not None and not request.land.waits:
         found = land_request.preview_of(request.land)

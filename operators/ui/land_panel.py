@@ -16,7 +16,7 @@ from ..text.numbers import length_text, plain
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
 NAME_WIDTH = 0.7  # of a row of the list
-ABOUT_LINES, NOTE_LINES = 2, 2
+ABOUT_LINES, NOTE_LINES = 3, 2
 BANDS = (("height", ("low", "high", "edge")), ("slope", ("low", "high", "edge")),
          ("aspect", ("direction", "within", "edge")))  # fmt: skip
 
@@ -92,6 +92,7 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
         buttons.separator()
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_UP").by = -1
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_DOWN").by = 1
+        self._columns().prop(land, "where")
         _draw_shaping(self.layout.row(align=True), obj, state)
         box = self.layout.box().column(align=True)
         figures(box, status_lines(state), factor=0.3)
@@ -103,7 +104,7 @@ def _draw_shaping(row, obj, state) -> None:
     progress = shape_land.progress_of(obj)
     if progress is None:
         row.enabled = state.wanted
-        text = "Shape Now" if state.wanted else "Nothing to Shape" if not state.active else "Shaped"
+        text = "Shape Now" if state.wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if state.wanted else "CHECKMARK")
         return
     row.progress(factor=progress[0], text=progress[1])
@@ -194,12 +195,14 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
     """The shaped land for other programs, or as a store that needs no stack."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
-    bl_label = "Bake Land"
+    bl_label = "Water and Export"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, _context):
         column = self._columns()
+        column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
+        column.operator("adaptive_terrain.add_water", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
 

@@ -34,6 +34,7 @@ from adaptive_terrain.benchmarks import (
     shading_row,
     start,
     suite,
+    water_rows,
 )
 from adaptive_terrain.benchmarks.measure import Row
 from adaptive_terrain.benchmarks.report import MEANING
@@ -211,6 +212,7 @@ def small_suite(monkeypatch):
         effects: {"MILLION": 8_000},
         layer_rows: {"VERTICES": 5_000, "ROUTED": 65},
         land_rows: {"SAMPLES": SAMPLES},
+        water_rows: {"SAMPLES": SAMPLES, "PART": 1.0},
         scree_rows: {"SAMPLES": SAMPLES, "PER_KM2": 20.0},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
@@ -230,7 +232,7 @@ ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "me
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
 ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
-ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets"]
+ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets", "land_water", "land_snow"]
 ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 

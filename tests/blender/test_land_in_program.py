@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The land in the real program: rivers at a click, a preview that never blocks, shaping, undo, and what hiding saves."""
+"""The land in the real program: rivers, a preview that never blocks, shaping, Undo, and what hiding saves."""
 
 import json
 import os
@@ -19,10 +19,10 @@ def test_land_is_shaped_beside_the_window(program, tmp_path):
     with window(program, arguments, tmp_path) as blender:
         try:
             for moment in MOMENTS:
-                wait_for_either(tmp_path, moment, blender)
+                wait_for(tmp_path / moment, blender)
                 read_screen(tmp_path).save(pictures / f"land_{moment}.png")
                 (tmp_path / f"{moment}_pictured").touch()
-            wait_for(tmp_path / "done.json", blender, 400)
+            wait_for(tmp_path / "done.json", blender)
         finally:
             read_screen(tmp_path).save(pictures / "land_end.png")
     said = json.loads((tmp_path / "done.json").read_text())
@@ -35,19 +35,3 @@ def test_land_is_shaped_beside_the_window(program, tmp_path):
     assert said["stores_for_undo"] == 0, "what was shaped before is found again"
     assert said["hidden_cost"] == [0, 0] and said["shown_cost"] == [1, 0]
     print({name: said[name] for name in ("slider_s", "longest_turn_s", "longest_turn_shaping_s", "shaped_s")})
-
-
-def wait_for_either(folder: Path, moment: str, blender) -> None:
-    """The moment, or the end: of a script that has failed, whose words the test then shows."""
-    if not (folder / "done.json").exists():
-        wait_for_one(folder, moment, blender)
-
-
-def wait_for_one(folder: Path, moment: str, blender) -> None:
-    import time
-
-    end = time.monotonic() + 400
-    while not ((folder / moment).exists() or (folder / "done.json").exists()):
-        assert blender.poll() is None, f"the program ended with {blender.returncode} before {moment}"
-        assert time.monotonic() < end, f"{moment} did not come"
-        time.sleep(0.1)

@@ -11,3 +11,10 @@ def test_the_program_bakes_maps_and_both_engines_show_them(program, scene, tmp_p
     (cycles, shaded), (eevee, also) = said["red"].values()
     assert 0.01 < cycles < 0.1 and abs(eevee - cycles) < 0.2 * cycles, "the decal is seen, and in the same place"
     assert shaded > 0.02 and also > 0.02, "the ground under it is not flat"
+
+
+def test_no_line_is_seen_between_tiles(program, scene, tmp_path):
+    """In EEVEE, which would show the mean of a tile there: by a picture that has no mips."""
+    said = program.script("tile_seams.py", tmp_path, blend=scene[0], timeout=600)
+    assert said["tiles"] == 16 and said["range"] > 0.3
+    assert said["most"] < 5 * said["median"] + 0.002

@@ -3,11 +3,13 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.operators import handlers
@@ -71,7 +73,8 @@ def test_lengths_and_angles_have_their_units():
         elif parameter.unit in land_properties.DEGREES:
             assert item["subtype"] == "ANGLE" and item["max"] <= 2 * np.pi + 1e-6, (name, parameter.name)
         elif parameter.unit:
-            assert item["unit" if "unit" in item else "name"].upper() != parameter.name.upper()
+            said = "unit" in item or parameter.unit == parameter.name or f"({parameter.unit})" in item["name"]
+            assert said or "2" in parameter.unit, (name, parameter.name)
         assert item["options"] == set(), "another number is another land: nothing is animated"
 
 
@@ -332,6 +335,9 @@ def test_masks_by_rule_image_and_object(terrain, tmp_path):
     entry.mask.kind = "OBJECT"
     with pytest.raises(session.TerrainError, match="masked by an object, and none is chosen"):
         session.update_object(terrain)
+    entry.mask.object = terrain
+    with pytest.raises(session.TerrainError, match="is masked by the terrain itself"):
+        session.update_object(terrain)
     mesh = bpy.data.meshes.new("Patch")
     mesh.from_pydata([(0, 0, 5), (640, 0, 9), (640, 320, 0), (0, 320, 0)], [], [(0, 1, 2, 3)])
     patch = bpy.data.objects.new("Patch", mesh)
@@ -357,3 +363,95 @@ def test_a_shadow_is_the_part_that_is_covered():
 
 def test_times_are_short():
     assert [time_text(ms) for ms in (None, 0.4, 35.2, 4200.0)] == ["-", "0.4 ms", "35.2 ms", "4.2 s"]
+
+
+def test_water_becomes_an_object(terrain):
+    """Level where a lake is, above the ground everywhere, and the same object when it is made again."""
+    with pytest.raises(RuntimeError, match="leaves water: add 'Water'"):
+        bpy.ops.adaptive_terrain.add_water()
+    terrain.adaptive_terrain.vertical_offset = 7.0
+    add("water", sea=-10.0)
+    assert bpy.ops.adaptive_terrain.add_water() == {"FINISHED"}
+    [water] = terrain.children
+    assert len(water.data.polygons) > 100 and not water.data.validate()
+    heights, depth = np.empty(3 * len(water.data.vertices), np.float32), np.empty(len(water.data.vertices), np.float32)
+    water.data.vertices.foreach_get("co", heights)
+    water.data.attributes["water_depth"].data.foreach_get("value", depth)
+    assert depth.min() >= 0.0 and depth.max() > 1.0
+    sea = np.sort(heights[2::3])[: len(depth) // 50]
+    assert abs(sea + 10.0 - 7.0).max() < 40.0
+    assert water.data.materials[0].name == "Terrain Water"
+    terrain.adaptive_terrain.land.entries[0].water.rain = 3.0
+    assert bpy.ops.adaptive_terrain.add_water() == {"FINISHED"}
+    assert list(terrain.children) == [water]
+
+
+@pytest.fixture(scope="module")
+def wide_store(tmp_path_factory):
+    """1,100 x 1,500 samples, 10 and 8 m apart: three levels, of which the finest goes by tiles."""
+    path = tmp_path_factory.mktemp("wide") / "hills"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (1100, 1500), np.float32)
+    y, x = np.mgrid[0:1100, 0:1500]
+    samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
+    draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
+    return path
+
+
+def look_at(scene, east: float, north: float) -> None:
+    """Straight down from 400 m on a square of some 300 m."""
+    camera = scene.camera
+    camera.location, camera.rotation_euler = (east, north, 460.0), (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+
+
+def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
+    """Tiles are counted; another frame adds its own, and what was there before stays."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    terrain.adaptive_terrain.store = str(tmp_path / "wide")
+    terrain.adaptive_terrain.land.where = "SEEN"
+    add("relief", wave=64.0, plains=0.2)
+    scene.frame_start = scene.frame_end = scene.frame_current
+    look_at(scene, -4000.0, -3000.0)
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    built, there_are = shaped_land.state_of(terrain).tiles
+    assert 0 < built < there_are and shaped_land.state_of(terrain).wanted, "another shot may look elsewhere"
+    folder = shaped_land.store_of(terrain)
+    change = open_store(folder).heights() - open_store(wide_store).heights()
+    fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 150:250], change[800:900, 1200:1300])]
+    assert fine[0] > 3.0 * fine[1], "fine waves where the camera looks only"
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 1, "the render finds its tiles"
+    look_at(scene, 4000.0, 3000.0)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).tiles[0] > built
+    look_at(scene, -4000.0, -3000.0)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2
+    again = open_store(folder).heights() - open_store(wide_store).heights()
+    assert np.array_equal(again[50:250, 60:300], change[50:250, 60:300])
+
+
+def test_a_frozen_terrain_keeps_its_triangles_and_takes_the_shaped_heights(terrain, wide_store):
+    """Also one whose raster is larger than a preview: that one is not shown on it."""
+    terrain.adaptive_terrain.store = str(wide_store)
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.freeze() == {"FINISHED"}
+    before = len(terrain.data.polygons)
+    add("relief", wave=64.0)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Source" and len(terrain.data.polygons) == before
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped" and len(terrain.data.polygons) == before
+    shutil.rmtree(land_request.folder_beside(str(wide_store)))
+
+
+def test_a_damaged_shaped_store_is_made_again(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file.write_text("{}")
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped"

@@ -67,10 +67,13 @@ def store(tmp_path_factory):
 
 
 @pytest.fixture
-def scene(empty):
-    """An empty file with a camera that looks at the middle from the south, 640 x 360 pixels."""
+def scene(empty, monkeypatch):
+    """An empty file with a camera that looks at the middle from the south, 640 x 360 pixels. Kernels are compiled where
+    they are launched: the viewport's timer waits for none."""
     import bpy
+    from adaptive_terrain.cbt_terrain.run import warmup
 
+    monkeypatch.setattr(warmup, "ask", lambda modules: True)
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.data.clip_end = 1e5
     camera.location, camera.rotation_euler = (0.0, -900.0, 400.0), (1.15, 0.0, 0.0)

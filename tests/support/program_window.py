@@ -18,15 +18,11 @@ GUARD_S = 1200
 
 @contextmanager
 def window(program, arguments: list[str], framebuffer: Path, kernels: Path | None = None):
-    """The program with a window on a screen that is a file; ends both.
-
-    kernels: a folder of its own for compiled kernels: where it is empty every kernel must be compiled, as in a fresh
-    install, which takes most of a minute of a core. None: those that the program has compiled in earlier tests serve.
-    """
+    """The program with a window on a screen that is a file; ends both. `kernels`: where compiled kernels are, if not
+    where the program has its own."""
     display = f":{os.getpid() % 40000 + 200}"
     environment = {**program.environment(), "DISPLAY": display}
-    if kernels is not None:
-        environment["WARP_CACHE_PATH"] = str(kernels)
+    environment |= {"WARP_CACHE_PATH": str(kernels)} if kernels else {}
     screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
     xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
     blender = None

@@ -21,16 +21,17 @@ MARK = "RESULT "
 
 
 class Program:
-    """The real program. `user` is its private user folder."""
+    """The real program. `user` is its private user folder, `kernels` where its compiled kernels are kept."""
 
     def __init__(self, wrapper: str, user: Path):
-        self.wrapper, self.user = wrapper, user
+        self.wrapper, self.user, self.kernels = wrapper, user, user / "kernels"
 
     def environment(self) -> dict[str, str]:
         home = self.user / "home"
         home.mkdir(parents=True, exist_ok=True)
         paths = {"BLENDER_USER_RESOURCES": str(self.user), "HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
-        return {**os.environ, **paths, "BIND": str(self.user), "LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONPATH": ""}
+        paths |= {"BIND": str(self.user), "WARP_CACHE_PATH": str(self.kernels)}
+        return {**os.environ, **paths, "LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONPATH": ""}
 
     def command(self, *arguments: str) -> list[str]:
         return [self.wrapper, "blender", *map(str, arguments)]

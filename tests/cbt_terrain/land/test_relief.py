@@ -131,6 +131,16 @@ def test_half_of_the_beds_stand_out_and_no_ledge_goes_all_around():
     assert (np.diff(shaped, axis=0) > -0.02).all()  # beds keep their order: no step leans over
 
 
+def test_what_rivers_have_filled_stays_flat():
+    heights = hills(60, 80, 7.0, 5.0)
+    sediment = np.zeros((60, 80), np.float32)
+    sediment[:, 30:], sediment[:, 50:] = 1.0, 2.5
+    bare, covered = added(ground_of(heights)), added(ground_of(heights, layers={"sediment": sediment}))
+    assert not covered[:, 50:].any()
+    assert np.array_equal(covered[:, :30], bare[:, :30])
+    assert np.allclose(covered[:, 30:50], 0.5 * bare[:, 30:50])
+
+
 def test_holes_are_left_alone():
     heights = hills(60, 80, 7.0, 5.0)
     missing = np.zeros((60, 80), bool)

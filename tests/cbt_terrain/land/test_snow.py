@@ -64,9 +64,9 @@ def test_what_falls_is_what_the_formulas_say(wind):
     layers = snow.SNOW.apply(Ground(heights, *steps, whole=heights.shape), values, None).layers
     fallen = layers["snow"] - layers["slides"]
     expected = reference(heights, *steps, values)
-    off = abs(fallen - expected)
+    off = abs(fallen - expected)[2:-2, 2:-2]  # at the rim horizons are those of one line alone
     assert expected.max() > 1.5 and expected.min() < 0.2
-    assert np.sqrt((off**2).mean()) < 0.02 and off.max() < 0.15  # horizons along lines of a sweep are interpolated
+    assert np.sqrt((off**2).mean()) < 0.02 and off.max() < 0.15  # between lines horizons are interpolated
 
 
 def test_the_shade_of_the_noon_sun_keeps_more_in_either_hemisphere():

@@ -8,13 +8,15 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects import sky
+from adaptive_terrain.cbt_terrain.field import store
 from adaptive_terrain.operators.scene import live, previews, session
 from demand_trees import colour, new_material, shows
 
 
 @pytest.fixture
 def lit(scene, add_terrain, monkeypatch):
-    """A terrain whose material reads the sky, in a window."""
+    """A terrain whose material reads the sky, in a window; its store keeps nothing of that."""
+    monkeypatch.setattr(store, "keep", lambda *about: None)
     terrain = add_terrain()
     terrain.data.materials.append(shows(new_material("Sky"), lambda tree: colour(tree, "sky")))
     window = SimpleNamespace(

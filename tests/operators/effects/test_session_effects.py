@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.scene import live, session
 from adaptive_terrain.operators.scene.effect_properties import numbers_of
 from adaptive_terrain.operators.scene.request import Overrides, gather
@@ -96,6 +97,23 @@ def test_a_frozen_mesh_follows_what_is_read(worn):
     worn.data.materials.clear()
     session.update_object(worn)
     assert made(worn) == set()
+
+
+def test_the_viewport_waits_for_the_kernels_that_its_effects_need(worn, monkeypatch):
+    """Turn by turn: nothing is made before they are there, and then without another change."""
+    asked = []
+    monkeypatch.setattr(warmup, "ask", lambda modules: asked.append(modules) or len(asked) > 2)
+    window = SimpleNamespace(
+        view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
+    )
+    monkeypatch.setattr(live, "_windows", lambda: [window])
+    bpy.context.evaluated_depsgraph_get()
+    live.mark_dirty()
+    assert [live.tick() for _ in range(2)] == [live.IDLE_S] * 2 and made(worn) == set()
+    while live.tick() != live.IDLE_S:
+        time.sleep(0.005)
+    assert made(worn) == {"slope", "height"} and len(asked) == 3
+    assert {"jet", "keep"} <= {module.__name__.rpartition(".")[2] for module in asked[0]}
 
 
 def test_the_viewport_follows_without_being_asked(worn, monkeypatch):

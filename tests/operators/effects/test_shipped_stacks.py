@@ -13,15 +13,26 @@ from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import read_stack
 
 FOLDER = Path(__file__).resolve().parents[3] / "operators/effects/presets/adaptive_terrain/land"
-NAMES = ("alpine", "desert", "old_hills", "volcanic_island")
+NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island")
 SIZE = 201
 
 
 @pytest.fixture(scope="module")
-def shaped(tmp_path_factory):
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("stacks")
+
+
+@pytest.fixture(scope="module")
+def layer_of(shaped, folder):
+    """A by-product of a preset: float32 [rows, columns]."""
+    return lambda name, layer: open_store(folder / name).layers[layer]
+
+
+@pytest.fixture(scope="module")
+def shaped(folder):
     """Heights before and after, metres between samples, and the report, by the preset's name."""
-    folder, made = tmp_path_factory.mktemp("stacks"), {}
-    for name, land in zip(NAMES, ("mountains", "canyon", "mountains", "island"), strict=True):
+    made = {}
+    for name, land in zip(NAMES, ("island", "canyon", "mountains", "mountains", "island"), strict=True):
         if not (folder / land).exists():
             import_source(ImportSettings(land, size=SIZE), folder / land)
         report = run_shape(folder / land, read_stack(FOLDER / f"{name}.json"), folder / name)
@@ -57,15 +68,24 @@ def test_heights_stay_finite_and_within_reason(shaped, name):
 
 
 def test_the_alps_grow_steep_and_old_hills_gentle(shaped):
-    before, alps, step, _ = shaped["alpine"]
+    before, alps, step, _ = shaped["great_range"]
     _, hills, _, _ = shaped["old_hills"]
     assert steepness(alps, step) > 1.3 * steepness(before, step)
     assert steepness(hills, step) < 0.9 * steepness(alps, step)
     assert hills.max() < alps.max() - 200.0
 
 
-def test_the_island_keeps_its_sea(shaped):
-    before, after, _, _ = shaped["volcanic_island"]
+@pytest.mark.parametrize("name", ["alpine", "volcanic_island"])
+def test_the_island_keeps_its_sea_and_a_mountain(shaped, name):
+    before, after, _, _ = shaped[name]
     sea = before <= -1.0
     assert np.abs(after - before)[sea].max() < 2.0
-    assert after.max() > 400.0
+    assert after.max() > 500.0
+
+
+def test_snow_lies_on_the_mountain_and_not_on_the_shore(shaped, layer_of):
+    for name, line in (("alpine", 600.0), ("great_range", 1500.0)):
+        snow, heights = layer_of(name, "snow"), shaped[name][1]
+        assert 0.01 < (snow > 0.1).mean() < 0.5
+        low, high = snow[heights < line - 500.0], snow[heights > line + 100.0]
+        assert np.percentile(low, 99) < 0.1 < np.median(high)  # slides bring some further down

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The views of a terrain in all frames of a shot."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse, product
+from ...cbt_terrain.ask.view import View
+from .pauses import paused
+from .request import RENDER, gather
+
+
+def frames_of(scene) -> range:
+    return range(scene.frame_start, scene.frame_end + 1)
+
+
+def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
+    """Go through frames: the fraction done after each, and at the end the list of all views, as of a terrain that stays
+    at `placement`. The scene is then at its frame again. `look`: further arguments of `request.gather`. Raises
+    TerrainError."""
+    views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
+    try:
+        for number, frame in enumerate(frames):
+            if frame != scene.frame_current:
+                with paused():
+                    scene.frame_set(frame)
+            moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
+            views += [_as_seen_from(view, moved.placement, placement) for view in moved.views]
+            yield number / len(frames)
+    finally:
+        if (scene.frame_current, scene.frame_subframe) != now:
+            with paused():
+                scene.frame_set(now[0], subframe=now[1])
+    yield views
+
+
+def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
+    """A view of a terrain that stands at `placement`, for one that stays where it was first."""
+    if np.array_equal(placement, first):
+        return view
+    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

@@ -111,7 +111,7 @@ def test_narrow_rasters_are_finite(shape):
 
 
 def test_a_raster_of_far_samples_costs_no_more_a_sample():
-    """One droplet stands for several: 4 a sample at most, with their load; beyond a fourth of the reach there are none."""
+    """One droplet stands for several, at most 4 a sample; beyond a fourth of the reach there are none."""
     far, near = (Ground(hills(60, 61), step, step, whole=(60, 61)) for step in (100.0, 10.0))
     numbers = [droplets._rain(ground, values())[0] for ground in (far, near)]
     on_sample = [rain.drops / (rain.rows * rain.columns) for rain in numbers]

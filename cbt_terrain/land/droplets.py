@@ -19,6 +19,9 @@ from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 # Places of single gullies differ from level to level, only their amount converges. So each level of at least so many
 # metres between samples is rained on anew; a finer one has the gullies of that, with their edges rounded.
 FINEST_STEP = 8.0
+# Where samples are far apart one droplet stands for several, so that no more than this many fall on a sample; where
+# they are further apart than this part of the reach, there are no gullies to be seen.
+MOST_ON_A_SAMPLE, COARSEST_STEP = 4.0, 0.25
 # Metres over which a droplet turns downhill, takes up or lays down what it lacks or has too much, and dries; around it
 # that it changes. The m3 that it carries on a slope of 1.
 TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
@@ -28,7 +31,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) ->
     """See Apply in land_effect.py."""
     if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         return _layered(_rounded(coarse.heights, ground.missing))
-    if min(ground.heights.shape) < 2:
+    if min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
         return _layered(np.zeros(ground.heights.shape, np.float32))
     return _layered(_rounded(rain_on(ground, values)[0].astype(np.float32), ground.missing))
 
@@ -87,9 +90,11 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> tuple[kernels.Rain, in
     )
     rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     rain.across = -(-int(columns) // rain.columns)
-    area = rain.rows * ground.step_y * rain.columns * ground.step_x
-    rain.drops = round(values["droplets"] * 1e-6 * area)
-    rain.capacity, rain.sea = CAPACITY * values["strength"], values["sea"]
+    on_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
+    some = min(on_sample, MOST_ON_A_SAMPLE)
+    rain.drops = round(some * rain.rows * rain.columns)
+    rain.capacity = CAPACITY * values["strength"] * on_sample / max(some, 1e-12)
+    rain.sea = values["sea"]
     # float32: exp may differ by a bit from machine to machine
     rain.keep, kept, wet = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
     rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF

@@ -34,7 +34,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) ->
     shape = ground.heights.shape
     room, loose = _room(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
     left, scree = _brought(ground, coarse, room, loose)
-    base = ground.heights - loose - room
+    base = np.ascontiguousarray(ground.heights - loose - room)
     if ground.missing is not None:
         base[ground.missing] = np.nan
     times = AT_FIRST if coarse is None else 1
@@ -71,7 +71,7 @@ def _brought(
     if all(ground.rims) and total > 0.0:
         gained = (scree - loose).sum(dtype=np.float64) - worn.sum(dtype=np.float64)
         scree -= np.float32(np.clip(gained / total, -1.0, 1.0)) * np.minimum(more, scree)
-    return room - worn, scree
+    return np.ascontiguousarray(room - worn), np.ascontiguousarray(scree)
 
 
 def settle(

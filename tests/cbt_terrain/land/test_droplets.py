@@ -108,3 +108,14 @@ def test_narrow_rasters_are_finite(shape):
     heights = (100.0 * np.random.default_rng(1).random(shape)).astype(np.float32)
     made = apply_by_levels(droplets.DROPLETS, Ground(heights, 30.0, 30.0), values())
     assert made.heights.shape == shape and np.isfinite(made.heights).all()
+
+
+def test_a_raster_of_far_samples_costs_no_more_a_sample():
+    """One droplet stands for several, at most 4 a sample; beyond a fourth of the reach there are none."""
+    far, near = (Ground(hills(60, 61), step, step, whole=(60, 61)) for step in (100.0, 10.0))
+    numbers = [droplets._rain(ground, values())[0] for ground in (far, near)]
+    on_sample = [rain.drops / (rain.rows * rain.columns) for rain in numbers]
+    assert on_sample[0] == 4.0 and abs(on_sample[1] - 2.0) < 1e-3
+    assert abs(numbers[0].capacity / numbers[1].capacity - 200.0 / 4.0) < 1e-6
+    assert droplets.apply(far, values(), None).heights.any()
+    assert not droplets.apply(Ground(hills(60, 61), 121.0, 121.0, whole=(60, 61)), values(), None).heights.any()

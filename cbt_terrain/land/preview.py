@@ -23,7 +23,7 @@ from .tiles import Level, levels_of
 
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
-SECONDS = 5.0  # after which a preview goes without the effects that are left
+SECONDS = 10.0  # after which a preview goes without the effects that are left
 COMPILING = 120.0  # more, where an effect has not been applied before: its kernels may have to be compiled
 _applied: set[str] = set()
 _FOUND = ("land preview",)  # in HeightField.found

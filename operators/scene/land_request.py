@@ -54,12 +54,16 @@ class Land:
 
     @property
     def is_shaped(self) -> bool:
-        return (Path(self.folder) / stores.JSON_NAME).exists()
+        """Whether the store is there, and of this version."""
+        try:
+            return bool(_key_of(self.folder, (Path(self.folder) / stores.JSON_NAME).stat().st_mtime_ns))
+        except (OSError, TerrainError):
+            return False
 
 
 def folder_beside(source: str) -> Path:
     """The folder of all that was made of a source's store by stacks."""
-    return Path(f"{source.rstrip('/')}_land")
+    return Path(source.rstrip("/\\") + "_land")
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:

@@ -60,6 +60,11 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
             f"The effect {entry.name!r} of {terrain.name!r} is masked by an {what}, and none is chosen: choose one, or "
             "let the effect act everywhere."
         )
+    if mask.kind == BY_OBJECT and mask.object.original == terrain.original:
+        raise TerrainError(
+            f"The effect {entry.name!r} of {terrain.name!r} is masked by the terrain itself, which it changes: choose "
+            "another object."
+        )
     file = ""
     if mask.kind == BY_IMAGE:
         file = land_masks.of_image(mask.image, masks)

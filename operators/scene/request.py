@@ -138,6 +138,8 @@ def gather(
     if land is not None and views and mode == RENDER and settings.land.where == SEEN:
         scale = settings.vertical_scale, settings.vertical_offset
         land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
+    elif land is not None and frozen and mode != RENDER and not land.is_shaped:
+        land = None  # the triangles are those of the raster, and a preview has another
     elif land is not None and land.is_shaped:
         store, land = land.folder, None
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)

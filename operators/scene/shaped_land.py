@@ -19,7 +19,7 @@ from .land_properties import EVERYWHERE, SEEN
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 SMALL_M = 500.0
 NOTES = {
-    SOURCE: "Not shown: hidden, or without Live Update",
+    SOURCE: "Not shown: hidden, frozen, or without Live Update",
     PREVIEW: "Shape Now makes the rest; a render waits for it",
 }
 

@@ -3,6 +3,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -334,6 +335,9 @@ def test_masks_by_rule_image_and_object(terrain, tmp_path):
     entry.mask.kind = "OBJECT"
     with pytest.raises(session.TerrainError, match="masked by an object, and none is chosen"):
         session.update_object(terrain)
+    entry.mask.object = terrain
+    with pytest.raises(session.TerrainError, match="is masked by the terrain itself"):
+        session.update_object(terrain)
     mesh = bpy.data.meshes.new("Patch")
     mesh.from_pydata([(0, 0, 5), (640, 0, 9), (640, 320, 0), (0, 320, 0)], [], [(0, 1, 2, 3)])
     patch = bpy.data.objects.new("Patch", mesh)
@@ -426,3 +430,28 @@ def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
     assert land_request.made["stores"] == 2
     again = open_store(folder).heights() - open_store(wide_store).heights()
     assert np.array_equal(again[50:250, 60:300], change[50:250, 60:300])
+
+
+def test_a_frozen_terrain_keeps_its_triangles_and_takes_the_shaped_heights(terrain, wide_store):
+    """Also one whose raster is larger than a preview: that one is not shown on it."""
+    terrain.adaptive_terrain.store = str(wide_store)
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.freeze() == {"FINISHED"}
+    before = len(terrain.data.polygons)
+    add("relief", wave=64.0)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Source" and len(terrain.data.polygons) == before
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped" and len(terrain.data.polygons) == before
+    shutil.rmtree(land_request.folder_beside(str(wide_store)))
+
+
+def test_a_damaged_shaped_store_is_made_again(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file.write_text("{}")
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped"

@@ -6,14 +6,16 @@ Dry samples beside water have the level of that water, and end below the ground;
 off, so far below it that the river ends half-way.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..field.heightfield import HeightField
+from ..field.lattice import Lattice, fit
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
-from .land_effect import Ground
-from .water import DEPTH, DISCHARGE, SPEED, WATER
+from .water import DEPTH, DISCHARGE, SPEED
 
 # Samples along a side, at most; what a surface is made of.
 MOST_SAMPLES = 1025
@@ -28,8 +30,8 @@ LEAST_DISCHARGE = 0.016
 
 
 def water_of(field: HeightField, threads: int = 1) -> Surface:
-    """The surface of the water of a height field: of its layers, where its stack has made some, else of a metre of
-    rain a year. Of a raster with more than MOST_SAMPLES along a side, from every second sample, or fourth and so on."""
+    """The surface of the water that the stack of a height field has left, of which it must have the depth. Of a raster
+    with more than MOST_SAMPLES along a side, from every second sample, or fourth and so on."""
     every = 1
     while (max(field.lattice.width, field.lattice.height) - 1) // every >= MOST_SAMPLES:
         every *= 2
@@ -40,33 +42,30 @@ def water_of(field: HeightField, threads: int = 1) -> Surface:
     lattice, heights = field.lattice, thinned(field.heights())
     steps = lattice.step_x * every, lattice.step_y * every
     missing = None if field.valid is None else thinned(field.valid) == 0
-    layers = {name: thinned(layer) for name, layer in field.layers.items() if name in NAMES}
-    if DEPTH.name not in layers:
-        ground = Ground(heights, *steps, whole=heights.shape, missing=missing, threads=threads)
-        layers = WATER.apply(ground, WATER.defaults(), None).layers
-    found = [layers.get(name) for name in NAMES]
-    return water_surface(heights, *found, missing, corner=lattice.rectangle()[:2], steps=steps, threads=threads)
+    layers = [thinned(field.layers[name]) if name in field.layers else None for name in NAMES]
+    own = fit(heights.shape[1], heights.shape[0], *steps)
+    surface = water_surface(own, heights, *layers, missing, threads=threads)
+    # Every lattice has its middle at 0, and this one may end short of the field's rim.
+    moved = np.subtract(lattice.rectangle()[:2], own.rectangle()[:2])
+    return replace(surface, positions=surface.positions + np.float32([*moved, 0.0]))
 
 
 def water_surface(
+    lattice: Lattice,
     heights: np.ndarray,
     depth: np.ndarray,
     speed: np.ndarray | None = None,
     discharge: np.ndarray | None = None,
     missing: np.ndarray | None = None,
-    *,
-    corner: tuple[float, float],
-    steps: tuple[float, float],
     least: float = LEAST_DEPTH,
     threads: int = 1,
 ) -> Surface:
     """The surface of all water that is at least so deep, metres, or of a stream that carries LEAST_DISCHARGE, with the
     attributes `water_depth` and `water_speed`.
 
-    heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or None for still water;
-    missing: bool, likewise, holes, which no triangle touches. corner: place of sample [0, 0], steps: from sample to
-    sample eastwards and northwards, metres. Triangles are two for each cell that has water at a corner, cut at the
-    shore; they face up. Without any water the surface is empty.
+    lattice: of the samples; heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or
+    None for still water; missing: bool, likewise, holes, which no triangle touches. Triangles are two for each cell
+    that has water at a corner, cut at the shore; they face up. Without any water the surface is empty.
     """
     wet = depth >= least
     if discharge is not None:
@@ -77,7 +76,8 @@ def water_surface(
     corners, sides = _triangles(deep, wet, missing)
     used, numbers = _numbered(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
-    x, y = corner[0] + column * steps[0], corner[1] + row * steps[1]
+    west, south, _, _ = lattice.rectangle()
+    x, y = west + column * lattice.step_x, south + row * lattice.step_y
     positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
     uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
     fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]

@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.water import WATER
-from ...cbt_terrain.land.water_surface import water_surface
+from ...cbt_terrain.land.water_surface import water_of
 from ...cbt_terrain.run import launch
 from ..mesh.writer import write_mesh
 from ..scene import land_request, session
@@ -15,7 +15,7 @@ from ..scene.land_request import land_of
 from .nodes import Nodes
 
 MATERIAL = "Terrain Water"
-DEPTH, SPEED = "water_depth", "water_speed"
+DEPTH = "water_depth"
 SHALLOW, DEEP = (0.16, 0.34, 0.31, 1.0), (0.004, 0.025, 0.045, 1.0)  # linear, of clear mountain water
 CLEAR_M = 6.0  # depth at which no ground shows any more
 
@@ -56,10 +56,7 @@ def surface_of(obj, depsgraph):
     field = land_request.raster_of(store, land, session.open_field)
     if DEPTH not in field.layers:
         raise TerrainError(f"No effect of {obj.name!r} leaves water: add {WATER.label!r} to its stack.")
-    missing = None if field.valid is None else field.valid == 0
-    threads = launch.default_threads()
-    layers = field.layers[DEPTH], field.layers.get(SPEED)
-    surface = water_surface(field.lattice, field.heights(), *layers, missing, threads=threads)
+    surface = water_of(field, launch.default_threads())
     positions = surface.positions.copy()
     positions[:, 2] = positions[:, 2] * settings.vertical_scale + settings.vertical_offset
     return replace(surface, positions=positions)

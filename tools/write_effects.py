@@ -46,6 +46,7 @@ RESOLUTION = (1920, 1080)
 EYE, TARGET = (-2500, -3900, 620), (300, 0, 560)  # near the demo's frame
 FRAME = 12
 LETTERS = 20  # pixels, of a line below a picture
+WIDE = 1650  # pixels, of all pictures at a glance
 LAYERS = np.array([(0.76, 0.66, 0.42), (0.45, 0.62, 0.27), (0.55, 0.5, 0.47), (0.93, 0.95, 0.98)])
 HEAD = """# Effects
 
@@ -128,6 +129,7 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
             tile = Image.blend(tile.convert("L").convert("RGB"), Image.new("RGB", tile.size, (250, 249, 245)), 0.6)
         sheet.paste(tile, (x, y))
         draw.text((x, y + side + 1), name, fill=(28, 31, 38) if name in worn else (160, 160, 160), font=font)
+    sheet = sheet.resize((WIDE, WIDE * sheet.height // sheet.width), Image.Resampling.LANCZOS)
     return jpg(np.asarray(sheet))
 
 

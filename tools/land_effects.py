@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, Land
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
@@ -57,6 +58,8 @@ adds detail and does not change the shape. What they leave behind (depth of scre
 layers, which materials, splats and maps may read; `adaptive-terrain shape --store DIR --stack FILE.json --out DIR`
 applies a stack, and so does the panel Land.
 
+![A valley of the demo's island: a lake, scree below cliffs, snow above](images/land_valley.jpg)
+
 Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture
 shows it. *Finer by one level*: root mean square of what the last halving of the spacing changed, at the samples that
 both have. Seconds are the processor's.
@@ -95,7 +98,9 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
         finer = rms(change[::2, ::2] - (coarse.after - coarse.before))
         moved = f"{plain(rms(change))} m | {plain(finer)} m" if change.any() else "not: its layers say it | -"
         cost = f"{plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
-        rows.append(f"| [{effect.name}](#{effect.name}) | {moved} | {cost} |")
+        # Of two headings of one name the second has a number.
+        anchor = f"{effect.name}-1" if effect.name in EFFECTS else effect.name
+        rows.append(f"| [{effect.name}](#{anchor}) | {moved} | {cost} |")
         pictures[f"land_{effect.name}.jpg"] = beside(shown, part, layer, LAND_RAMP, True)
         sections.append(effect_section(effect, parameters))
     lines = [

@@ -109,7 +109,7 @@ def jpg(pixels: np.ndarray) -> bytes:
 
 def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     """The island in its material beside all effects: in colour those of `worn`, in grey those that nothing reads."""
-    island = Image.open(DOCS / "images" / "island.jpg").convert("RGB")
+    island = Image.open(DOCS / "images" / "land_whole.jpg").convert("RGB")
     columns, side, gap = 4, 150, 8
     rows = -(-len(EFFECTS) // columns)
     high = rows * (side + LETTERS + gap)

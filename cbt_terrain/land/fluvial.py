@@ -23,6 +23,8 @@ JITTER = 1.6
 ROCK, ROCK_OCTAVES = 960.0, 5
 # Of what an explicit step of diffusion may move at most, 0.5 being the limit of its stability.
 CREEP = 0.4
+# Squared samples over which a step of so many years creeps at least: what the noise has left of single samples is gone.
+LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
 
@@ -65,9 +67,11 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     drainage = bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
-    _creep(bed, drainage, years * values["creep"])
     rate, filled = _cut(bed, drainage, years, values)
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
+    if values["creep"] > 0.0:
+        least = LEAST_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0)
+        _creep(bed, drainage, max(years * values["creep"], least))
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
 

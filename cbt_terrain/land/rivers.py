@@ -18,8 +18,9 @@ STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
 # A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
 # no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
 AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
-# Samples of halo around a tile: its middle is then as if the whole level had been made, but for 4 % of what moved.
-HALO = 64
+# Samples of halo around a tile: its middle is then as if the whole level had been made, but for 5 % of what moved;
+# unless a side cuts a lake, whose outlet is then not seen.
+HALO = 80
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
@@ -200,6 +201,8 @@ RIVERS = LandEffect(
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years",
+    converges="grown, 8 m rms of 490 m of relief from 16 to 8 m; aged by 300,000 years, 4.6 m of 85 m that it takes",
+    cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
 )

@@ -43,7 +43,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     ground.progress(0.5)
     sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
     slides = _slid(ground, values, stuck, start.copy(), sweeps) - loose
-    _run_out(slides, ground.missing)
+    _run_out(slides, ground, values)
     snow = np.maximum(fallen + slides, 0.0)
     return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
 
@@ -134,11 +134,10 @@ def _total(samples: np.ndarray) -> float:
 
 def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose: np.ndarray, sweeps: int) -> np.ndarray:
     """float32 [rows, columns] m: where the loose snow lies when slides have come to rest. `loose` is used up."""
-    bed, (rows, columns) = ground.heights + stuck, loose.shape
-    if ground.missing is not None:
-        bed[ground.missing] = np.nan
-    repose = math.tan(math.radians(values["slides"]))
-    falls = wp.vec3f(*(repose * d for d in (ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y))))
+    bed, (rows, columns) = _walled(ground.heights + stuck, ground.missing), loose.shape
+    falls = wp.vec3f(
+        *(_repose(values) * d for d in (ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y)))
+    )
     arrays, rest = [flat(bed, wp.float32), flat(loose, wp.float32)], np.zeros_like(loose)
     for k in range(sweeps):
         odd = k % 2
@@ -155,14 +154,23 @@ def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose:
     return rest
 
 
-def _run_out(slides: np.ndarray, missing: np.ndarray | None) -> None:
-    """Spread what slides have laid down by [1 2 1] / 4 along either side, in place: on coarse levels it ends on whole
-    samples, and its rim would show their squares."""
-    laid = np.maximum(slides, 0.0)
-    for axis in (0, 1):
+def _walled(bed: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """With NaN for holes, over whose rim nothing passes."""
+    return bed if missing is None else np.where(missing, np.float32(np.nan), bed)
+
+
+def _repose(values: Mapping[str, float]) -> float:
+    """The slope on which snow slides; rounded, so that every machine has the same."""
+    return float(np.float32(math.tan(math.radians(values["slides"]))))
+
+
+def _run_out(slides: np.ndarray, ground: Ground, values: Mapping[str, float]) -> None:
+    """Spread what slides have laid down by [1 2 1] / 4 along either side, in place, but over no cliff: on coarse levels
+    it ends on whole samples, and its rim would show their squares."""
+    laid, bed = np.maximum(slides, 0.0), _walled(ground.heights, ground.missing)
+    for axis, step in ((0, ground.step_y), (1, ground.step_x)):
         passed = np.float32(0.25) * np.diff(laid, axis=axis)
-        if missing is not None:
-            passed[np.diff(missing, axis=axis) | np.delete(missing, 0, axis)] = 0.0
+        passed[~(abs(np.diff(bed, axis=axis)) <= step * _repose(values))] = 0.0
         for array in (slides, laid):
             low, high = (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
             low += passed

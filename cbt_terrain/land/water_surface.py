@@ -8,11 +8,16 @@ off, so far below it that the river ends half-way.
 
 import numpy as np
 
-from ..field.lattice import Lattice
+from ..field.heightfield import HeightField
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
+from .land_effect import Ground
+from .water import DEPTH, DISCHARGE, SPEED, WATER
 
+# Samples along a side, at most; what a surface is made of.
+MOST_SAMPLES = 1025
+NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
 # Metres of water that make a surface, at least.
 LEAST_DEPTH = 0.05
 # Metres by which the heights of one lake differ, at most.
@@ -22,22 +27,46 @@ SAME = 1e-3
 LEAST_DISCHARGE = 0.016
 
 
+def water_of(field: HeightField, threads: int = 1) -> Surface:
+    """The surface of the water of a height field: of its layers, where its stack has made some, else of a metre of
+    rain a year. Of a raster with more than MOST_SAMPLES along a side, from every second sample, or fourth and so on."""
+    every = 1
+    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MOST_SAMPLES:
+        every *= 2
+
+    def thinned(samples: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(samples[::every, ::every])
+
+    lattice, heights = field.lattice, thinned(field.heights())
+    steps = lattice.step_x * every, lattice.step_y * every
+    missing = None if field.valid is None else thinned(field.valid) == 0
+    layers = {name: thinned(layer) for name, layer in field.layers.items() if name in NAMES}
+    if DEPTH.name not in layers:
+        ground = Ground(heights, *steps, whole=heights.shape, missing=missing, threads=threads)
+        layers = WATER.apply(ground, WATER.defaults(), None).layers
+    found = [layers.get(name) for name in NAMES]
+    return water_surface(heights, *found, missing, corner=lattice.rectangle()[:2], steps=steps, threads=threads)
+
+
 def water_surface(
-    lattice: Lattice,
     heights: np.ndarray,
     depth: np.ndarray,
     speed: np.ndarray | None = None,
     discharge: np.ndarray | None = None,
     missing: np.ndarray | None = None,
+    *,
+    corner: tuple[float, float],
+    steps: tuple[float, float],
     least: float = LEAST_DEPTH,
     threads: int = 1,
 ) -> Surface:
     """The surface of all water that is at least so deep, metres, or of a stream that carries LEAST_DISCHARGE, with the
     attributes `water_depth` and `water_speed`.
 
-    lattice: of the samples; heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or
-    None for still water; missing: bool, likewise, holes, which no triangle touches. Triangles are two for each cell
-    that has water at a corner, cut at the shore; they face up. Without any water the surface is empty.
+    heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or None for still water;
+    missing: bool, likewise, holes, which no triangle touches. corner: place of sample [0, 0], steps: from sample to
+    sample eastwards and northwards, metres. Triangles are two for each cell that has water at a corner, cut at the
+    shore; they face up. Without any water the surface is empty.
     """
     wet = depth >= least
     if discharge is not None:
@@ -48,10 +77,9 @@ def water_surface(
     corners, sides = _triangles(deep, wet, missing)
     used, numbers = _numbered(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
-    west, south, _, _ = lattice.rectangle()
-    x, y = west + column * lattice.step_x, south + row * lattice.step_y
+    x, y = corner[0] + column * steps[0], corner[1] + row * steps[1]
     positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
-    uv = np.stack([column / (lattice.width - 1), row / (lattice.height - 1)], axis=-1).astype(np.float32)
+    uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
     fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
     attributes = {
         NORMALS: Attribute(np.tile(np.float32([0.0, 0.0, 1.0]), (len(used), 1)), POINT),

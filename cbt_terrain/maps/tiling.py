@@ -6,8 +6,9 @@ side, mixes in texels of a stranger. So every image shows a margin of its neighb
 round, which is at least one texel. What looks a tile up keeps clear of it: see `lookup`.
 
 A terrain that fits into one image is not cut: EEVEE takes the jump from tile to tile for the derivative of the place,
-and shows the coarsest mip in a line of a pixel or two where tiles meet. Cycles has no mips, and shows no line. One
-image has no margin, and the mesh's UV are places in it.
+and shows the coarsest mip in a line of a pixel or two where tiles meet; the terrain's own material takes no mips there
+(operators/effects/material.py). Cycles has no mips, and shows no line. One image has no margin, and the mesh's UV are
+places in it.
 """
 
 import math

@@ -7,7 +7,7 @@ STACK = Stack(
     (
         Entry(
             "rivers",
-            {"years": 1.8e5, "erodibility": 4e-6, "hillslope": 1.5e4, "creep": 0.001, "steepest": 42.0},
+            {"years": 2.5e5, "erodibility": 4e-6, "hillslope": 1.5e4, "creep": 0.001, "steepest": 42.0},
             seed=1,
             name="Rivers",
         ),

@@ -68,8 +68,10 @@ def known(names: Iterable[str]) -> tuple[str, ...]:
 
 def summary(baked: Baked, name: str) -> str:
     """One line about a bake."""
-    sides = [tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]]
+    sides = {tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]}
+    between = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
+    images = "image" if baked.made == 1 else "images"
     return (
-        f"{name}: {baked.made} images baked, {baked.kept} kept, of {min(sides)} to {max(sides)} texels a side: "
+        f"{name}: {baked.made} {images} baked, {baked.kept} kept, {between} texels a side: "
         f"{', '.join(baked.index['maps'])}"
     )

@@ -293,8 +293,9 @@ def render_in_the_window():
     scene.render.resolution_percentage = 20
     scene.frame_start, scene.frame_end = 1, 2
     scene.render.filepath = str(folder / "window_")
+    yield from until(lambda: len(terrain().data.polygons) == result["updated_triangles"])
     terrain().adaptive_terrain.viewport.error_px = 4.0
-    yield 1.5
+    yield from until(lambda: len(terrain().data.polygons) != result["updated_triangles"])
     result["before_render_triangles"] = len(terrain().data.polygons)
     rendered = result["rendered_triangles"] = []
 

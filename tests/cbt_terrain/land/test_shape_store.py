@@ -7,8 +7,11 @@ import os
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.effects.effect import Places
+from adaptive_terrain.cbt_terrain.effects.effect import Asked, Places
+from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.layers import LAYERS, NAMES, lacks, make
+from adaptive_terrain.cbt_terrain.effects.plan import plan
+from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
@@ -221,3 +224,20 @@ def test_a_foreign_folder_of_tiles_is_not_taken(source, tmp_path):
         run_shape(source, STACK, tmp_path / "out")
     os.replace(tmp_path / "out" / "tiles" / "floor.jpg", tmp_path / "floor.jpg")
     assert run_shape(source, STACK, tmp_path / "out")["samples"] == [700, 333]
+
+
+def test_splat_rules_are_about_layers_too(source, tmp_path):
+    """Ground under more than a metre of snow is white, of a terrain without snow none is."""
+    run_shape(source, Stack(), tmp_path / "out")
+    field = open_store(tmp_path / "out")
+    layers = Layer("Grass"), Layer("White", (Rule("snow", low=1.0),), on_top=True)
+    asked = plan([Asked("splat_1", ("a test",), parameters=(("layers", layers),))])
+    surface = Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface
+    assert {step.name for step in asked.steps} == {"snow", "splat_1"}
+    for depth in (None, np.tile(np.linspace(0, 2, 700, dtype=np.float32), (333, 1))):
+        field.layers = {} if depth is None else {"snow": depth}
+        field.found.clear()
+        white = Evaluator().attributes(asked, field, surface)["splat_1"].array[:, 1]
+        east = surface.positions[:, 0] > 0.01 * 699 * 9
+        west = surface.positions[:, 0] < -0.01 * 699 * 9
+        assert not white[west].any() and (white[east] == (0.0 if depth is None else 1.0)).all()

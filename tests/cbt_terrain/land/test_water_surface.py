@@ -2,13 +2,15 @@
 """Meshes of water: welded, facing up, ending where the water meets the ground."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.land.land_effect import Ground
 from adaptive_terrain.cbt_terrain.land.water import WATER
-from adaptive_terrain.cbt_terrain.land.water_surface import sea_depth, water_surface
+from adaptive_terrain.cbt_terrain.land.water_surface import sea_depth, water_of, water_surface
 from cut_surfaces import areas, assert_welded
 from rasters import hills
 
@@ -17,6 +19,10 @@ STEP_X, STEP_Y = 10.0, 7.0
 
 def lattice(heights):
     return fit(heights.shape[1], heights.shape[0], STEP_X, STEP_Y)
+
+
+def surface_on(heights, *layers, **more):
+    return water_surface(heights, *layers, corner=lattice(heights).rectangle()[:2], steps=(STEP_X, STEP_Y), **more)
 
 
 def cone(rows, columns):
@@ -28,7 +34,7 @@ def cone(rows, columns):
 
 def test_the_shore_is_where_the_ground_is_at_the_level():
     heights = cone(91, 80)
-    surface = water_surface(lattice(heights), heights, sea_depth(heights, 0.25))
+    surface = surface_on(heights, sea_depth(heights, 0.25))
     border = assert_welded(surface)
     assert abs(surface.positions[:, 2] - 0.25).max() < 1e-5 and surface.normals[:, 2].min() > 1 - 1e-9
     west, south, east, north = lattice(heights).rectangle()
@@ -50,7 +56,7 @@ def test_what_a_surface_ends_on_is_the_ground():
     heights = hills(120, 95)
     ground = Ground(heights, STEP_X, STEP_Y, whole=heights.shape)
     layers = WATER.apply(ground, WATER.defaults() | {"rain": 3.0}, None).layers
-    surface = water_surface(lattice(heights), heights, layers["water_depth"], layers["water_speed"])
+    surface = surface_on(heights, layers["water_depth"], layers["water_speed"])
     border = np.unique(assert_welded(surface))
     west, south, east, north = lattice(heights).rectangle()
     at = surface.positions[border].astype(np.float64)
@@ -76,7 +82,7 @@ def test_a_stream_across_the_cells_is_one_piece():
     heights += 3.0 * abs(np.subtract.outer(np.arange(30), np.arange(30))).astype(np.float32)
     for flipped in (heights, heights[:, ::-1].copy()):
         depth = np.where(flipped == np.minimum.reduce(flipped, axis=1)[:, None], np.float32(0.3), np.float32(0.0))
-        surface = water_surface(lattice(flipped), flipped, depth)
+        surface = surface_on(flipped, depth)
         assert_welded(surface)
         piece = np.arange(len(surface.positions))
         for _ in range(len(piece)):
@@ -95,7 +101,7 @@ def test_streams_go_on_where_they_are_fast_and_shallow():
     depth, discharge = np.zeros((2, 9, 20), np.float32)
     depth[4], discharge[4] = 0.1, 0.03
     depth[4, 8:12] = 0.02
-    parts = [water_surface(lattice(heights), heights, depth, discharge=q) for q in (None, discharge)]
+    parts = [surface_on(heights, depth, discharge=q) for q in (None, discharge)]
     assert [np.ptp(p.positions[:, 0]) > 150.0 for p in parts] == [True, True]
     middle = [(abs(p.positions[:, 0]) < 5.0).any() for p in parts]
     assert middle == [False, True]
@@ -105,11 +111,28 @@ def test_no_triangle_touches_a_hole_and_nothing_is_empty():
     heights = cone(40, 40)
     missing = np.zeros(heights.shape, bool)
     missing[3:6, 4:9] = True
-    surface = water_surface(lattice(heights), heights, sea_depth(heights, 0.0), missing=missing)
+    surface = surface_on(heights, sea_depth(heights, 0.0), missing=missing)
     assert_welded(surface)
     west, south, _, _ = lattice(heights).rectangle()
     middle = surface.positions[surface.triangles].mean(axis=1)
     x, y = (middle[:, 0] - west) / STEP_X, (middle[:, 1] - south) / STEP_Y
     assert not ((x > 3) & (x < 9) & (y > 2) & (y < 6)).any()
-    empty = water_surface(lattice(heights), heights, np.zeros_like(heights))
+    empty = surface_on(heights, np.zeros_like(heights))
     assert len(empty.positions) == len(empty.triangles) == len(empty.edges) == 0
+
+
+@pytest.mark.parametrize("side", [300, 1400])
+def test_a_field_without_layers_is_rained_on(side):
+    heights = cone(side // 4, side)
+    found = water_of(from_array(heights, 3.0, 4.0))
+    west = (side - 1) * 1.5
+    assert_welded(found)
+    assert found.positions[:, 0].min() == -west and west - 3.0 <= found.positions[:, 0].max() <= west
+    assert abs(found.positions[:, 2]).max() < 20.0 and found.attributes["water_depth"].array.max() > 10.0
+
+
+def test_the_water_of_a_field_is_that_of_its_layers():
+    heights = cone(60, 50)
+    depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))
+    found = water_of(replace(from_array(heights, STEP_X, STEP_Y), layers={"water_depth": depth}))
+    assert abs(found.positions[:, 2] + 10.0).max() < 1e-4

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What rivers must keep and come to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.effects.routing import route
+from adaptive_terrain.cbt_terrain.field.island import SIDE, island
+from adaptive_terrain.cbt_terrain.land import fluvial
+from adaptive_terrain.cbt_terrain.land.fluvial import step
+from adaptive_terrain.cbt_terrain.land.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels, coarser, finer
+from adaptive_terrain.cbt_terrain.land.rivers import RIVERS, grow
+from river_grounds import aged, bed_of, rough
+
+LAYERS = ("sediment", "wear", "flow")
+
+
+def test_case_54_a_pit_keeps_all_that_rivers_bring():
+    """A closed bowl fills to no more than its outlet."""
+    y, x = np.indices((61, 75))
+    h = (100 + 0.8 * np.hypot(x - 37, y - 30)).astype(np.float32)
+    made = aged(h, 10.0, years=50e3, creep=0.0)
+    laid = made.layers["sediment"]
+    assert laid.sum() > 0.8 * made.layers["wear"].sum() > 500 and (laid > 0.5).sum() > 50
+    assert (h + made.heights)[laid > 0.5].max() < 125 and abs(made.heights[1:-1, 1:-1].sum()) < 0.01
+
+
+def test_case_54_rivers_cut_a_plateau_from_all_sides_alike():
+    """No direction is preferred."""
+    h = np.full((257, 257), -1.0, np.float32)
+    h[28:-28, 28:-28] = 300.0
+    taken = -aged(h, 20.0, variety=0.0, steepest=89.0).heights
+    north, south, east, west = (np.rot90(taken, k)[28:60, 60:-60].mean() for k in (0, 2, 1, 3))
+    sides = np.array([north, south, east, west])
+    assert sides.min() > 20 and np.ptp(sides) < 0.08 * sides.mean()
+
+
+@pytest.mark.parametrize("spread", [30.0, 600.0])
+def test_case_55_creep_only_exchanges(spread):
+    """In both of its ways, away from where water leaves."""
+    h = np.full((83, 140), 50.0, np.float32)
+    h[35:45, 60:80] = rough(10, 20)
+    bed = bed_of(h, 12.0, 9.0)
+    fluvial._creep(bed, bed.drain(), spread)
+    change = bed.heights.astype(np.float64) - h.reshape(-1)
+    assert np.abs(change).sum() > 1e3 and abs(change.sum()) < 1e-5 * np.abs(change).sum()
+
+
+def test_case_55_what_rivers_cut_is_laid_down_or_leaves():
+    """All that moves, to 1e-6 of it, without creep."""
+    h = rough(83, 140)
+    fixed = (h <= 0).reshape(-1)
+    lift = np.where(fixed, 0, 3e-4 * np.random.default_rng(1).random(h.size)).astype(np.float32)
+    part = np.random.default_rng(2).random(h.size).astype(np.float32)
+    bed = bed_of(h, 12.0, 9.0, fixed=fixed, lift=lift, part=part)
+    values, left, moved, raised = RIVERS.defaults() | {"deposition": 2.0, "creep": 0.0}, 0.0, 0.0, 0.0
+    for number in range(5):
+        before = bed.heights.astype(np.float64)
+        lifted = bed.heights + np.float32(20e3) * lift
+        load = step(bed, 20e3, values, number)
+        left += load[route(before.astype(np.float32).reshape(h.shape), 12.0, 9.0, fixed.reshape(h.shape)).to == 4].sum()
+        moved += np.abs(bed.heights - before).sum()
+        raised += (lifted.astype(np.float64) - before).sum()
+    change = bed.heights.sum(dtype=np.float64) - h.sum(dtype=np.float64)
+    assert moved > 1e5 and abs(change + left - raised) < 1e-6 * moved
+    assert bed.sediment.sum() > 1e3 and (bed.sediment >= 0).all()
+
+
+def test_case_56_a_grown_range_converges():
+    """Twice the samples, the same range: to 2.5 % of its relief, and so the mean height."""
+    fine = island(1025)
+    uplift, spacing, made = np.full(fine.shape, 5e-4, np.float32), SIDE / 1024, {}
+    for every in (1, 2):
+        h = np.ascontiguousarray(fine[::every, ::every])
+        made[every] = h + grow(h, uplift[::every, ::every], spacing * every, threads=2).heights
+    apart, relief = made[1][::2, ::2] - made[2], made[1].max()
+    assert relief > 300 and np.sqrt(np.mean(apart.astype(np.float64) ** 2)) < 0.025 * relief
+    land = made[2] > 0
+    assert abs(apart[land].mean()) < 0.05 * made[2][land].mean()
+
+
+def test_case_57_a_tile_of_rivers_is_as_the_whole():
+    """To 5 % of what the level moved, with its halo and the water that comes over its cut."""
+    fine = island(513)
+    spacing, values = SIDE / 512, RIVERS.defaults()
+    whole = Ground(fine, spacing, spacing, whole=fine.shape, seed=3)
+    below = replace(whole, heights=coarser(fine), step_x=2 * spacing, step_y=2 * spacing, level=1)
+    coarse = apply_by_levels(RIVERS, below, values)
+    up = Change(finer(coarse.heights, fine.shape), {k: finer(a, fine.shape) for k, a in coarse.layers.items()})
+    full = RIVERS.apply(whole, values, up)
+    halo = round(RIVERS.halo(values, spacing) / spacing)
+    for row, column, side in ((151, 167, 64), (230, 101, 80)):
+        cut = np.s_[row - halo : row + side + halo, column - halo : column + side + halo]
+        tile = replace(whole, heights=np.ascontiguousarray(fine[cut]), first=(row - halo, column - halo))
+        alone = RIVERS.apply(tile, values, Change(up.heights[cut], {k: a[cut] for k, a in up.layers.items()}))
+        inner = np.s_[halo:-halo, halo:-halo]
+        off = (alone.heights - full.heights[cut])[inner].astype(np.float64)
+        moved = (full.heights - 0.5 * up.heights)[cut][inner]
+        assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(moved**2))
+        for rim in np.s_[0, :], np.s_[-1, :], np.s_[:, 0], np.s_[:, -1]:
+            expected = np.where(tile.heights > 0, up.heights[cut], 0)[rim]
+            assert np.allclose(alone.heights[rim], expected, atol=1e-3), "the coarser level's"
+
+
+@pytest.mark.parametrize("shape", [(300, 411)])
+def test_case_58_threads_change_no_bit_of_rivers_and_seeds_do(shape):
+    """1, 2 and 3 threads."""
+    h, found = rough(*shape), []
+    for threads in (1, 2, 3):
+        made = aged(h, 15.0, threads=threads, seed=4)
+        found.append([made.heights.tobytes(), *(made.layers[name].tobytes() for name in LAYERS)])
+    assert found[0] == found[1] == found[2]
+    assert aged(h, 15.0, seed=5).heights.tobytes() != found[0][0]

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Grounds for tests of rivers, and rivers over them."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.land.fluvial import Bed
+from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.land.rivers import RIVERS
+
+
+def rough(rows, columns, seed=2):
+    """Hills of 200 m with pits between, above 20 m, and a sea in one corner."""
+    rng = np.random.default_rng(seed)
+    y, x = np.indices((rows, columns))
+    h = 110 + 60 * np.sin(x / 17) * np.cos(y / 23) + 12 * rng.standard_normal((rows, columns))
+    return np.where(np.hypot(y, x) < rows / 3, -3.0, np.maximum(h, 20.0)).astype(np.float32)
+
+
+def bed_of(h, step_x, step_y, **other):
+    n = h.size
+    given = {"part": np.ones(n, np.float32), "soft": np.ones(n, np.float32), "lift": np.zeros(n, np.float32)}
+    given |= {"fixed": np.zeros(n, bool), "sediment": np.zeros(n, np.float32), "own": np.ones(n)} | other
+    return Bed(h.shape, step_x, step_y, h.reshape(-1).copy(), **given)
+
+
+def aged(h, spacing, **given):
+    ground = Ground(
+        h, spacing, spacing, **{k: given.pop(k) for k in ("mask", "missing", "seed", "threads") if k in given}
+    )
+    return apply_by_levels(RIVERS, ground, RIVERS.defaults() | given)

@@ -11,7 +11,8 @@ from ...cbt_terrain.land.water_surface import water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ..mesh.writer import write_mesh
-from . import session, shaped_land
+from . import session
+from .land_request import land_of, raster_of
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
 MATERIAL = "Terrain Water"
@@ -47,10 +48,11 @@ class AddWaterSurface(bpy.types.Operator):
 
 
 def _surface(terrain) -> Surface:
-    store = shaped_land.store_of(terrain)
+    store, depsgraph = terrain.adaptive_terrain.store, bpy.context.evaluated_depsgraph_get()
     if not store:
         raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
-    surface = water_of(session.open_field(store), launch.default_threads())
+    land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
+    surface = water_of(raster_of(bpy.path.abspath(store), land, session.open_field), launch.default_threads())
     if not len(surface.triangles):
         raise TerrainError(f"There is no water on {terrain.name!r}: no lake, no sea and no stream of 0.016 m³/s.")
     return surface

@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, land_presets, splat_layers, terrain_material, water_object
+from .effects import bake_maps, land_presets, splat_layers, terrain_material
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -38,7 +38,6 @@ MODULES = (
     bake_land,
     bake_maps,
     terrain_material,
-    water_object,
     splat_layers,
     layer_images,
     land_list,

@@ -201,7 +201,7 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, _context):
         column = self._columns()
-        column.operator("adaptive_terrain.add_water", icon="MOD_OCEAN")
+        column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
 

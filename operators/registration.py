@@ -23,6 +23,7 @@ from .scene import (
     session,
     shape_land,
     update_terrain,
+    water_surface,
 )
 from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
 
@@ -43,6 +44,7 @@ MODULES = (
     land_list,
     land_presets,
     shape_land,
+    water_surface,
     export_terrain,
     measuring,
     measure_accuracy,

@@ -18,7 +18,7 @@ STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
 # A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
 # no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
 AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
-# Samples of halo around a tile: measured over all tiles of a level they are off by 4 % of what it moved (with 80 samples
+# Samples of halo around a tile: over all tiles of a level they are off by 4 % of what it moved (with 80 samples
 # by 8 %), nearly all of it in one place in seventy, where a river takes another way.
 HALO = 128
 

@@ -26,6 +26,7 @@ from ..text.page_blocks import (
 from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .accuracy_plots import label, pareto_rows, plots
+from .land_section import land_section
 
 TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
@@ -230,6 +231,7 @@ def tables(subject, of: str) -> list:
         *error_tables(rows),
         Heading(f"Where the time{of} goes"),
         steps_table(rows),
+        *land_section(heights, of),
     ]
 
 

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the levels of shaped land cost and change: a part of the page of `accuracy`, for stores made by `shape`."""
+
+from itertools import groupby
+
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.land.catalogue import LAND_EFFECTS
+from ..text.page_blocks import Heading, Table, Text
+
+HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
+
+
+def land_section(heights: HeightField, of: str) -> list:
+    """Blocks of the page: the effects on heights level by level; none of land that nothing has shaped. `of`: the
+    terrain's name in headings, where there are others."""
+    added = sorted(heights.provenance.get("shaped", {}).get("added", []), key=lambda one: (one["entry"], one["level"]))
+    if not added:
+        return []
+    lines = [
+        [
+            LAND_EFFECTS[one["effect"]].label if one["effect"] in LAND_EFFECTS else one["effect"],
+            *(f"{one[number]:.3g}" for number in ("spacing_m", "rms_m", "most_m")),
+            f"{one['ms']:,.0f}" if one["computed"] else "known before",
+        ]
+        for one in added
+    ]
+    return [
+        Heading(f"What finer land{of} costs and changes"),
+        Text(
+            "Effects are applied to samples far apart first. Each finer level adds what it sees, and takes its time; "
+            "what is added shrinks from level to level. The land is what this page's errors are measured against: what "
+            "a finer level would add is not in them. " + _half(added)
+        ),
+        Table(HEAD, lines),
+    ]
+
+
+def _half(added: list[dict]) -> str:
+    """What it would save, and change, to leave the finest level out."""
+    by_level = [list(group) for _, group in groupby(sorted(added, key=_level), key=_level)]
+    if len(by_level) < 2 or not all(one["computed"] for one in added):
+        return ""
+    finest, time = by_level[0], sum(one["ms"] for one in added)
+    part = sum(one["ms"] for one in finest) / time if time else 0.0
+    most = max(finest, key=lambda one: one["rms_m"])
+    return (
+        f"Without the finest level, {finest[0]['spacing_m']:.3g} m, it would have taken {part:.0%} less time, and been "
+        f"off by {most['rms_m']:.2g} m rms and {most['most_m']:.2g} m at most ({most['effect']})."
+    )
+
+
+def _level(one: dict) -> int:
+    return one["level"]

@@ -13,10 +13,13 @@ from ..cbt_terrain.land.rivers import RIVERS
 from ..cbt_terrain.land.shape import shape
 from ..cbt_terrain.land.stack import Entry, Stack
 from ..cbt_terrain.land.tiles import all_tiles
+from ..cbt_terrain.run import launch
+from ..operators.demo.stack import STACK
 from .measure import Row, alternate, stopwatch
 
 SAMPLES = 1025
 WAVE = 128.0  # metres
+STACK_SAMPLES = (2049, 4097)
 
 
 def land_rows():
@@ -62,6 +65,19 @@ def _demanded() -> Row:
     timed = alternate(lambda: {"total": took(some)}, lambda: took(every))
     tiles = {"tiles": sum(map(len, made[0].tiles)), "of": sum(made[0].tile_counts)}
     return Row("land_demanded", field.samples.size, timed.ms["total"], "every tile", timed.baseline_ms, figures=tiles)
+
+
+def stack_rows():
+    """The demo's stack, from the island's samples to changed heights and layers: all threads, nothing kept before."""
+    for size in STACK_SAMPLES:
+        field = from_array(island(size), SIDE / (size - 1))
+        with stopwatch() as elapsed:
+            made = shape(field, STACK, all_tiles(field.lattice), threads=launch.default_threads())
+        steps = {}
+        for added in made.added:
+            level = f"{added.effect}_{added.spacing_m:g}m"
+            steps[level] = steps.get(level, 0.0) + added.ms
+        yield Row("land_stack", size * size, elapsed[0], steps=steps)
 
 
 def _octaves(shape: tuple[int, int], step: float, count: int) -> np.ndarray:

@@ -144,6 +144,7 @@ def everything(
     yield partial(start.warm_row, rough, store)
     if not quick:
         yield partial(shading_row.shading_rows, folder)
+        yield partial(land_rows.stack_rows)
         yield partial(fit_row.fit_rows, note)
         yield partial(start.no_cache_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")

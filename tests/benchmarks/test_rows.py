@@ -228,6 +228,7 @@ def small_suite(monkeypatch):
         monkeypatch.setattr(engine, name, value)
 
 
+STACK_EFFECTS = ("rivers", "thermal", "relief", "snow", "water")
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
 ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
@@ -253,6 +254,15 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
     assert notes[-1] == "The rows cycles are measured with --with-cycles only."
+
+
+def test_the_demos_stack_is_measured_by_effect_and_level(monkeypatch):
+    monkeypatch.setattr(land_rows, "STACK_SAMPLES", (257, 513))
+    small, large = land_rows.stack_rows()
+    assert (small.size, large.size) == (257 * 257, 513 * 513)
+    assert set(small.steps) == {f"{name}_{step}m" for name in STACK_EFFECTS for step in ("32",)}
+    assert set(large.steps) == {f"{name}_{step}m" for name in STACK_EFFECTS for step in ("32", "16")}
+    assert sum(large.steps.values()) < large.ms and min(large.steps.values()) > 0
 
 
 def test_shading_by_a_map_is_nearer_to_the_truth_than_by_vertices(monkeypatch, tmp_path):

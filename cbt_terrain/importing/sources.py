@@ -38,20 +38,20 @@ def open_source(settings: ImportSettings) -> Raster:
     raise TerrainError(f"{path} is of no known kind of height map: expected one of {known}.")
 
 
-def check_file(path: Path) -> None:
-    """Raise TerrainError if there is no readable, non-empty file."""
+def check_file(path: Path, kind: str = "height map") -> None:
+    """Raise TerrainError if there is no readable, non-empty file. kind: of what it is to be."""
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         regular = path.is_file()
     except (OSError, ValueError) as reason:
         said = getattr(reason, "strerror", None) or reason
-        raise TerrainError(f"{shown(path)} cannot be read ({said}): expected the file of a height map.") from reason
+        raise TerrainError(f"{shown(path)} cannot be read ({said}): expected the file of a {kind}.") from reason
     if not regular:
-        raise TerrainError(f"{shown(path)} {what}: expected the file of a height map.")
+        raise TerrainError(f"{shown(path)} {what}: expected the file of a {kind}.")
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user: change its permissions.")
     if path.stat().st_size == 0:
-        raise TerrainError(f"{path} is empty: expected the file of a height map.")
+        raise TerrainError(f"{path} is empty: expected the file of a {kind}.")
 
 
 def _open_land(settings: ImportSettings) -> Raster:

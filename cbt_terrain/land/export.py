@@ -33,9 +33,7 @@ def export_raster(
 
     names: HEIGHTS and layers that are wanted, None for all.
     """
-    file = Path(file)
-    if file.suffix.lower() not in (*TIFF, *EXR):
-        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
+    file = check_export(file)
     field = open_store(store)
     known = (HEIGHTS, *field.layers)
     for name in names or ():
@@ -49,6 +47,18 @@ def export_raster(
         request = {"store": str(Path(store).absolute()), "files": {name: str(path) for name, path in files.items()}}
         ask(MODULE, request, f"the store {store}")
     return list(files.values())
+
+
+def check_export(file: str | os.PathLike) -> Path:
+    """The file that a raster is to be written into. Raises TerrainError where that cannot be, before hours of work."""
+    file = Path(file)
+    if file.suffix.lower() not in (*TIFF, *EXR):
+        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
+    if not file.parent.is_dir():
+        raise TerrainError(f"{file} cannot be written: there is no folder {file.parent}; make it, or choose another.")
+    if file.is_dir():
+        raise TerrainError(f"{file} is a folder; expected the name of a file.")
+    return file
 
 
 def _file_of(file: Path, name: str) -> Path:

@@ -19,6 +19,8 @@ from .water import DEPTH, SPEED
 GRAVITY = 9.81
 # Of the longest stable step, and the least depth that it is taken from: how fast the first rain may run.
 SAFE, LEAST_DEPTH = 0.99, 0.05
+# More take hours, and say that the ground is no land or that a sea is deep which nobody looks at.
+MOST_STEPS = 500_000
 # Water that is shallower than this has the speed that it would have so deep, metres.
 LEAST_DEPTH_OF_SPEED = 0.01
 HOUR = 3600.0
@@ -155,6 +157,17 @@ def speeds(flood: Flood) -> np.ndarray:
     return np.minimum(through / np.maximum(flood.water, LEAST_DEPTH_OF_SPEED), critical).astype(np.float32)
 
 
+def _check_time(flood: Flood, seconds: float) -> None:
+    """Raise TerrainError where a flood would take more than MOST_STEPS steps."""
+    steps = seconds / (SAFE * longest_step(flood))
+    if steps > MOST_STEPS:
+        raise TerrainError(
+            f"A flood of {seconds / 60.0:g} minutes would take {steps:,.0f} steps where water is "
+            f"{flood.water.max():.4g} m deep and samples are {min(flood.metres):.3g} m apart; expected {MOST_STEPS:,} "
+            f"at most: take {seconds / 60.0 * MOST_STEPS / steps:.2g} minutes, a lower sea, or a coarser raster."
+        )
+
+
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
     """See Apply in land_effect.py. Every level by itself, from the beginning."""
     rain = values["rain"] / 1000.0 / HOUR
@@ -168,6 +181,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
         missing=ground.missing,
         threads=ground.threads,
     )
+    _check_time(flood, 60.0 * values["minutes"])
     march(flood, 60.0 * values["minutes"], ground.progress)
     layers = {DEPTH.name: flood.water.astype(np.float32), SPEED.name: speeds(flood)}
     return Change(np.zeros(flood.bed.shape, np.float32), layers)

@@ -25,7 +25,7 @@ def load_image(file: str, folder: Path) -> np.ndarray:
     Whole numbers are taken as parts of the largest of their type; what is missing counts as 0. folder: where what was
     read is kept.
     """
-    check_file(Path(file))
+    check_file(Path(file), "mask")
     found = os.stat(file)
     key = content_key("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
     request = {"file": file, "folder": str(folder.absolute()), "key": key}

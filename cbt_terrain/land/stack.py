@@ -113,7 +113,7 @@ def _check_entry(where: str, entry: Entry) -> None:
             expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
             raise TerrainError(f"{where}, {entry.effect}, has {name} {value:g}; expected {expected}.")
     if not 0 <= entry.seed <= MOST_SEED:
-        raise TerrainError(f"{where}, {entry.effect}, has the seed {entry.seed}; expected 0 to {MOST_SEED}.")
+        raise TerrainError(f"{where}, {entry.effect}, has the seed {shown(entry.seed)}; expected 0 to {MOST_SEED}.")
     if entry.mask is not None:
         entry.mask.check(f"The mask of {where[0].lower()}{where[1:]}, {entry.effect},")
 

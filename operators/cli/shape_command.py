@@ -7,12 +7,14 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.store_job import wait_for
-from ...cbt_terrain.land.export import export_raster
+from ...cbt_terrain.land.export import check_export, export_raster
 from ...cbt_terrain.land.shape_process import ShapeJob
 from ...cbt_terrain.land.stack import read_stack
 from ...cbt_terrain.land.tiles import tiles_seen
 from ..text.console import Progress
 from .maps_command import views_of
+
+__all__ = ["check_export", "export", "run"]
 
 # A larger raster is shaped as a whole only where someone says so.
 WHOLE_SAMPLES = 4097 * 4097

@@ -238,6 +238,8 @@ def run_shape(arguments) -> None:
         raise UsageError("--frames are those of a --path FILE.json")
     if arguments.whole and arguments.path:
         raise UsageError("--whole and --path contradict each other: all tiles, or those that the camera sees")
+    if arguments.export:
+        shape_command.check_export(arguments.export)
     start = time.monotonic()
     report = shape_command.run(
         arguments.store,
@@ -253,7 +255,8 @@ def run_shape(arguments) -> None:
     )
     levels = report.pop("levels")
     print_fields(report | {"tiles": f"{report['tiles_built']:,} built of {report['tiles_there_are']:,} there are"})
-    print("\n".join(f"level: {shown(line)}" for line in levels))
+    for line in levels:
+        print(f"level: {shown(line)}")
     for file in shape_command.export(arguments.out, arguments.export) if arguments.export else ():
         print(f"{file} is written")
     print(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")

@@ -10,6 +10,7 @@ from bl_operators.presets import AddPresetBase
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.stack import read_stack, write_stack
 from ..scene import land_stack, session
+from ..scene.land_properties import BY_OBJECT
 
 PRESETS = "adaptive_terrain/land"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
@@ -65,7 +66,12 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
             if found:
                 raise TerrainError(f"There is a preset {self.name!r} already: choose another name.")
             folder = bpy.utils.user_resource("SCRIPTS", path=os.path.join("presets", PRESETS), create=True)
-            write_stack(land_stack.preset_of(context.object.adaptive_terrain.land), Path(folder, name + SUFFIX))
+            land = context.object.adaptive_terrain.land
+            write_stack(land_stack.preset_of(land), Path(folder, name + SUFFIX))
+            for entry in land.entries:
+                if entry.mask.kind == BY_OBJECT:
+                    said = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
+                    self.report({"WARNING"}, said)
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -8,7 +8,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
-from ...cbt_terrain.land.export import export_raster
+from ...cbt_terrain.land.export import check_export, export_raster
 from ..scene import imported, land_request, session, shape_land
 from ..scene.land_request import land_of
 
@@ -73,6 +73,7 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
         store = bpy.path.abspath(obj.adaptive_terrain.store)
         if not store:
             raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+        check_export(self.filepath)
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
         land_request.raster_of(store, land, session.open_field)
         files = export_raster(store if land is None else land.folder, self.filepath)

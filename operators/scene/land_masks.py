@@ -19,7 +19,7 @@ FINE = 4  # points along a side of each of them, which count alike: its rim is s
 
 def of_image(image, folder: Path) -> str:
     """A file with the red of an image, first row in the north."""
-    painted = painted_of(image)
+    painted = painted_of(image, "of a mask")
     return _written(folder, painted.digest, lambda: painted.values[::-1])
 
 

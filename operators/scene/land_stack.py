@@ -103,7 +103,13 @@ def preset_of(land) -> Stack:
             raise TerrainError(unknown(entry.effect))
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:
-            mask = Mask(bpy.path.abspath(entry.mask.image.filepath), (), entry.mask.factor)
+            image = bpy.path.abspath(entry.mask.image.filepath)
+            if not Path(image).is_file():
+                raise TerrainError(
+                    f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, is in no file of its own, and a "
+                    "preset names files: save it with Image > Save As."
+                )
+            mask = Mask(image, (), entry.mask.factor)
         elif kind == BY_RULE:
             mask = Mask("", _rules(entry.mask), entry.mask.factor)
         found.append(Entry(entry.effect, _parameters(entry), entry.seed, entry.on, mask, entry.name))
@@ -148,6 +154,8 @@ def _fill_mask(mask, given: Mask) -> list[str]:
             left_out.append(f"its mask has two rules about {rule.of}; the first counts")
         elif rule.of == ASPECT:
             aspect = mask.aspect
+            if rule.high < 1.0:
+                left_out.append("its mask has a high limit of aspect, which is left out")
             aspect.use, aspect.direction = True, math.radians(rule.direction % 360.0)
             aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge
         else:

@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.scene import land_masks, land_properties, land_request, land_stack, session, shaped_land
 from adaptive_terrain.operators.scene.land_entries import free_name
@@ -195,6 +196,34 @@ def test_a_preset_is_saved_and_removed(terrain, tmp_path, monkeypatch):
         bpy.ops.adaptive_terrain.land_preset_add(name="My land")
     assert bpy.ops.adaptive_terrain.land_preset_add(name="My land", remove_name=True) == {"FINISHED"}
     assert not file.exists()
+
+
+def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch):
+    monkeypatch.setattr(bpy.utils, "user_resource", lambda _kind, path="", create=False: str(tmp_path))
+    entry = add("relief")
+    entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
+    with pytest.raises(RuntimeError, match="'Paint', which masks 'Fine Relief', is in no file of its own"):
+        bpy.ops.adaptive_terrain.land_preset_add(name="Painted")
+    assert not list(tmp_path.glob("Painted*.json"))
+    rules = [{"of": "aspect", "low": -0.5, "high": 0.5}]
+    stack = stack_from({"version": 1, "entries": [{"effect": "relief", "mask": {"rules": rules}}]})
+    [said] = land_stack.fill(terrain.adaptive_terrain.land, stack)
+    assert said == "Entry 1, Fine Relief: its mask has a high limit of aspect, which is left out"
+
+
+def test_a_mask_without_pixels_is_told_of_as_a_mask(terrain):
+    entry = add("relief")
+    entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Lost", 4, 4)
+    entry.mask.image.source = "FILE"
+    with pytest.raises(session.TerrainError, match="The image 'Lost' of a mask has no pixels"):
+        session.update_object(terrain)
+
+
+def test_a_file_that_cannot_be_exported_is_told_of_before_the_land_is_shaped(terrain, tmp_path):
+    add("thermal")
+    with pytest.raises(RuntimeError, match="there is no folder"):
+        bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "none" / "land.tif"))
+    assert land_request.made["stores"] == 0
 
 
 def test_a_hidden_terrain_costs_nothing(terrain):

@@ -72,11 +72,26 @@ def test_wrong_usage_is_told(run, island, tmp_path, monkeypatch):
     ):
         code, printed = run(**arguments)
         assert code == 1 and said in printed.err and printed.err.count("\n") == 1
-    code, printed = run("--export", tmp_path / "x.jpg")
-    assert code == 1 and "expected .tif, .tiff, .exr" in printed.err
+    for name, why in (("x.jpg", "expected .tif, .tiff, .exr"), ("none/x.tif", "there is no folder"), ("x", ".tif")):
+        code, printed = run("--export", tmp_path / name)
+        assert code == 1 and why in printed.err
+        assert not (tmp_path / "out").exists(), "told before the work"
     monkeypatch.setattr(shape_command, "WHOLE_SAMPLES", 1000)
     code, printed = run()
     assert code == 1 and "--path FILE.json" in printed.err and "--whole" in printed.err
+
+
+def test_a_mask_that_is_not_there_is_told_of_as_a_mask(run, tmp_path):
+    masked = {"effect": "relief", "mask": {"image": "painted.png"}}
+    (tmp_path / "masked.json").write_text(json.dumps({"version": 1, "entries": [masked]}))
+    code, said = run(stack="masked.json")
+    assert code == 1 and "painted.png does not exist: expected the file of a mask." in said.err
+
+
+def test_an_empty_stack_is_told_without_empty_lines(run, tmp_path):
+    (tmp_path / "empty.json").write_text('{"version": 1, "entries": []}')
+    code, said = run(stack="empty.json")
+    assert code == 0 and "\n\n" not in said.out
 
 
 def test_the_help_has_an_example(capsys):

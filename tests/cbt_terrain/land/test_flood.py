@@ -99,3 +99,11 @@ def test_a_surge_runs_ashore_and_back():
         wet.append(int((layers["water_depth"][40] > 0.05).sum()))
         assert (layers["water_speed"] <= np.sqrt(9.81 * layers["water_depth"]) * (1 + 1e-6)).all()
     assert wet[1] > wet[0] + 2 and wet[2] == wet[0]
+
+
+def test_a_flood_that_would_take_hours_is_refused_with_what_to_do():
+    """A sea of 5 km above samples that are a metre apart."""
+    ground = Ground(np.full((40, 30), -5000.0, np.float32), 1.0, 1.0)
+    values = flood.FLOOD.defaults() | {"minutes": 2880.0}
+    with pytest.raises(TerrainError, match=r"would take 57,\d{3},\d{3} steps where water is 5000 m deep.*take \d+ min"):
+        flood.apply(ground, values, None)

@@ -127,3 +127,9 @@ def test_any_json_is_a_stack_or_an_error(content):
             stack_from(tried).key()
         except TerrainError as error:
             assert "\n" not in str(error)
+
+
+def test_a_seed_of_thousands_of_digits_is_not_told_whole():
+    with pytest.raises(TerrainError) as told:
+        stack_from({"version": 1, "entries": [{"effect": "relief", "seed": 10**4000}]})
+    assert len(str(told.value)) < 400 and "expected 0 to 2147483647" in str(told.value)

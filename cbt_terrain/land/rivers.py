@@ -16,18 +16,18 @@ from .levels import COARSEST, apply_by_levels
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
 # A finer level starts from the coarser change less its part for the last years, which it takes again: half of all, and
-# no more than a fine valley needs to find its shape, in so many steps, the fewer the finer.
+# no more than a valley needs to find its shape, in so many steps. Each level takes half the years of the one before, in
+# which erosion runs up as many samples.
 AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
-# Samples of halo around a tile: over all tiles of a level they are off by 4 % of what it moved (with 80 samples
-# by 8 %), nearly all of it in one place in seventy, where a river takes another way.
-HALO = 128
+# Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved (4 % with 80).
+HALO = 96
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
     """See Apply in land_effect.py."""
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), LEAST_STEPS), MOST_STEPS)
     if coarser is not None:
-        years, steps = _years_again(values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
+        years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     move_edges = _edges(bed, origin, coarser)
     for number in range(steps if years > 0.0 else 0):
@@ -42,8 +42,8 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
 
 
-def _years_again(values: Mapping[str, float]) -> float:
-    return min(AGAIN * values["years"], MOST_YEARS_AGAIN)
+def _years_again(ground: Ground, values: Mapping[str, float]) -> float:
+    return min(AGAIN * values["years"], MOST_YEARS_AGAIN) * 0.5 ** (_halvings(ground) - 1)
 
 
 def _halvings(ground: Ground) -> int:
@@ -69,7 +69,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         lift.reshape(shape)[side] = 0.0
     heights, sediment, own = origin, np.zeros(n, np.float32), np.ones(n)
     if coarser is not None:
-        less = np.float32(1.0 - _years_again(values) / max(values["years"], 1.0))
+        less = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
         heights = np.where(fixed, origin, np.maximum(origin + less * coarser.heights.reshape(-1), sea))
         sediment = np.where(fixed, np.float32(0.0), less * coarser.layers["sediment"].reshape(-1))
         own = _with_inflow(ground, coarser).reshape(-1)
@@ -201,7 +201,8 @@ RIVERS = LandEffect(
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years",
-    converges="grown, 8 m rms of 490 m of relief from 16 to 8 m; aged by 300,000 years, 4.6 m of 85 m that it takes",
+    converges="aged by 180,000 years, from 32 m on each level adds about half: 9.1, 3.6, 1.8, 1.0 m rms; grown by 2 "
+    "million years 25, 11, 6 m",
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",

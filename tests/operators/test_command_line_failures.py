@@ -31,7 +31,7 @@ EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "
         ([*EXPORT, "--frames", "9" * 5000], "frames"),
         (["import", "island", "--store", ""], "the name is empty"),
         (["import", "island", "--store", "x", "--extent", "infx1"], "has a number above"),
-        (["import", "dem.tif", "--store", "x", "--size", "100"], "error: --size and --seed are of the built-in"),
+        (["import", "dem.tif", "--store", "x", "--size", "100"], "error: --size and --seed are of built-in lands"),
         ([*BAKE, "--max-error", "2m"], "'2m' is not a number"),
         ([*BAKE, "--max-error", "1", "--budget", "1.5"], "'1.5' is not a whole number"),
     ],

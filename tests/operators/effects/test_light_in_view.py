@@ -15,8 +15,8 @@ from demand_trees import colour, new_material, shows
 
 @pytest.fixture
 def lit(scene, add_terrain, monkeypatch):
-    """A terrain whose material reads the sky, in a window; its store keeps nothing of that."""
-    monkeypatch.setattr(store, "keep", lambda *about: None)
+    """A terrain whose material reads the sky, in a window; its store neither keeps nor has anything of that."""
+    monkeypatch.setattr(store, "data_folder", lambda field: None)
     terrain = add_terrain()
     terrain.data.materials.append(shows(new_material("Sky"), lambda tree: colour(tree, "sky")))
     window = SimpleNamespace(

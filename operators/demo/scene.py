@@ -194,7 +194,8 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
     coarsest, finest = np.percentile(update.surface.level, (1, 99))
     obj.data.materials.clear()
     obj.data.materials.append(level_material(coarsest, finest, sun_direction()))
-    scene.objects["Sea"].hide_render = True
+    for name in {"Sea", "Water"} & set(scene.objects.keys()):
+        scene.objects[name].hide_render = True
     scene.world = bpy.data.worlds.new("Paper")
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = PAPER

@@ -156,7 +156,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     budget = said["budget"]
     assert budget["mesh"][0] == pytest.approx(budget["measured"], rel=0.02), "the error of the measured curve"
     assert budget["mesh"][1] == budget["mesh"][0], "with a budget the error asked for does not count"
-    assert said["interpolations"]["bicubic"] > said["interpolations"]["bilinear"] > said["updated_triangles"]
+    assert said["interpolations"]["bicubic"] > said["interpolations"]["bilinear"] > said["small_triangles"]
     assert 0 < said["baked"]["True"] < said["baked"]["False"]
     assert 0.0 < said["error_px"] <= 2.0
     assert said["viewport_triangles"] > said["further_triangles"] > 0, "the terrain follows the viewport's own view"

@@ -35,6 +35,7 @@ NOT_NESTED = "its errors are not nested or its heights not finite, so that trian
 TRIANGLE_BYTES = 600
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
+KNOWN = "known"  # ... of points that rise
 # Arrays of a surface whose buffers have other names, behind "leaf_" or "mesh_".
 BUFFERS = {LEVEL: "level"}
 
@@ -84,7 +85,7 @@ class SurfaceBuilder:
             for swapped in reversed(self._swapped):
                 for name in DISPLACED:
                     swap(self._buffers.numpy(name), swapped)
-        if self._risen and rising is None:
+        if self._risen != (rising is not None):
             shown = None  # nothing to be copied from
         self._risen = rising is not None
         _check_memory(triangles * 4**meshlet)
@@ -233,7 +234,7 @@ class SurfaceBuilder:
     def _take(self, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
         """Have runs of points copied from the last frame, in which slices' points lie from `base` on and have numbers
         from `first` on."""
-        for name in DISPLACED:
+        for name in (*DISPLACED, KNOWN):
             self._buffers.swap(name, "last_" + name)
         get = self._buffers.get
         bind(
@@ -281,9 +282,10 @@ class SurfaceBuilder:
         not_finite[0] = 0
         kernel = displace_kernels.displace
         if rising:
-            kernel, ramp = rising_kernels.displace_rising, rising.ramp(self._coats, meshlet)
+            packed = rising.pack(self._coats, meshlet, vertices, self._buffers)
             scratch = memories(self._buffers, len(inputs))
-            inputs = [[*values, rising.asked, ramp, own] for values, own in zip(inputs, scratch, strict=True)]
+            kernel = rising_kernels.displace_rising
+            inputs = [[*values, packed, own] for values, own in zip(inputs, scratch, strict=True)]
         elif self._coats:
             kernel, inputs = detail_kernels.displace_detail, [[*values, self._coats] for values in inputs]
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernels.morph.residual import FRONT, REMEMBERED, Ahead, Memory, Ramp
+from ...kernels.morph import residual as kernels
+from ...kernels.morph.residual import FRONT, REMEMBERED, Ahead, Known, Memory
 from ...kernels.refine.pixels import Asked
 from ..run.buffers import Buffers, bind
 
@@ -19,14 +20,17 @@ class Rising:
     end: float
     relaxed: float
 
-    def ramp(self, coats, meshlet: int) -> Ramp:
-        """`coats`: of the detail, or None."""
-        ramp = Ramp()
+    def pack(self, coats, meshlet: int, vertices: int, buffers: Buffers) -> kernels.Rising:
+        """`coats`: of the detail, or None. What is known of points for the next frame is in the buffers."""
+        rising = kernels.Rising()
+        rising.asked, ramp = self.asked, rising.ramp
         ramp.limit, ramp.end2, ramp.steep = self.relaxed**2, self.end**2, 1.0 / (1.0 - 1.0 / self.end)
         ramp.bisections = 2 * meshlet
         if coats:
             ramp.coats = coats
-        return ramp
+        known, last = buffers.get("known", vertices, Known), buffers.get("last_known", 1, Known)
+        bind(rising, known=known, last_known=last)
+        return rising
 
 
 def memories(buffers: Buffers, threads: int) -> list[Memory]:

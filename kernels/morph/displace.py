@@ -4,10 +4,9 @@
 import warp as wp
 
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, put_vertex, runs_of, take_run
-from ..refine.pixels import Asked
+from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
 from ..unchecked import pair_at
-from .residual import NOWHERE, REMEMBERED, Memory, Ramp, residual_at, surface_of
+from .residual import Memory, Rising, forget_all, risen
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,27 +29,30 @@ def displace_rising(
     slot: wp.int32,
     domain: Domain,
     points: Points,
-    asked: Asked,
-    ramp: Ramp,
+    rising: Rising,
     memory: Memory,
 ):
     """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new."""
-    for entry in range(REMEMBERED):
-        memory.points[memory.slot * REMEMBERED + entry] = wp.vec2i(NOWHERE, NOWHERE)
+    forget_all(memory)
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
-        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
+        take_run(points, at, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, stop):
             k = point_base + wp.int64(u)
             fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             p = pair_at(points.point, k)
-            residual = residual_at(domain, asked, ramp, memory, p)
-            g = surface_of(domain, ramp.coats, p)
+            last_vertex = wp.int64(-1)
+            if u >= begin:
+                last_vertex = at + wp.int64(u - begin)
+            there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
+            height = there.surface[0] - there.residual
             if u < begin:
-                put_vertex(points, vertex_base + u, domain, p, wp.vec3d(g[0] - residual, g[1], g[2]))
+                g = wp.vec3d(height, there.surface[1], there.surface[2])
+                put_vertex(points, vertex_base + u, domain, p, g)
             else:
-                put_height(points, vertex_base + u, domain, g[0] - residual)
+                put_height(points, vertex_base + u, domain, height)
         v = stop

@@ -162,15 +162,6 @@ def forget_all(memory: Memory):
 
 
 @wp.func
-def begin_at(memory: Memory, p: wp.vec2i) -> wp.int32:
-    """Put the vertex at hand among what is still to be looked at, alone."""
-    memory.front[memory.slot * FRONT].point = p
-    memory.front[memory.slot * FRONT].depth = 0
-    memory.front[memory.slot * FRONT].part = wp.float64(1.0)
-    return 1
-
-
-@wp.func
 def look_ahead(memory: Memory, count: wp.int32, unit_bits: wp.int32, p: wp.vec2i, part: wp.float64) -> wp.int32:
     """Put p among what is still to be looked at, once; returns how many there are. Corners are in their places."""
     first = memory.slot * FRONT
@@ -242,11 +233,12 @@ def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex:
 def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64) -> Risen:
     """A vertex at the lattice point p; `last`: which vertex of the last frame it was, -1: none."""
     found = Risen()
+    at = Ahead()
+    at.point = p
+    at.part = wp.float64(1.0)
     is_own = wp.bool(True)
-    count = begin_at(memory, p)
-    while count > 0:
-        at = take_deepest(memory, count)
-        count -= 1
+    count = wp.int32(0)  # points that are still to be looked at, beside this one
+    while count >= 0:
         v = split_vertex(domain.unit_bits, at.point)
         entry = entry_of(memory, at.point)
         if is_own or not (memory.points[entry] == at.point):
@@ -261,4 +253,7 @@ def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: w
             found.residual += at.part * memory.lags[entry]
             for side in range(2):
                 count = look_ahead(memory, count, domain.unit_bits, wp.where(side == 0, v.left, v.right), half)
+        count -= 1
+        if count >= 0:
+            at = take_deepest(memory, count + 1)
     return found

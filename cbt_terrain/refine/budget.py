@@ -16,7 +16,6 @@ from ..run import launch
 from ..run.buffers import Buffers, bind, shared
 from .step_search import MAX_STEP, Found, lowest
 
-
 # Where a mesh as asked has less than this part of the leaves that it may have, a step finer it fits, too.
 NEAR = 0.5
 # So many times the leaves that there may be are not counted any more.

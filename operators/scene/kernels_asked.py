@@ -11,7 +11,7 @@ from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.run.warmup import other_modules
 from .request import Request
 
-DETAIL, HIDING = "kernels.detail.", "horizon_map"
+DETAIL, MORPH, HIDING = "kernels.detail.", "kernels.morph.", "horizon_map"
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
@@ -22,6 +22,8 @@ def kernels_for(request: Request) -> list[ModuleType]:
     found = kernels_of(plan(asked))
     for module in other_modules():
         if DETAIL in module.__name__ and request.ground is not None:
+            found.append(module)
+        elif MORPH in module.__name__ and request.criterion.rises_until > 1:
             found.append(module)
         elif module.__name__.endswith(HIDING) and request.criterion.hidden_factor != 1.0:
             found.append(module)

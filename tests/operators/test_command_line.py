@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -253,6 +254,25 @@ def test_what_a_command_asks_replaces_animated_settings(scene, add_terrain, tmp_
         infos = [read_npz(out / f"Hills_{frame:04d}.npz")["info"] for frame in (1, 3)]
         assert [info["asked"]["error_px"] for info in infos] == errors
         assert [info["interpolation"] for info in infos] == interpolations
+
+
+@pytest.mark.parametrize("source", ["scene", "store"])
+def test_smooth_transitions_may_be_asked_for_and_refused(source, export, scene, add_terrain, tmp_path, capsys):
+    """A scene has them on in its render settings, a store has none."""
+    import bpy
+
+    def morph(*more) -> float:
+        if source == "store":
+            _, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "4", *more)
+            return read_npz(folder / "terrain_0002.npz")["info"]["asked"]["morph"]
+        argv = ["export", "--scene", str(tmp_path / "a.blend"), "--frames", "1", "--format", "npz", *more]
+        assert command_line.main([*argv, "--out", str(tmp_path)]) == 0, capsys.readouterr().err
+        return read_npz(tmp_path / "Hills_0001.npz")["info"]["asked"]["morph"]
+
+    if source == "scene":
+        add_terrain("Hills").adaptive_terrain.render.error_px = 4.0
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert [morph(), morph("--morph"), morph("--no-morph")] == [SMOOTH if source == "scene" else 1.0, SMOOTH, 1.0]
 
 
 def test_an_exported_scene_finds_its_pictures(scene, add_terrain, tmp_path, capsys):

@@ -217,7 +217,9 @@ def _add_farm(subparsers, formats, frames) -> None:
     verb = _verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
     verb.add_argument("--scene", **scene, help="the .blend file, as it is on disk")
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="the scene's, without")
-    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames")
+    verb.add_argument(
+        "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
+    )
     verb.add_argument("--chunk", type=count, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
     what = verb.add_mutually_exclusive_group()
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
@@ -257,7 +259,9 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
     how = {"nargs": "?", "choices": (BAR, OPENJD), "const": BAR}
     verb.add_argument(
-        "--progress", **how, help="show the bar even where no terminal is, or tell a farm that runs Open Job Description"
+        "--progress",
+        **how,
+        help="show the bar even where no terminal is, or tell a farm that runs Open Job Description",
     )
     verb.set_defaults(run=run)
     return verb

@@ -60,7 +60,7 @@ def run_submit(arguments) -> None:
         arguments.out,
         frames=arguments.frames,
         chunk=arguments.chunk,
-        formats=None if arguments.render else arguments.format,
+        formats=() if arguments.render else arguments.format,
         extension=arguments.extension,
     ):
         print(line)

@@ -45,15 +45,16 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
     """One frame; a render with several views has as many pictures."""
     start = time.perf_counter()
     scene, terrains = source.scene, []
-    with private_folder(out) as folder, _noted(terrains, source.objects), stale_renders.raising():
-        with paused():  # the render sets it again, and then updates each terrain once
-            scene.frame_set(frame)
+    with paused():  # the render sets it again, and then updates each terrain once
+        scene.frame_set(frame)
+    with private_folder(out) as folder:
         partial = folder / "pictures"
         scene.render.filepath, scene.render.use_file_extension = str(partial / f"frame_{frame:04d}"), True
-        try:
-            bpy.ops.render.render(write_still=True)
-        except RuntimeError as error:
-            raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
+        with _noted(terrains, source.objects), stale_renders.raising():
+            try:
+                bpy.ops.render.render(write_still=True)
+            except RuntimeError as error:
+                raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
         files = sorted(partial.iterdir()) if partial.is_dir() else []
         for file in files:
             os.replace(file, out / file.name)

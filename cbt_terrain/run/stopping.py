@@ -21,6 +21,7 @@ GRACE_SECONDS = 5.0
 # A terminal and a wrapper (timeout, make) both pass one Ctrl-C on; a second one of the user comes later.
 ONE_PRESS_SECONDS = 0.5
 
+_natives: dict[int, int] = {}  # by signal: the address of the handler of a host program that `listening` has replaced
 _asked: int | None = None
 _listening = False
 _held = 0
@@ -47,6 +48,14 @@ def answer() -> int | None:
     global _asked
     number, _asked = _asked, None
     return number
+
+
+def end_host_work() -> None:
+    """Have the host program hear the SIGINT whose handler `listening` has replaced: Blender's ends a render, and at its
+    second call Blender. Without such a handler nothing happens."""
+    native = _natives.pop(signal.SIGINT, None)
+    if native:
+        ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(signal.SIGINT)
 
 
 @contextmanager
@@ -107,7 +116,8 @@ def _replace(number: int):
     native = getsig(number)
     before = signal.signal(number, lambda *_: None)
     if before is None:  # Blender's own, which Python does not know
-        return lambda: setsig(number, native)
+        _natives[number] = native
+        return lambda: (_natives.pop(number, None), setsig(number, native))
     return lambda: signal.signal(number, before)
 
 

@@ -440,6 +440,18 @@ def test_progress_shows_the_time_left(capsys, monkeypatch):
     assert " 60%  1:00 min left" in said.err and said.err.endswith("\r\x1b[K")
 
 
+def test_a_farm_is_told_in_lines(capsys):
+    bar = Progress(3, "export", show="openjd")
+    bar.to(1)
+    bar.to(1.001)
+    bar.say("frame 6")
+    bar.to(3)
+    bar.close()
+    said = capsys.readouterr()
+    told = ["openjd_progress: 0", "openjd_progress: 33", "openjd_status: frame 6", "openjd_progress: 100"]
+    assert said.out.splitlines() == told and said.err == ""
+
+
 def test_no_bar_where_no_terminal_is(capsys):
     bar = Progress(2, "export")
     bar.to(1)

@@ -16,7 +16,8 @@ from .land_effect import Change, Ground, LandEffect
 from .level_work import LevelGround
 from .levels import masked
 from .mask import whole_mask
-from .stack import Entry, Stack
+from .mask_reads import values_of
+from .stack import Entry, Stack, check_by_products
 from .stack_layers import joined
 from .tile_cache import content_key
 from .tiles import Level, levels_of
@@ -91,6 +92,7 @@ def preview(
 
     images: of masks, by file name, float32 [rows, columns], row 0 south. seconds: that effects may take.
     """
+    check_by_products(stack, source.layers)
     level = levels_of(source.lattice)[-1]
     states = _apply(source, level, stack, images or {}, threads, seconds)
     lattice, places = source.lattice, _places(source)
@@ -132,8 +134,7 @@ def _apply(
         kept = []
         mask = None
         if entry.mask is not None:
-            heights = states[-1].ground.heights
-            mask = whole_mask(entry.mask, images.get(entry.mask.image), level, lambda window, h=heights: h[window])
+            mask = _mask(entry, images, level, states[-1].ground, threads)
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=go_on)
         try:
             go_on(0.0)
@@ -144,6 +145,12 @@ def _apply(
             break
     source.found[_FOUND] = states
     return states
+
+
+def _mask(entry: Entry, images: Mapping, level: Level, ground: Ground, threads: int) -> np.ndarray:
+    names = sorted({rule.of for rule in entry.mask.rules})
+    read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
+    return whole_mask(entry.mask, images.get(entry.mask.image), level, ground.heights.__getitem__, read)
 
 
 def _ground(source: HeightField, level: Level) -> Ground:

@@ -18,7 +18,9 @@ from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
 from .levels import finer, masked
 from .mask import whole_mask
+from .mask_reads import values_of
 from .stack import Entry, Stack
+from .stack_layers import joined
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
 
@@ -158,10 +160,7 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes = []
     for number, entry in enumerate(run.entries):
-        mask = None
-        if entry.mask is not None:
-            image = run.images.get(entry.mask.image)
-            mask = whole_mask(entry.mask, image, level, partial(_heights, ground, total))
+        mask = _mask(run, entry, level, ground, total, layers)
         work = Work(run.cache, run.plan, level, ground, entry, total, layers, run.depths, mask, run.threads)
         coarse = None if below is None else below.changes[number]
         change, tile_most, tile_squares, figures = _entry(run, work, number, tiles, coarse)
@@ -182,6 +181,19 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
             parent = level.parent(tile)
             most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
     return State(level, changes, total, layers, most, squares, unsure)
+
+
+def _mask(
+    run: Shaping, entry: Entry, level: Level, ground: LevelGround, total: np.ndarray, layers: dict[str, np.ndarray]
+) -> np.ndarray | None:
+    """How much of an entry is wanted at a level, float32 [rows, columns], given what those before it have made."""
+    if entry.mask is None:
+        return None
+    names = sorted({rule.of for rule in entry.mask.rules})
+    pair = ({name: found[name] for name in names if name in found} for found in (ground.layers, layers))
+    heights = partial(_heights, ground, total)
+    read = values_of(names, level, heights, ground.missing, joined(*pair, run.depths), run.threads)
+    return whole_mask(entry.mask, run.images.get(entry.mask.image), level, heights, read)
 
 
 def _is_let(level: Level, mask: np.ndarray | None) -> np.ndarray:

@@ -35,7 +35,7 @@ class ShapeJob(StoreJob):
     ):
         stack = stack_from(stack_content(stack))
         stores.check_target(store)
-        heights = open_source(source, Path(store))
+        heights = open_source(source, Path(store), stack)
         stores.remove_abandoned(Path(store))
         asked = None if wanted is None else [sorted(level.items()) for level in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}

@@ -15,6 +15,7 @@ from . import land_tiles, live, session
 from .land_properties import SEEN
 from .land_request import Land, land_of, made, raster_of, remove_old, wanted_tiles
 from .land_tiles import Seen
+from .polls import on_terrain
 from .shot import frames_of, look_through
 
 POLL_S = 0.1
@@ -73,8 +74,7 @@ class ShapeLand(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        obj = context.object
-        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+        return on_terrain(cls, context) and context.object.session_uid not in _jobs
 
     def invoke(self, context, event):
         obj = context.object

@@ -11,6 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land.mask import LIMITS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators import handlers
@@ -71,7 +72,7 @@ def test_lengths_and_angles_have_their_units():
         item = land_properties.GROUPS[name].__annotations__[parameter.name].keywords
         if parameter.unit == "m":
             assert item["unit"] == "LENGTH", (name, parameter.name)
-        elif parameter.unit in land_properties.DEGREES:
+        elif parameter.unit == land_properties.DEGREES:
             assert item["subtype"] == "ANGLE" and item["max"] <= 2 * np.pi + 1e-6, (name, parameter.name)
         elif parameter.unit:
             said = "unit" in item or parameter.unit == parameter.name or f"({parameter.unit})" in item["name"]
@@ -475,3 +476,41 @@ def test_a_damaged_shaped_store_is_made_again(terrain):
     assert shaped_land.state_of(terrain).shown == "Preview"
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
+    """Each rule of the menu is one of the stack, with its limits in the stack's units, and comes back from a file."""
+    entry = add("thermal")
+    entry.mask.kind = "RULE"
+    for of in land_properties.RULES:
+        assert bpy.ops.adaptive_terrain.land_rule_add(of=of) == {"FINISHED"}
+        getattr(entry.mask, of).low = 0.25
+    rules = stack_now(terrain, tmp_path).entries[0].mask.rules
+    assert {rule.of for rule in rules} == set(LIMITS) - {"aspect"}
+    for rule in rules:
+        assert rule.low == pytest.approx(np.degrees(0.25) if rule.of == "slope" else 0.25)
+    kept = land_stack.preset_of(terrain.adaptive_terrain.land)
+    entry.mask.kind = "NONE"
+    assert land_stack.fill(terrain.adaptive_terrain.land, kept) == []
+    assert stack_now(terrain, tmp_path).entries[0].mask.rules == rules
+    only = terrain.adaptive_terrain.land.entries[0].mask
+    for of in land_properties.RULES:
+        getattr(only, of).use = of == "sediment"
+    with pytest.raises(session.TerrainError, match="about sediment, which is not there"):
+        session.update_object(terrain)
+    add("rivers")
+    assert bpy.ops.adaptive_terrain.land_move(by=-1) == {"FINISHED"}
+    session.update_object(terrain)
+
+
+def test_a_linked_terrain_says_why_its_land_cannot_be_changed(terrain, tmp_path):
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {terrain})
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.objects = [name for name in there.objects if name == terrain.name]
+    [linked] = here.objects
+    bpy.context.scene.collection.objects.link(linked)
+    bpy.context.view_layer.objects.active = linked
+    for name in ("land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
+        with pytest.raises(RuntimeError, match="is linked from a library, or overrides one, and is left alone: make"):
+            getattr(bpy.ops.adaptive_terrain, name)()

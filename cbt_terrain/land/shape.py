@@ -68,9 +68,10 @@ class Shaped:
 
 @dataclass(eq=False)
 class State:
-    """What a level leaves to the next finer one. `changes`: of each entry, 1 + its layers, each [rows, columns], without
-    its mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared. `unsure`: where an
-    effect has added nothing, though its mask let it: finer waves than this level knows may come, or only layers."""
+    """What a level leaves to the next finer one. `changes`: of each entry, 1 + its layers, each [rows, columns],
+    without its mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared.
+    `unsure`: where an effect has added nothing, though its mask let it: finer waves than this level knows may come, or
+    only layers."""
 
     level: Level
     changes: list[Sequence[np.ndarray] | None]

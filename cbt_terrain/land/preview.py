@@ -12,6 +12,7 @@ import numpy as np
 
 from ..field.build import from_array
 from ..field.heightfield import HeightField
+from .kernels_needed import prepare
 from .land_effect import Change, Ground, LandEffect
 from .level_work import LevelGround
 from .levels import masked
@@ -25,8 +26,6 @@ from .tiles import Level, levels_of
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
 SECONDS = 10.0  # after which a preview goes without the effects that are left
-COMPILING = 120.0  # more, where an effect has not been applied before: its kernels may have to be compiled
-_applied: set[str] = set()
 _FOUND = ("land preview",)  # in HeightField.found
 
 
@@ -118,10 +117,11 @@ def _apply(
     source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
 ) -> list[_Applied]:
     """The ground without any entry, and after each of the active ones until time is over; kept for the next call."""
-    end, more = time.monotonic() + seconds, 0.0
+    prepare(stack)
+    end = time.monotonic() + seconds
 
     def go_on(_part: float) -> None:
-        if time.monotonic() > end + more:
+        if time.monotonic() > end:
             raise _TooSlow
 
     kept = source.found.get(_FOUND, [])
@@ -138,9 +138,7 @@ def _apply(
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=go_on)
         try:
             go_on(0.0)
-            more += 0.0 if entry.effect in _applied else COMPILING
             states.append(_after(states[-1], ground, entry, key))
-            _applied.add(entry.effect)
         except _TooSlow:
             break
     source.found[_FOUND] = states

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..field import store as stores
 from ..importing.build_store import finished_before
 from ..importing.store_job import StoreJob, Tell, serve, wait_for
+from .kernels_needed import prepare
 from .shape_store import open_source, run_shape, shape_digest
 from .stack import Stack, stack_content, stack_from
 from .tiles import Wanted
@@ -79,5 +80,6 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
     wanted = request["wanted"] and [dict(map(tuple, tiles)) for tiles in request["wanted"]]
     stack = stack_from(request["stack"])
+    prepare(stack, on_progress)
     more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
     return run_shape(request["source"], stack, request["store"], wanted, on_progress, **more)

@@ -16,6 +16,7 @@ from .tiles import Wanted
 
 __all__ = ["ShapeJob", "child_main", "shape_store"]
 
+GENTLE = 10  # by which a gentle job is nicer than what asks for it
 _enough = threading.Event()
 
 
@@ -23,7 +24,7 @@ class ShapeJob(StoreJob):
     """A stack applied to the store `source`, into the store `store`, in a child process.
 
     wanted: the tiles of each level, as `tiles_seen` finds them (tiles.py); None for all. tiles: as of `run_shape`.
-    Raises TerrainError at once for what cannot be.
+    gentle: at a low priority. Raises TerrainError at once for what cannot be.
     """
 
     def __init__(
@@ -33,6 +34,7 @@ class ShapeJob(StoreJob):
         store: str | os.PathLike,
         wanted: Wanted | None = None,
         tiles: str | os.PathLike | None = None,
+        gentle: bool = False,
     ):
         stack = stack_from(stack_content(stack))
         stores.check_target(store)
@@ -43,7 +45,7 @@ class ShapeJob(StoreJob):
         super().__init__(
             "cbt_terrain.land.shape_process",
             store,
-            request | {"tiles": None if tiles is None else str(Path(tiles).absolute())},
+            request | {"tiles": None if tiles is None else str(Path(tiles).absolute()), "gentle": gentle},
             what=_what(str(source)),
             report=finished_before(store, shape_digest(heights, stack, wanted)),
         )
@@ -78,6 +80,8 @@ def child_main() -> None:
 
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
+    if request["gentle"] and hasattr(os, "nice"):
+        os.nice(GENTLE)
     wanted = request["wanted"] and [dict(map(tuple, tiles)) for tiles in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)

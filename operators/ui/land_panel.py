@@ -9,7 +9,7 @@ from bl_ui.utils import PresetPanel
 
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ..effects.land_presets import PRESET_PANEL, PRESETS
-from ..scene import land_stack, session, shape_land, shaped_land
+from ..scene import land_jobs, land_stack, session, shaped_land
 from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
 from ..text.effect_lines import readers_text
 from ..text.numbers import length_text, plain
@@ -100,7 +100,7 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
 
 def _draw_shaping(row, obj, state) -> None:
     """One row: the button, or how far it is with what ends it."""
-    progress = shape_land.progress_of(obj)
+    progress = land_jobs.progress_of(obj)
     if progress is None:
         row.enabled = state.wanted
         text = "Shape Now" if state.wanted else "Shaped" if state.active else "Nothing to Shape"
@@ -187,7 +187,7 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
     """The shaped land for other programs, or as a store that needs no stack."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
-    bl_label = "Water and Export"
+    bl_label = "Water, Export, Cache"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -196,6 +196,7 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
         column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
+        column.operator("adaptive_terrain.land_clear", icon="TRASH")
 
 
 CLASSES = (*(LandList, LandPresets, AddLandMenu, LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel),)

@@ -15,7 +15,15 @@ from adaptive_terrain.cbt_terrain.land.mask import LIMITS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.scene import land_masks, land_properties, land_request, land_stack, session, shaped_land
+from adaptive_terrain.operators.scene import (
+    land_cache,
+    land_masks,
+    land_properties,
+    land_request,
+    land_stack,
+    session,
+    shaped_land,
+)
 from adaptive_terrain.operators.scene.land_entries import free_name
 from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
 
@@ -304,15 +312,48 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
 
 
-def test_no_more_than_some_shaped_stores_are_kept(terrain, monkeypatch):
-    monkeypatch.setattr(land_request, "MOST_SHAPED", 2)
-    entry = add("thermal")
-    for depth in (10.0, 20.0, 40.0):
+def shaped_by(terrain, entry, *depths) -> list[str]:
+    found = []
+    for depth in depths:
         entry.thermal.depth = depth
         bpy.ops.adaptive_terrain.shape()
+        found.append(shaped_land.store_of(terrain))
+    return found
+
+
+def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_terrain, monkeypatch):
+    """The one that was not used for longest first; never what another terrain of the scene shows."""
+    entry = add("thermal")
+    other = add_terrain("Other")
+    other.adaptive_terrain.store = terrain.adaptive_terrain.store
+    bpy.context.view_layer.objects.active = other
+    [shown] = shaped_by(other, add("thermal"), 5.0)
+    bpy.context.view_layer.objects.active = terrain
+    first, second = shaped_by(terrain, entry, 10.0, 20.0)
+    entry.thermal.depth = 10.0
+    session.update_object(terrain)  # Undo, say: it is the second that is not used now
+    size = land_request.bytes_in(Path(first))
+    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * size))
+    [third] = shaped_by(terrain, entry, 40.0)
+    there = {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+    assert there == {shown, first, third}
+    monkeypatch.setattr(land_request, "MOST_BYTES", 0)
+    [fourth] = shaped_by(terrain, entry, 50.0)
+    there = {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+    assert there == {shown, fourth} and shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
+    entry = add("thermal")
+    first, second = shaped_by(terrain, entry, 10.0, 20.0)
     beside = land_request.folder_beside(terrain.adaptive_terrain.store)
-    assert sum((folder / "store.json").exists() for folder in beside.iterdir()) == 2
+    said = land_cache.lines(terrain.adaptive_terrain.store)
+    assert said[0] == str(beside) and said[1].endswith(" MB in 1 stores") and " 0 MB" not in "".join(said)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert Path(second).exists() and not Path(first).exists() and not (beside / "tiles").exists()
+    session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Shaped"
+    assert shaped_by(terrain, entry, 10.0) == [first]
 
 
 def test_baked_land_needs_no_stack(terrain):

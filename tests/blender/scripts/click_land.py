@@ -27,8 +27,9 @@ def module(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-session, shaped_land, land_request, shape_land = (
-    module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_request", "shape_land")
+session, shaped_land, land_request, land_jobs, resting_land = (
+    module(f"operators.scene.{name}")
+    for name in ("session", "shaped_land", "land_request", "land_jobs", "resting_land")
 )
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
@@ -158,9 +159,9 @@ def shaping_runs_beside_the_window():
     yield from until(lambda: len(session.record_of(terrain()).status.request.land.stack.entries) == 3)
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
     yield 0.3
-    result["progress"] = shape_land.progress_of(terrain()) is not None
+    result["progress"] = land_jobs.progress_of(terrain()) is not None
     run(bpy.ops.adaptive_terrain.shape_cancel)
-    yield from until(lambda: shape_land.progress_of(terrain()) is None)
+    yield from until(lambda: land_jobs.progress_of(terrain()) is None)
     result["after_cancel"] = shown()
     start = time.monotonic()
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")

@@ -26,6 +26,7 @@ from adaptive_terrain.operators.scene import (
 )
 from adaptive_terrain.operators.scene.land_entries import free_name
 from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+from rasters import write_raster
 
 
 @pytest.fixture
@@ -555,3 +556,28 @@ def test_a_linked_terrain_says_why_its_land_cannot_be_changed(terrain, tmp_path)
     for name in ("land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
         with pytest.raises(RuntimeError, match="is linked from a library, or overrides one, and is left alone: make"):
             getattr(bpy.ops.adaptive_terrain, name)()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
+    """Blender itself reads such a file, partly black."""
+    file = tmp_path / "mask.png"
+    write_raster(file, np.random.default_rng(0).integers(1, 255, (90, 70)).astype(np.uint8))
+    whole = file.read_bytes()
+    entry = add("relief")
+    for content, said in (
+        (whole[: len(whole) // 2], r"is damaged \(it ends inside a chunk\): expected a whole PNG; get the file"),
+        (whole[:-12], r"is damaged \(it ends before its last chunk\)"),
+        (whole[:200] + b"?" + whole[201:], r"is damaged \(its chunk IDAT differs from its checksum\)"),
+    ):
+        file.write_bytes(content)
+        image = bpy.data.images.load(str(file))
+        if packed:
+            image.pack()
+            file.unlink()
+        entry.mask.kind, entry.mask.image = "IMAGE", image
+        with pytest.raises(session.TerrainError, match=said):
+            session.update_object(terrain)
+    file.write_bytes(whole)
+    entry.mask.image = bpy.data.images.load(str(file))
+    session.update_object(terrain)

@@ -10,10 +10,10 @@ from bl_operators.presets import AddPresetBase
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.stack import read_stack, write_stack
 from ..scene import land_stack
+from ..scene.land_entries import PRESETS
 from ..scene.land_properties import BY_OBJECT
 from ..scene.polls import on_terrain
 
-PRESETS = "adaptive_terrain/land"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
 SUFFIX = ".json"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field import lands
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
@@ -16,6 +17,7 @@ from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.scene import (
+    import_terrain,
     land_cache,
     land_masks,
     land_properties,
@@ -581,3 +583,20 @@ def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
     file.write_bytes(whole)
     entry.mask.image = bpy.data.images.load(str(file))
     session.update_object(terrain)
+
+
+@pytest.mark.parametrize("land", ["CANYON", "DUNES"])
+def test_a_built_in_land_is_added_as_it_is_with_the_stack_that_suits_it(scene, monkeypatch, tmp_path, land):
+    """Of dunes there is none, and they get the size that was asked for."""
+    given = lands.LANDS[land.lower()]
+    monkeypatch.setattr(import_terrain, "user_folder", lambda: str(tmp_path))
+    assert bpy.ops.mesh.adaptive_terrain_add(land=land, shape=True, size=40.0) == {"FINISHED"}
+    settings = bpy.context.object.adaptive_terrain
+    if not given.preset:
+        assert tuple(settings.extent) == (40.0, 40.0) and not settings.land.entries
+        return
+    assert settings.extent[0] == given.side and settings.height_scale == 1.0
+    [file] = (f for folder in bpy.utils.preset_paths("adaptive_terrain/land") for f in Path(folder).glob("desert.json"))
+    expected = [entry["effect"] for entry in json.loads(file.read_text())["entries"]]
+    assert [entry.effect for entry in settings.land.entries] == expected
+    assert shaped_land.state_of(bpy.context.object).shown == "Preview", "the rest when it is asked for"

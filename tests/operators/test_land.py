@@ -4,6 +4,7 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -19,15 +20,20 @@ from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.scene import (
     import_terrain,
     land_cache,
+    land_jobs,
     land_masks,
     land_properties,
     land_request,
     land_stack,
     session,
+    shape_land,
     shaped_land,
 )
+from adaptive_terrain.operators.scene.kernels_asked import kernels_for
 from adaptive_terrain.operators.scene.land_entries import free_name
+from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+from modal_runs import running, to_the_end
 from rasters import write_raster
 
 
@@ -600,3 +606,34 @@ def test_a_built_in_land_is_added_as_it_is_with_the_stack_that_suits_it(scene, m
     expected = [entry["effect"] for entry in json.loads(file.read_text())["entries"]]
     assert [entry.effect for entry in settings.land.entries] == expected
     assert shaped_land.state_of(bpy.context.object).shown == "Preview", "the rest when it is asked for"
+
+
+@pytest.mark.parametrize("by", ["ESC", "cross"])
+def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
+    """The scene is at its frame again, and nothing was shaped."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    scene.frame_set(7)
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert scene.frame_current != 7 and land_jobs.progress_of(terrain)[1] == "Looking at frames"
+    if by == "ESC":
+        assert operator.modal(operator.context, SimpleNamespace(type="ESC")) == {"PASS_THROUGH"}
+    else:
+        assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert scene.frame_current == 7 and not land_jobs.running and land_request.made["stores"] == 0
+
+
+def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
+    add("thermal")
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert any(module.__name__.endswith("land.thermal") for module in kernels_for(request))
+    bpy.ops.adaptive_terrain.shape()
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert not any(".land." in module.__name__ for module in kernels_for(request)), "what is shaped needs none"

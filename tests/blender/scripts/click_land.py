@@ -31,6 +31,7 @@ session, shaped_land, land_request, land_jobs, resting_land = (
     module(f"operators.scene.{name}")
     for name in ("session", "shaped_land", "land_request", "land_jobs", "resting_land")
 )
+resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
 
@@ -117,6 +118,7 @@ def steps():
     yield from a_slider_never_blocks()
     yield from shaping_runs_beside_the_window()
     yield from undo_and_hide()
+    yield from it_gets_finer_while_it_rests()
     (folder / "done.json").write_text(json.dumps(result))
 
 
@@ -196,6 +198,23 @@ def undo_and_hide():
     result["shown_cost"] = [land_request.made[name] - before[name] for name in before]
 
 
+def it_gets_finer_while_it_rests():
+    """Only what the viewport shows; the window goes on meanwhile, and a slider ends it."""
+    resting_land.REST_S = 2.0
+    run(bpy.ops.adaptive_terrain.land_add, effect="droplets")
+    yield from until(lambda: any(work.job is not None for work in land_jobs.running.values()))
+    [work] = land_jobs.running.values()
+    terrain().adaptive_terrain.land.entries[-1].on = False
+    terrain().adaptive_terrain.land.entries[0].rivers.years = 140e3
+    yield from until(lambda: work.job.poll().done)
+    result["slider_ends_it"] = work.job.cancelled
+    start = time.monotonic()
+    result["longest_turn_resting_s"] = yield from turns(lambda: shown() == "Shaped")
+    result["finer_s"], result["tiles_of_views"] = time.monotonic() - start, shaped_land.state_of(terrain()).tiles
+    yield 1.0
+    yield from picture("finer")
+
+
 running = steps()
 
 
@@ -206,7 +225,7 @@ def turn():
         return None
     except Exception as error:
         traceback.print_exc()
-        for moment in ("preview", "shaping", "shaped"):  # nobody needs to wait for them any more
+        for moment in ("preview", "shaping", "shaped", "finer"):  # nobody needs to wait for them any more
             (folder / moment).touch()
         (folder / "done.json").write_text(json.dumps(result | {"error": repr(error)}))
         return None

@@ -27,7 +27,7 @@ def lines(source: str) -> list[str]:
     for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
                         ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
         sizes = [size for kind, _, size in parts if kind == what]
-        said.append(f"{about}: {megabytes(sum(sizes))}" + (f" in {len(sizes)} stores" if what != "tiles" else ""))
+        said.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
     return said
 
 

@@ -21,6 +21,7 @@ from .land_request import Land, is_of_views, land_of, remove_old, wanted_tiles
 from .request import Request
 
 REST_S = 2.0  # without a change, after which it begins
+LOOK_S = 0.5  # between looks at the terrains for one that rests: a scene may have many objects
 CHOOSING = "Choosing tiles"
 
 
@@ -47,6 +48,7 @@ class _Making:
 
 
 _rests: dict[int, _Rest] = {}
+_looked = 0.0  # when the terrains were last looked at
 _making: _Making | None = None
 _left: set[str] = set()  # land that the user has stopped, or that failed: not begun again
 _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: too long for the main thread
@@ -54,7 +56,13 @@ _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: t
 
 def concerned() -> bool:
     """Whether `turn` has anything to do: the terrains of many scenes have no land."""
-    return _making is not None or any(_may_be_finer(uid, record) for uid, record in session.records())
+    global _looked
+    if _making is not None:
+        return True
+    if time.monotonic() - _looked < LOOK_S or not any(_may_be_finer(*known) for known in session.records()):
+        return False
+    _looked = time.monotonic()
+    return True
 
 
 def _may_be_finer(uid: int, record: session.Record) -> bool:

@@ -2,6 +2,7 @@
 """The stack that shapes the land, in Blender: its settings, its list, its presets, and what a scene pays for it."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -321,48 +322,53 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
 
 
-def shaped_by(terrain, entry, *depths) -> list[str]:
-    found = []
-    for depth in depths:
-        entry.thermal.depth = depth
-        bpy.ops.adaptive_terrain.shape()
-        found.append(shaped_land.store_of(terrain))
-    return found
+def other_stores(store: str, *names: str) -> list[str]:
+    """Copies of a shaped store, as of other settings; the first was not used for longest, `store` for longer."""
+    found = [shutil.copytree(store, Path(store).with_name(name)) for name in names]
+    for age, folder in enumerate((*reversed(found), store), 1):
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    return list(map(str, found))
 
 
 def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_terrain, monkeypatch):
     """The one that was not used for longest first; never what another terrain of the scene shows."""
-    entry = add("thermal")
+
+    def there() -> set[str]:
+        return {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+
     other = add_terrain("Other")
     other.adaptive_terrain.store = terrain.adaptive_terrain.store
     bpy.context.view_layer.objects.active = other
-    [shown] = shaped_by(other, add("thermal"), 5.0)
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(other)
+    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_request.OF_VIEWS)
+    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_request.bytes_in(Path(first))))
     bpy.context.view_layer.objects.active = terrain
-    first, second = shaped_by(terrain, entry, 10.0, 20.0)
-    entry.thermal.depth = 10.0
-    session.update_object(terrain)  # Undo, say: it is the second that is not used now
-    size = land_request.bytes_in(Path(first))
-    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * size))
-    [third] = shaped_by(terrain, entry, 40.0)
-    there = {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
-    assert there == {shown, first, third}
+    add("thermal", depth=10.0)
+    bpy.ops.adaptive_terrain.shape()
+    own = shaped_land.store_of(terrain)
+    assert there() == {shown, second, own}
+    terrain.adaptive_terrain.land.entries[0].thermal.depth = 30.0
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == shown, "both terrains share it"
     monkeypatch.setattr(land_request, "MOST_BYTES", 0)
-    [fourth] = shaped_by(terrain, entry, 50.0)
-    there = {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
-    assert there == {shown, fourth} and shaped_land.state_of(terrain).shown == "Shaped"
+    land_request.remove_old(land_request.Land(terrain.adaptive_terrain.store, second, False, None))
+    assert there() == {shown, second}
 
 
 def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
-    entry = add("thermal")
-    first, second = shaped_by(terrain, entry, 10.0, 20.0)
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(terrain)
+    [other] = other_stores(shown, "0" * 16)
     beside = land_request.folder_beside(terrain.adaptive_terrain.store)
     said = land_cache.lines(terrain.adaptive_terrain.store)
-    assert said[0] == str(beside) and said[1].endswith(" MB in 1 stores") and " 0 MB" not in "".join(said)
+    assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-    assert Path(second).exists() and not Path(first).exists() and not (beside / "tiles").exists()
+    assert Path(shown).exists() and not Path(other).exists() and not (beside / "tiles").exists()
     session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Shaped"
-    assert shaped_by(terrain, entry, 10.0) == [first]
 
 
 def test_baked_land_needs_no_stack(terrain):

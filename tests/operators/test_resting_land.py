@@ -39,6 +39,7 @@ def terrain(scene, add_terrain, wide_store, tmp_path, monkeypatch):
     app = SimpleNamespace(is_job_running=lambda kind: False)
     monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=bpy.types, app=app, data=bpy.data))
     monkeypatch.setattr(resting_land, "REST_S", 0.05)
+    monkeypatch.setattr(resting_land, "LOOK_S", 0.0)
     bpy.context.view_layer.update()
     live.mark_dirty()
     until(obj, "Preview")

@@ -201,6 +201,8 @@ def undo_and_hide():
 def it_gets_finer_while_it_rests():
     """Only what the viewport shows; the window goes on meanwhile, and a slider ends it."""
     resting_land.REST_S = 2.0
+    view = parts()[1].spaces.active.region_3d
+    view.view_distance, view.view_location = 0.06 * SIDE, (0.1 * SIDE, 0.1 * SIDE, 0.02 * SIDE)
     run(bpy.ops.adaptive_terrain.land_add, effect="droplets")
     yield from until(lambda: any(work.job is not None for work in land_jobs.running.values()))
     [work] = land_jobs.running.values()

@@ -8,6 +8,7 @@ from ...cbt_terrain.effects.kernels_needed import kernels_of
 from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.land.kernels_needed import kernels_of as kernels_of_stack
 from ...cbt_terrain.run.warmup import other_modules
 from .request import Request
 
@@ -19,7 +20,7 @@ def kernels_for(request: Request) -> list[ModuleType]:
     asked = list(request.effects.asked)
     if isinstance(request.ground, LayeredDetail):
         asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
-    found = kernels_of(plan(asked))
+    found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
     for module in other_modules():
         if DETAIL in module.__name__ and request.ground is not None:
             found.append(module)

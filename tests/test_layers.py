@@ -28,13 +28,14 @@ ROOMS = {
         "bicubic",
         "mesh",
         "detail",
+        "query",
         "effects",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -20,7 +20,7 @@ from types import ModuleType
 
 import warp as wp
 
-from ...kernels import accuracy, budget, detail, effects, field, land, mesh, refine
+from ...kernels import accuracy, budget, detail, effects, field, land, mesh, query, refine
 from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
@@ -169,8 +169,8 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Those that are compiled when a scene first asks for them: effects, land, a detail, what ground hides."""
-    return [*_modules_of(effects), *_modules_of(land), *_modules_of(detail), horizon_map]
+    """Those that are compiled when a scene first asks for them: effects, land, a detail, queries, what ground hides."""
+    return [module for room in (effects, land, detail, query) for module in _modules_of(room)] + [horizon_map]
 
 
 def _modules_of(package: ModuleType) -> list[ModuleType]:

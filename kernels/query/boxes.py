@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Least and greatest heights of a box."""
+
+import warp as wp
+
+from ..field.codes import sample_at
+from ..field.layout import tile_index
+from .rays import Blocks, range_at
+from .surface import Surface, is_ground
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def bilinear_at(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
+    """Metres after scaling, s and t cells from the corner of cell (i, j)."""
+    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+    north = at + wp.int64(surface.columns)
+    one = wp.int64(1)
+    low = wp.float64(sample_at(surface.samples, at)) * (wp.float64(1.0) - s)
+    low += wp.float64(sample_at(surface.samples, at + one)) * s
+    high = wp.float64(sample_at(surface.samples, north)) * (wp.float64(1.0) - s)
+    high += wp.float64(sample_at(surface.samples, north + one)) * s
+    return (low * (wp.float64(1.0) - t) + high * t) * surface.scale + surface.offset
+
+
+@wp.kernel
+def row_ranges(
+    offset: int,
+    surface: Surface,
+    blocks: Blocks,
+    first_column: int,
+    first_row: int,
+    west: wp.float64,
+    south: wp.float64,
+    east: wp.float64,
+    north: wp.float64,
+    found: wp.array(dtype=wp.vec2d),
+):
+    """Lowest and highest metres in row `first_row + offset + tid` of cells between two columns and rows (in cells)."""
+    n = offset + wp.tid()
+    j = first_row + n
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    t0 = wp.clamp(south - wp.float64(j), zero, one)
+    t1 = wp.clamp(north - wp.float64(j), zero, one)
+    low = wp.float64(wp.inf)
+    high = -wp.float64(wp.inf)
+    i = first_column
+    while i < surface.columns - 1 and wp.float64(i) <= east:
+        if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
+            if surface.bicubic == 1:
+                a, b = range_at(surface, blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+                low = wp.min(low, a)
+                high = wp.max(high, b)
+            else:
+                s0 = wp.clamp(west - wp.float64(i), zero, one)
+                s1 = wp.clamp(east - wp.float64(i), zero, one)
+                a = bilinear_at(surface, i, j, s0, t0)
+                b = bilinear_at(surface, i, j, s1, t0)
+                c = bilinear_at(surface, i, j, s0, t1)
+                d = bilinear_at(surface, i, j, s1, t1)
+                low = wp.min(low, wp.min(wp.min(a, b), wp.min(c, d)))
+                high = wp.max(high, wp.max(wp.max(a, b), wp.max(c, d)))
+        i += 1
+    found[n] = wp.vec2d(low, high)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface that is asked: a height field's own at full resolution, as the displacement samples it."""
+
+import warp as wp
+
+from ..bicubic.surface import in_patch
+from ..field.codes import Samples
+from ..field.detail import Coats, detail_at
+from ..mesh.displace import in_cell
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Surface:
+    """Metres are height * scale + offset; memory is shared with the height field (cbt_terrain/query/surface.py)."""
+
+    columns: wp.int32  # samples in a row
+    rows: wp.int32
+    west: wp.float64  # metres
+    south: wp.float64
+    step_x: wp.float64  # metres between samples
+    step_y: wp.float64
+    rim_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
+    rim_y: wp.float64
+    scale: wp.float64
+    offset: wp.float64
+    bicubic: wp.int32  # 1, or 0: bilinear
+    samples: Samples
+    coats: Coats
+    holed: wp.int32  # 1: some samples are missing
+    valid: wp.array(dtype=wp.uint8)  # of each sample, 0 where it is missing; one entry without holes
+
+
+@wp.func
+def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
+    """The cell that holds a place u cells from the raster's rim; the last one holds its far side."""
+    return wp.clamp(wp.int32(wp.floor(u)), 0, cells - 1)
+
+
+@wp.func
+def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
+    """Whether cell (i, j) is in the raster and has all its four samples."""
+    found = i >= 0 and j >= 0 and i < surface.columns - 1 and j < surface.rows - 1
+    if found:
+        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+        north = at + wp.int64(surface.columns)
+        one = wp.int64(1)
+        south_least = wp.min(surface.valid[at], surface.valid[at + one])
+        found = wp.min(south_least, wp.min(surface.valid[north], surface.valid[north + one])) > wp.uint8(0)
+    return found
+
+
+@wp.func
+def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
+    """Whether there is ground at a place in cell (i, j), on its western or southern side too if that is said.
+
+    What lies on a side belongs to both cells, so the border of a hole is ground.
+    """
+    found = surface.holed == 0
+    if not found:
+        found = whole(surface, i, j)
+        if not found and on_west:
+            found = whole(surface, i - 1, j)
+        if not found and on_south:
+            found = whole(surface, i, j - 1)
+        if not found and on_west and on_south:
+            found = whole(surface, i - 1, j - 1)
+    return found
+
+
+@wp.func
+def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Height and gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
+    g = wp.vec3d()
+    if surface.bicubic == 1:
+        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    else:
+        g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    g = wp.vec3d(g[0], g[1] / surface.step_x, g[2] / surface.step_y)
+    if surface.coats.count > 0:
+        x = surface.west + (wp.float64(i) + s) * surface.step_x
+        y = surface.south + (wp.float64(j) + t) * surface.step_y
+        g += detail_at(surface.coats, x, y)
+    return g

@@ -16,6 +16,10 @@ from ..terrain import box_of
 # Of the longer half side: what float32 rounds off a position on the rim.
 ROUNDED = 2.0 ** -(PLANE_BITS + 1)
 
+# Of the greatest height: more than float64 rounds off a sum of heights.
+ROUNDED_HEIGHT = 1e-12
+SPARE = 1e-3
+
 
 def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.Surface:
     """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
@@ -40,7 +44,10 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> ray_kernels.Block
     lattice, b = field.lattice, ray_kernels.Blocks()
     b.top = lattice.levels
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
-    b.base, b.step, b.more = field.range_base, field.range_step, highest(field.parts)
+    b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
+    b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
+    # ... and what float64 rounds of these
+    b.more = highest(field.parts) * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)

@@ -77,7 +77,8 @@ def profile(
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
         raise TerrainError(f"The line has {len(line)} points; expected 2 at least.")
-    lengths = np.hypot(*np.diff(line, axis=0).T)
+    x, y = np.diff(line, axis=0).T
+    lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     along, places = _crossings(field, line, ends) if spacing is None else _evenly(line, ends, spacing)
     return Profile(along, ground_at(field, places, vertical_scale, vertical_offset).heights, places)

@@ -29,6 +29,7 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     s.columns, s.rows = lattice.width, lattice.height
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
+    s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     s.rim_x, s.rim_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
     s.scale, s.offset = vertical_scale, vertical_offset
     s.bicubic = int(field.interpolation == "bicubic")
@@ -68,9 +69,9 @@ def vectors(values, width: int, name: str, unit: str = "metres") -> np.ndarray:
         found = found.reshape(-1, width)
     if found.ndim != 2 or found.shape[1] != width:
         raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] {unit}.")
-    finite = np.isfinite(found).all(axis=1)
+    finite = np.isfinite(found)
     if not finite.all():
-        at = int(np.argmin(finite))
+        at = int(np.argmin(finite.all(axis=1)))
         said = ", ".join(f"{value:g}" for value in found[at])
         raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite {unit}: correct or leave it out.")
     return found

@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ..effects.jet import arc_tangent
 from .surface import Surface, cell_of, is_ground, jet_in
 
 wp.set_module_options({"enable_backward": False})
@@ -57,7 +58,7 @@ def ground_at(
             steep2 = nx * nx + ny * ny
             nz = one / wp.sqrt(steep2 + one)
             normal = wp.vec3d(nx * nz, ny * nz, nz)
-            slope = wp.atan(wp.sqrt(steep2))
+            slope = arc_tangent(wp.sqrt(steep2))
     heights[n] = height
     normals[n] = normal
     slopes[n] = slope

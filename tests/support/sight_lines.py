@@ -63,11 +63,12 @@ def first_contact(field, origin, direction, scale=1.0, offset=0.0) -> float:
 
 def least_clearance(field, start, end, scale=1.0, offset=0.0) -> float:
     """Metres by which the line between two points is above a bilinear surface where that is least; less than 0 where
-    the surface rises above it. `start` itself does not count."""
-    direction = end - start
-    t, e, ground = pieces(field, start, direction, 1.0, scale, offset)
+    the surface rises above it. From a start on the surface, by the line's rise over it in the first piece."""
+    t, e, ground = pieces(field, start, end - start, 1.0, scale, offset)
     a, b, c = parabolas(t, e)
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.clip(np.nan_to_num(-b / (2 * a)), 0.0, 1.0)
-    least = np.minimum(np.minimum(c + (b + a * turn) * turn, e[:, 2]), np.where(t[:, 0] > 1e-9, e[:, 0], np.inf))
+    least = np.minimum(c + (b + a * turn) * turn, np.minimum(e[:, 0], e[:, 2]))
+    if len(e) and abs(e[0, 0]) < 1e-9:
+        least[0] = min(b[0], a[0] + b[0])
     return float(least[ground].min(initial=np.inf))

@@ -7,45 +7,10 @@ import numpy as np
 import pytest
 from adaptive_terrain import Criterion, Terrain, ground_at, profile
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.codes import Steps
-from adaptive_terrain.cbt_terrain.field.coats import Coat, Coats, Mask
-from adaptive_terrain.cbt_terrain.field.detail import Detail
-from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
-from fields import reference_heights, rough, scattered
+from fields import reference_heights, scattered
+from query_fields import ROUGH, SHAPE, SURFACES, with_holes
 from sight_lines import holes_of
-
-SHAPE = 71, 113
-ROUGH = rough(*SHAPE, step=7.0)
-
-
-def masked_detail() -> Coats:
-    mask = (np.add.outer(np.arange(SHAPE[0]), np.arange(SHAPE[1])) % 256).astype(np.uint8)
-    return Coats((Coat(Detail(2.0, 9.0)), Coat(Detail(1.0, 5.0, seed=3), Mask(mask))))
-
-
-def surfaces():
-    cubic = interpolated(ROUGH, "bicubic")
-    numbers = np.round((ROUGH.samples + 1000) * 16).astype(np.uint16)
-    steps = Steps(0, 1 / 16, -1000.0)
-    return {
-        "bilinear": ROUGH,
-        "bicubic": cubic,
-        "numbers": replace(from_array(steps.heights(numbers), 7.0), samples=numbers, steps=steps),
-        "detail": with_detail(ROUGH, Detail(1.5, 20.0)),
-        "masked": with_detail(cubic, masked_detail()),
-    }
-
-
-SURFACES = surfaces()
-
-
-def with_holes():
-    heights = ROUGH.samples.copy()
-    heights[20:31, 40:60] = np.nan
-    heights[50, 7] = heights[-4:, -3:] = np.nan
-    return from_array(heights, 7.0, holes=True)
 
 
 @pytest.mark.parametrize("name", SURFACES)

@@ -43,7 +43,7 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 def blocks_of(field: HeightField, surface: kernels.Surface) -> ray_kernels.Blocks:
     """The ranges of heights by which rays skip; memory is shared, nothing is read."""
     lattice, b = field.lattice, ray_kernels.Blocks()
-    b.top = lattice.levels
+    b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
     b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays against the surface: cell by cell, and past whole blocks of cells that lie above or below.
 
-Blocks are the diamonds at the middles of square cells of 2^k samples (k = 2 ..), whose ranges of heights every store
+Blocks are the diamonds at the middles of squares of 2^k cells a side (k = 2, 4 ..), whose ranges of heights every store
 has; a ray climbs to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008,
 "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"; here with minima, as a ray may also
 come from below). In a cell, ray less bilinear surface is a parabola along the ray, whose root is solved for. Of a
@@ -23,16 +23,16 @@ from .surface import Surface, cell_of, is_ground, jet_in
 wp.set_module_options({"enable_backward": False})
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
-FINEST = wp.constant(2)  # the least blocks have 2^2 cells a side
+STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; the least have 2^2 cells
 MOST_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
 CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that is shorter has arrived
 
 
 @wp.struct
 class Blocks:
-    """Ranges of heights, of blocks of 2^FINEST .. 2^top cells a side and, of a bicubic surface, of cells."""
+    """Ranges of heights, of blocks of 2^2, 2^4 .. 2^top cells a side and, of a bicubic surface, of cells."""
 
-    top: wp.int32  # less than FINEST: there are none
+    top: wp.int32  # 0: there are none
     low_z: wp.float64  # of the whole surface, metres
     high_z: wp.float64
     spare: wp.float64  # ... and more than float64 rounds of them
@@ -86,9 +86,8 @@ def range_at(blocks: Blocks, at: wp.int64):
 @wp.func
 def block_range(blocks: Blocks, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Lowest and highest metres of the block (x, y) of 2^bits cells a side."""
-    group = (bits - FINEST) >> 1
-    half = 1 + (bits & 1)
-    at = tile_index(half + 2 * half * x, half + 2 * half * y, number_at(blocks.pages, group))
+    group = bits / STEP - 1
+    at = tile_index(1 + 2 * x, 1 + 2 * y, number_at(blocks.pages, group))
     return range_at(blocks, entry_at(blocks.first, group) + at)
 
 
@@ -310,7 +309,7 @@ def first_hit(
     z = ray.z + t * ray.dz
     i = cell_of(ray.u + t * ray.du, cells_x)
     j = cell_of(ray.v + t * ray.dv, cells_y)
-    bits = wp.where(blocks.top < FINEST, 0, wp.min(bits, blocks.top))
+    bits = wp.min(bits, blocks.top)
     if ray.du == zero and ray.dv == zero:
         bits = 0
     while True:
@@ -364,11 +363,11 @@ def first_hit(
             z = out_z
             if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
                 break
-            coarser = wp.where(bits == 0, FINEST, bits + 1)
+            coarser = bits + STEP
             if coarser <= blocks.top and (line & ((1 << coarser) - 1)) == 0:
                 bits = coarser
         else:
-            bits = wp.where(bits > FINEST, bits - 1, 0)
+            bits -= STEP
     return hit
 
 

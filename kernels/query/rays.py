@@ -176,6 +176,25 @@ def in_bilinear(
 
 
 @wp.func
+def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
+    """Lowest and highest metres in cell (i, j)."""
+    low = wp.float64(0.0)
+    high = wp.float64(0.0)
+    if surface.bicubic == 1:
+        low, high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+    else:
+        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+        north = at + wp.int64(surface.columns)
+        a = wp.float64(sample_at(surface.samples, at)) * surface.scale + surface.offset
+        b = wp.float64(sample_at(surface.samples, at + wp.int64(1))) * surface.scale + surface.offset
+        c = wp.float64(sample_at(surface.samples, north)) * surface.scale + surface.offset
+        d = wp.float64(sample_at(surface.samples, north + wp.int64(1))) * surface.scale + surface.offset
+        low = less(less(a, b), less(c, d)) - blocks.more
+        high = more(more(a, b), more(c, d)) + blocks.more
+    return low, high
+
+
+@wp.func
 def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.int32) -> wp.float64:
     """Half of the largest second derivative of the surface along the ray in cell (i, j), metres a square metre."""
     across = ray.du * ray.du + ray.dv * ray.dv
@@ -268,7 +287,14 @@ def in_one_cell(
     if surface.bicubic == 0 and surface.coats.count == 0:
         hit, side = in_bilinear(surface, ray, i, j, first, last, side, slack)
     else:
-        hit, side = in_curved(surface, blocks, ray, i, j, first, last, side, slack)
+        low, high = cell_range(surface, blocks, i, j)
+        on_side = clear_of(low, high, ray.z + first * ray.dz, ray.z + last * ray.dz, slack)
+        if on_side == wp.float64(0.0):
+            hit, side = in_curved(surface, blocks, ray, i, j, first, last, side, slack)
+        else:
+            if side * on_side < wp.float64(0.0):
+                hit = first
+            side = on_side
     return hit, side
 
 

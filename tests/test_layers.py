@@ -30,12 +30,13 @@ ROOMS = {
         "detail",
         "morph",
         "effects",
+        "query",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

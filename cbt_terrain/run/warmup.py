@@ -20,7 +20,7 @@ from types import ModuleType
 
 import warp as wp
 
-from ...kernels import accuracy, budget, detail, effects, field, land, mesh, morph, refine
+from ...kernels import accuracy, budget, detail, effects, field, land, mesh, morph, query, refine
 from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
@@ -169,9 +169,10 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Those that are compiled when a scene first asks for them: effects, land, a detail, points that rise, what ground
-    hides."""
-    return [*_modules_of(effects), *_modules_of(land), *_modules_of(detail), *_modules_of(morph), horizon_map]
+    """Those that are compiled when a scene first asks for them: effects, land, a detail, points that rise, queries, what
+    ground hides."""
+    rooms = effects, land, detail, morph, query
+    return [module for room in rooms for module in _modules_of(room)] + [horizon_map]
 
 
 def _modules_of(package: ModuleType) -> list[ModuleType]:

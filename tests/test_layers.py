@@ -29,12 +29,13 @@ ROOMS = {
         "mesh",
         "detail",
         "effects",
+        "scatter",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "scatter", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -33,7 +33,6 @@ from .scatter import MOST_TILES, Scatter
 from .squares import Squares, squares_wanted
 from .tile import FINEST, POINTS, tile
 
-MOST_CANDIDATES = 1 << 26  # 2 GB
 SPARE = 1.25  # times what is wanted of a square, that is put on the ground: a camera that creeps wants a little more
 
 
@@ -54,6 +53,11 @@ class Points:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def only(self, which: np.ndarray) -> "Points":
+        """Those of the numbers `which`, or where that is true."""
+        parts = self.positions, self.normals, self.size, self.id, self.variant, self.rotation
+        return Points(*(part[which] for part in parts), self.tested)
 
 
 def scatter_points(field: HeightField, scatter: Scatter, views: Sequence[View] = (), **placed) -> Points:
@@ -134,11 +138,6 @@ class Scatterer:
     def _runs(self, squares: Squares, views: int) -> np.ndarray:
         """The runs of squares that so many views want, on the ground then: Run's numpy dtype [n]."""
         tiles, square = squares.of_tile()
-        if (tested := int(squares.count.sum())) > MOST_CANDIDATES:
-            raise TerrainError(
-                f"The scatter may have {tested:,} points in view, expected {MOST_CANDIDATES:,} at most: make its "
-                "spacing larger, or its full density end nearer to the camera."
-            )
         runs = np.zeros(len(square), kernels.Run.numpy_dtype())
         first, most = tile().runs(squares.halvings, square)
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first, squares.count

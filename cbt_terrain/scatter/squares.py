@@ -14,6 +14,7 @@ from ...kernels.field.domain import Domain
 from ...kernels.field.layout import Depth
 from ...kernels.scatter import squares as kernels
 from ...kernels.scatter.seen import Views
+from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.hierarchy import ranges_at
 from ..run import launch
@@ -22,6 +23,12 @@ from .tile import FINEST, POINTS, tile
 
 FEW = 64  # points of a square that is not worth cutting
 EVEN = 1.5  # times the least that is wanted of a square, the most of one that is not cut
+MOST_CANDIDATES = 1 << 26  # 2 GB
+MOST_CUT = MOST_CANDIDATES // (4 * FEW)  # of a size; each has more points than a few
+TOO_MANY = (
+    "The scatter has more than {} points in view: make its spacing larger, or let its full density end nearer to the "
+    "camera."
+)
 NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int64), np.empty(0, bool)
 
 
@@ -46,7 +53,10 @@ class Squares:
 def squares_wanted(
     field: HeightField, domain: Domain, views: Views, west: float, south: float, side: float, threads: int
 ) -> Squares:
-    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`."""
+    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`.
+
+    Raises TerrainError for more than MOST_CANDIDATES points.
+    """
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
     halvings = -max(0, int(np.ceil(np.log2(tiles))))
@@ -67,9 +77,14 @@ def squares_wanted(
             cut &= (count > FEW) & (most > EVEN * least) & (halvings < FINEST)
             taken = ~cut & (count > 0)
             found.append((depth[taken], numbers[taken], count[taken], least[taken] > 0))
+        if cut.sum() > MOST_CUT:
+            raise TerrainError(TOO_MANY.format(f"{MOST_CANDIDATES:,}"))
         numbers = _children(numbers[cut])
         halvings += 1
-    return Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
+    squares = Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
+    if squares.count.sum() > MOST_CANDIDATES:
+        raise TerrainError(TOO_MANY.format(f"{MOST_CANDIDATES:,}"))
+    return squares
 
 
 def _children(numbers: np.ndarray) -> np.ndarray:

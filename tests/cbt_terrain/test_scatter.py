@@ -163,17 +163,15 @@ def test_seeds_and_variants_differ(field):
     assert np.median(distance) > 0.3
 
 
-@pytest.mark.parametrize("count", [64, 400, 3000, POINTS])
+@pytest.mark.parametrize("count", [64, 400, POINTS])
 def test_every_prefix_of_the_tile_keeps_apart_and_is_no_lattice(count):
     """Distances to the nearest of nine tiles' points, in parts of the densest packing's."""
     place = tile().place[:count].astype(np.float64) / UNITS
-    distance = np.empty(count)
-    for first in range(0, count, 512):
-        apart = np.abs(place[first : first + 512, None] - place)
-        squared = (np.minimum(apart, 1 - apart) ** 2).sum(axis=2)
-        squared[squared == 0] = 2
-        distance[first : first + 512] = np.sqrt(squared.min(axis=1))
-    distance /= math.sqrt(2 / (math.sqrt(3) * count))
+    some = place[:: max(1, count // 400)]
+    apart = np.abs(some[:, None] - place)
+    squared = (np.minimum(apart, 1 - apart) ** 2).sum(axis=2)
+    squared[squared == 0] = 2
+    distance = np.sqrt(squared.min(axis=1)) / math.sqrt(2 / (math.sqrt(3) * count))
     assert distance.min() > 0.55 and 0.75 < distance.mean() < 0.88
     assert distance.std() > 0.05  # all equal in a lattice
 
@@ -205,7 +203,7 @@ def test_what_cannot_be_is_refused(wrong, said):
 
 
 def test_too_many_points_are_refused(field):
-    with pytest.raises(TerrainError, match="may have .* points in view"):
+    with pytest.raises(TerrainError, match="more than 67,108,864 points in view"):
         scatter_points(field, Scatter(spacing=0.05))
     with pytest.raises(TerrainError, match="finer than a mesh can hold"):
         scatter_points(from_array(np.zeros((5, 5), np.float32), 1e6), Scatter(spacing=1e-4))

@@ -32,6 +32,7 @@ from . import (
     query_rows,
     report,
     scale,
+    scatter_rows,
     scenes,
     scree_rows,
     shading_row,
@@ -138,6 +139,7 @@ def everything(
     yield partial(land_rows.land_rows)
     yield partial(scree_rows.scree_rows)
     yield water_rows.water_rows
+    yield partial(scatter_rows.scatter_rows, rough)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows

@@ -31,12 +31,13 @@ ROOMS = {
         "morph",
         "effects",
         "query",
+        "scatter",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "scatter", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -28,6 +28,7 @@ from . import (
     layer_rows,
     light_rows,
     maps_rows,
+    morph_rows,
     performance_page,
     report,
     scale,
@@ -138,6 +139,7 @@ def everything(
     yield partial(scree_rows.scree_rows)
     yield water_rows.water_rows
     yield partial(hidden_row.hidden_row, folder)
+    yield partial(morph_rows.morph_rows, rough)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
     store = in_blender.keep(rough, folder / "rough")

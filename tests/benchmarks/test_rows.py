@@ -27,6 +27,7 @@ from adaptive_terrain.benchmarks import (
     light_rows,
     maps_rows,
     measure,
+    morph_rows,
     report,
     scale,
     scenes,
@@ -216,6 +217,7 @@ def small_suite(monkeypatch):
         scree_rows: {"SAMPLES": SAMPLES, "PER_KM2": 20.0},
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
+        morph_rows: {"TRIANGLES": 8_000},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         detail_rows: {"SAMPLES": SAMPLES},
         demand_rows: {"MILLION": 8_000},
@@ -234,7 +236,8 @@ ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "dept
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
 ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
 ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets", "land_water", "land_snow"]
-ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
+ENGINE_ROWS += ["hidden", "morph_flight", "morph_cut", "maps_normal"]
+ENGINE_ROWS += ["detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -20,6 +20,8 @@ _FRONT_DOOR = {
     "View": "ask.view",  # what cameras see
     "Criterion": "ask.criterion",  # and how fine that is to be
     "bake": "fit.bake",  # a height field to a mesh without a camera
+    "Scatter": "scatter.scatter",  # what stands on it,
+    "scatter_points": "scatter.points",  # ... and where
 }
 
 

@@ -6,6 +6,7 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
@@ -55,6 +56,13 @@ def check_06_an_effect(said, folder):
     assert numbers(said, r"noon_sun of ([\d,]+)")[0] > 1000 and "made: detail_normal, noon_sun;" in said
     least, most = numbers(said, r"([\d]\.[\d]+)")
     assert 0.0 <= least < 0.5 < most <= 1.0
+
+
+def check_07_scatter(said, folder):
+    assert all(count > 1000 for count in numbers(said, r"frame \d: ([\d,]+) points"))
+    assert numbers(said, r"moved ([\d.]+) m") == [0.0, 0.0] and max(numbers(said, r"came, ([\d.]+)%")) < 5
+    with np.load(folder / "points.npz") as file:
+        assert file["rotation"].shape == (len(file["id"]), 4)
 
 
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}

@@ -53,7 +53,7 @@ GOALS: dict[tuple[str, int], float] = {
     ("land_sediment", ANY_SIZE): 1.5,
     ("land_scree", ANY_SIZE): 0.06,
     ("land_demanded", ANY_SIZE): 0.35,
-    ("scatter", ANY_SIZE): 0.3,
+    ("scatter", ANY_SIZE): 0.4,
     ("scatter_flight", ANY_SIZE): 0.1,
     ("maps_normal", ANY_SIZE): 1.0,
     # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.

@@ -68,7 +68,7 @@ MEANING = {
     "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
     "to the same bytes; one thread.",
     "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",
-    "scatter": "Points of a scatter on the rough field, one on 1.9 x 1.9 m up to 1,500 m from the camera, with nothing "
+    "scatter": "Points of a scatter on the rough field, one on 2.05 x 2.05 m up to 1,500 m from the camera, nothing "
     "known before, beside the same points by numpy's whole arrays. tested: candidates that were looked at.",
     "scatter_flight": "The same, of the next frame of the flight.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "

@@ -7,6 +7,7 @@ import bpy
 
 from . import handlers
 from .effects import bake_maps, land_presets, splat_layers, terrain_material
+from .ground import add_collider, drop_to_ground, keep_above, pick_ground, profile_curve, viewshed
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -15,6 +16,8 @@ from .scene import (
     frame_terrain,
     freeze_detail,
     import_terrain,
+    keep_ground,
+    keep_properties,
     land_list,
     layer_images,
     live,
@@ -29,6 +32,8 @@ from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
 
 MODULES = (
     properties,
+    keep_properties,
+    keep_ground,
     import_terrain,
     add_terrain,
     frame_terrain,
@@ -46,6 +51,12 @@ MODULES = (
     shape_land,
     water_surface,
     export_terrain,
+    drop_to_ground,
+    keep_above,
+    pick_ground,
+    profile_curve,
+    viewshed,
+    add_collider,
     measuring,
     measure_accuracy,
     sweep_accuracy,

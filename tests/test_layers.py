@@ -39,7 +39,8 @@ ROOMS = {
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "demand", "scene", "effects", "output", "report", "ui", "handlers", "registration"),
+        *("text", "mesh", "demand", "scene", "effects", "output", "ground", "report", "ui"),
+        *("handlers", "registration"),
         *("blender", "demo", "cli"),
     ],
 }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drop to Ground: objects, or the points of curves, straight down or up to the terrain."""
 
+import math
 from dataclasses import dataclass
 
 import bpy
@@ -61,6 +62,8 @@ class DropToGround(bpy.types.Operator):
     def execute(self, context):
         depsgraph, objects, left = context.evaluated_depsgraph_get(), [], {}
         try:
+            if not math.isfinite(self.offset):
+                raise TerrainError(f"The offset from the ground is {self.offset}; expected a number of metres.")
             ground = grounds(context, depsgraph)
             for obj in movers(selected(context)):
                 refused = self._refusal(obj)

@@ -7,6 +7,8 @@ the frame is evaluated again, before any terrain is refined for a camera among t
 a sequence, and what the user has keyed is never touched.
 """
 
+import math
+
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
@@ -118,7 +120,7 @@ def _move_of(obj, depsgraph, height: float, normal: np.ndarray, turns: bool) -> 
         rise = height + settings.offset - z
     else:
         rise = max(0.0, height + settings.clearance - z)
-    if abs(rise) <= moves.rounding(evaluated, height):
+    if not math.isfinite(rise) or abs(rise) <= moves.rounding(evaluated, height):
         rise = 0.0
     turns = turns and settings.how == ON and settings.align
     return (rise, normal if turns else None) if rise or turns else None

@@ -94,7 +94,7 @@ def test_shutter_times_do_not_rebuild(scene, add_terrain, monkeypatch):
     updates = []
     monkeypatch.setattr(handlers, "update_all", lambda scene, depsgraph, mode: updates.append(scene.frame_current))
     rendering = SimpleNamespace(mode="RENDER")
-    fake = SimpleNamespace(session_uid=1, frame_current=5, frame_subframe=0.0)
+    fake = SimpleNamespace(session_uid=1, frame_current=5, frame_subframe=0.0, objects=[])
     handlers.on_render_pre(fake)
     handlers.on_frame_change(fake, rendering)
     for frame, subframe in ((4, 0.0), (5, 0.5), (6, 0.0)):

@@ -56,7 +56,7 @@ def ground_at(
     found = Ground(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
     outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
-    inputs = [surface, shared(places, wp.vec2d), *outputs]
+    inputs = [count, surface, shared(places, wp.vec2d), *outputs]
     threads = launch.default_threads() if threads is None else threads
     launch.spread(kernels.ground_at, count, inputs, step="query", threads=threads, cost=COST)
     return found
@@ -77,7 +77,8 @@ def profile(
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
         raise TerrainError(f"The line has {len(line)} points; expected 2 at least.")
-    lengths = np.hypot(*np.diff(line, axis=0).T)
+    x, y = np.diff(line, axis=0).T
+    lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     along, places = _crossings(field, line, ends) if spacing is None else _evenly(line, ends, spacing)
     return Profile(along, ground_at(field, places, vertical_scale, vertical_offset).heights, places)

@@ -16,6 +16,10 @@ from ..terrain import box_of
 # Of the longer half side: what float32 rounds off a position on the rim.
 ROUNDED = 2.0 ** -(PLANE_BITS + 1)
 
+# Of the greatest height: more than float64 rounds off a sum of heights.
+ROUNDED_HEIGHT = 1e-12
+SPARE = 1e-3
+
 
 def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.Surface:
     """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
@@ -25,6 +29,7 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     s.columns, s.rows = lattice.width, lattice.height
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
+    s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     s.rim_x, s.rim_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
     s.scale, s.offset = vertical_scale, vertical_offset
     s.bicubic = int(field.interpolation == "bicubic")
@@ -40,7 +45,10 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> ray_kernels.Block
     lattice, b = field.lattice, ray_kernels.Blocks()
     b.top = lattice.levels
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
-    b.base, b.step, b.more = field.range_base, field.range_step, highest(field.parts)
+    b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
+    b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
+    # ... and what float64 rounds of these
+    b.more = highest(field.parts) * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)
@@ -61,9 +69,9 @@ def vectors(values, width: int, name: str, unit: str = "metres") -> np.ndarray:
         found = found.reshape(-1, width)
     if found.ndim != 2 or found.shape[1] != width:
         raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] {unit}.")
-    finite = np.isfinite(found).all(axis=1)
+    finite = np.isfinite(found)
     if not finite.all():
-        at = int(np.argmin(finite))
+        at = int(np.argmin(finite.all(axis=1)))
         said = ", ".join(f"{value:g}" for value in found[at])
         raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite {unit}: correct or leave it out.")
     return found

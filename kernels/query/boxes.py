@@ -50,7 +50,7 @@ def row_ranges(
     while i < surface.columns - 1 and wp.float64(i) <= east:
         if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
             if surface.bicubic == 1:
-                a, b = range_at(surface, blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+                a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
                 low = wp.min(low, a)
                 high = wp.max(high, b)
             else:

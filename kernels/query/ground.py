@@ -3,10 +3,13 @@
 
 import warp as wp
 
+from ..effects.jet import arc_tangent
+from ..field.codes import prefetch_sample
 from .surface import Surface, cell_of, is_ground, jet_in
 
 wp.set_module_options({"enable_backward": False})
 
+AHEAD = wp.constant(16)
 NOTHING = wp.constant(wp.float64(wp.nan))
 
 
@@ -22,9 +25,23 @@ def onto_rim(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
     return found
 
 
+@wp.func
+def fetch_about(surface: Surface, p: wp.vec2d):
+    """Bring the samples about a place into the cache; nothing is read, so any place will do."""
+    i = wp.int64((p[0] - surface.west) * surface.per_x)
+    j = wp.int64((p[1] - surface.south) * surface.per_y)
+    row = wp.int64(surface.columns)
+    at = j * row + i
+    prefetch_sample(surface.samples, at)
+    prefetch_sample(surface.samples, at + row)
+    prefetch_sample(surface.samples, at - row)
+    prefetch_sample(surface.samples, at + row + row)
+
+
 @wp.kernel
 def ground_at(
     offset: int,
+    count: int,
     surface: Surface,
     places: wp.array(dtype=wp.vec2d),
     heights: wp.array(dtype=wp.float64),
@@ -35,6 +52,7 @@ def ground_at(
     """Height, unit normal and slope (radians) at place `offset + tid`; not numbers where there is no ground."""
     n = offset + wp.tid()
     one = wp.float64(1.0)
+    fetch_about(surface, places[wp.min(n + AHEAD, count - 1)])
     p = places[n]
     u = onto_rim((p[0] - surface.west) / surface.step_x, surface.columns - 1, surface.rim_x)
     v = onto_rim((p[1] - surface.south) / surface.step_y, surface.rows - 1, surface.rim_y)
@@ -57,7 +75,7 @@ def ground_at(
             steep2 = nx * nx + ny * ny
             nz = one / wp.sqrt(steep2 + one)
             normal = wp.vec3d(nx * nz, ny * nz, nz)
-            slope = wp.atan(wp.sqrt(steep2))
+            slope = arc_tangent(wp.sqrt(steep2))
     heights[n] = height
     normals[n] = normal
     slopes[n] = slope

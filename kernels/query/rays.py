@@ -17,6 +17,7 @@ import warp as wp
 
 from ..field.codes import error_of, sample_at
 from ..field.layout import tile_index
+from ..unchecked import code_at, entry_at, number_at
 from .surface import Surface, cell_of, is_ground, jet_in
 
 wp.set_module_options({"enable_backward": False})
@@ -32,11 +33,12 @@ class Blocks:
     """Ranges of heights, of blocks of 2^FINEST .. 2^top cells a side and, of a bicubic surface, of cells."""
 
     top: wp.int32  # less than FINEST: there are none
-    low_z: wp.float64  # of the whole surface, metres after scaling
+    low_z: wp.float64  # of the whole surface, metres
     high_z: wp.float64
-    base: wp.float64  # a height is base + q * step metres before scaling
+    spare: wp.float64  # ... and more than float64 rounds of them
+    base: wp.float64  # a height is base + q * step metres
     step: wp.float64
-    more: wp.float64  # metres before scaling that detail rises above the ranges, or falls below them
+    more: wp.float64  # metres that detail rises above the ranges, or falls below them
     first: wp.array(dtype=wp.int64)  # of each group of levels: its first entry
     pages: wp.array(dtype=wp.int32)
     ranges: wp.array(dtype=wp.uint16)
@@ -62,22 +64,32 @@ class Ray:
 
 
 @wp.func
-def range_at(surface: Surface, blocks: Blocks, at: wp.int64):
-    """Lowest and highest metres of an entry of the ranges."""
-    low = blocks.base + wp.float64(blocks.ranges[wp.int64(2) * at]) * blocks.step - blocks.more
-    high = blocks.base + wp.float64(blocks.ranges[wp.int64(2) * at + wp.int64(1)]) * blocks.step + blocks.more
-    a = low * surface.scale + surface.offset
-    b = high * surface.scale + surface.offset
-    return wp.min(a, b), wp.max(a, b)
+def less(a: wp.float64, b: wp.float64) -> wp.float64:
+    """The lesser of two numbers: one instruction, where Warp's own looks for NaN."""
+    return wp.where(a < b, a, b)
 
 
 @wp.func
-def block_range(surface: Surface, blocks: Blocks, bits: wp.int32, x: wp.int32, y: wp.int32):
+def more(a: wp.float64, b: wp.float64) -> wp.float64:
+    """The greater of two numbers."""
+    return wp.where(a > b, a, b)
+
+
+@wp.func
+def range_at(blocks: Blocks, at: wp.int64):
+    """Lowest and highest metres of an entry of the ranges."""
+    a = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
+    b = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
+    return less(a, b) - blocks.more, more(a, b) + blocks.more
+
+
+@wp.func
+def block_range(blocks: Blocks, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Lowest and highest metres of the block (x, y) of 2^bits cells a side."""
     group = (bits - FINEST) >> 1
     half = 1 + (bits & 1)
-    at = tile_index(half + 2 * half * x, half + 2 * half * y, blocks.pages[group])
-    return range_at(surface, blocks, blocks.first[group] + at)
+    at = tile_index(half + 2 * half * x, half + 2 * half * y, number_at(blocks.pages, group))
+    return range_at(blocks, entry_at(blocks.first, group) + at)
 
 
 @wp.func
@@ -233,9 +245,9 @@ def in_curved(
 def clear_of(low: wp.float64, high: wp.float64, z0: wp.float64, z1: wp.float64, slack: wp.float64) -> wp.float64:
     """The side of heights low .. high on which heights z0 .. z1 are, 1 above and -1 below; 0: on neither."""
     side = wp.float64(0.0)
-    if wp.min(z0, z1) > high + slack:
+    if less(z0, z1) > high + slack:
         side = wp.float64(1.0)
-    if wp.max(z0, z1) < low - slack:
+    if more(z0, z1) < low - slack:
         side = wp.float64(-1.0)
     return side
 
@@ -281,29 +293,40 @@ def first_hit(
     cells_y = surface.rows - 1
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(cells_x))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(cells_y))
-    # a ray begins far enough from the surface to know its side, also where that is flat
-    spare = blocks.high_z - blocks.low_z + surface.step_x
-    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
+    # Where a ray comes in above or below everything its side is known, also where it is cut at a flat surface.
+    side = known
+    z = ray.z + first * ray.dz
+    if side == zero and not (z >= blocks.low_z and z <= blocks.high_z):
+        side = side_of(z - blocks.low_z)
+    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - blocks.spare, blocks.high_z + blocks.spare)
     hit = NOWHERE
     if not (first <= last):
         return hit
-    side = known
+    per_u = wp.float64(1.0) / ray.du
+    per_v = wp.float64(1.0) / ray.dv
+    east = wp.where(ray.du > zero, 1, 0)
+    north = wp.where(ray.dv > zero, 1, 0)
     t = first
+    z = ray.z + t * ray.dz
     i = cell_of(ray.u + t * ray.du, cells_x)
     j = cell_of(ray.v + t * ray.dv, cells_y)
     bits = wp.where(blocks.top < FINEST, 0, wp.min(bits, blocks.top))
+    if ray.du == zero and ray.dv == zero:
+        bits = 0
     while True:
-        x0 = (i >> bits) << bits
-        y0 = (j >> bits) << bits
-        x1 = wp.min(x0 + (1 << bits), cells_x)
-        y1 = wp.min(y0 + (1 << bits), cells_y)
+        x = i >> bits
+        y = j >> bits
+        # the lines of cells that the ray leaves the block by
+        line_x = wp.min((x + east) << bits, cells_x)
+        line_y = wp.min((y + north) << bits, cells_y)
         to_x = NOWHERE
         to_y = NOWHERE
         if ray.du != zero:
-            to_x = (wp.float64(wp.where(ray.du > zero, x1, x0)) - ray.u) / ray.du
+            to_x = (wp.float64(line_x) - ray.u) * per_u
         if ray.dv != zero:
-            to_y = (wp.float64(wp.where(ray.dv > zero, y1, y0)) - ray.v) / ray.dv
-        out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
+            to_y = (wp.float64(line_y) - ray.v) * per_v
+        out = more(t, less(less(to_x, to_y), last))
+        out_z = ray.z + out * ray.dz
         clear = True
         if bits == 0:
             on_west = ray.du == zero and ray.u == wp.float64(i)
@@ -313,8 +336,8 @@ def first_hit(
             else:
                 side = known
         else:
-            low, high = block_range(surface, blocks, bits, i >> bits, j >> bits)
-            on_side = clear_of(low, high, ray.z + t * ray.dz, ray.z + out * ray.dz, slack)
+            low, high = block_range(blocks, bits, x, y)
+            on_side = clear_of(low, high, z, out_z, slack)
             clear = on_side != zero
             if clear:
                 if side * on_side < zero:
@@ -325,16 +348,20 @@ def first_hit(
         if clear:
             if out >= last:
                 break
-            line = 0
+            line = line_x
             if to_x <= to_y:
-                line = wp.where(ray.du > zero, x1, x0)
-                i = wp.where(ray.du > zero, x1, x0 - 1)
-                j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y0, y1 - 1)
+                i = line_x + east - 1
+                j = wp.clamp(
+                    wp.int32(wp.floor(ray.v + out * ray.dv)), y << bits, wp.min(((y + 1) << bits), cells_y) - 1
+                )
             else:
-                line = wp.where(ray.dv > zero, y1, y0)
-                j = wp.where(ray.dv > zero, y1, y0 - 1)
-                i = wp.clamp(wp.int32(wp.floor(ray.u + out * ray.du)), x0, x1 - 1)
+                line = line_y
+                j = line_y + north - 1
+                i = wp.clamp(
+                    wp.int32(wp.floor(ray.u + out * ray.du)), x << bits, wp.min(((x + 1) << bits), cells_x) - 1
+                )
             t = out
+            z = out_z
             if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
                 break
             coarser = wp.where(bits == 0, FINEST, bits + 1)

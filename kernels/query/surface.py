@@ -6,7 +6,7 @@ import warp as wp
 from ..bicubic.surface import in_patch
 from ..field.codes import Samples
 from ..field.detail import Coats, detail_at
-from ..mesh.displace import in_cell
+from ..mesh.displace import height, in_cell
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,6 +21,8 @@ class Surface:
     south: wp.float64
     step_x: wp.float64  # metres between samples
     step_y: wp.float64
+    per_x: wp.float64  # samples a metre
+    per_y: wp.float64
     rim_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
     rim_y: wp.float64
     scale: wp.float64
@@ -70,14 +72,43 @@ def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_s
 
 
 @wp.func
+def in_inner_cell(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """The same bits as `in_cell` of a cell that is not on the rim: each of its twelve samples is read once."""
+    row = wp.int64(surface.columns)
+    at = wp.int64(j) * row + wp.int64(i)
+    one = wp.int64(1)
+    half = wp.float64(0.5)
+    whole = wp.float64(1.0)
+    a = height(surface.samples, at)
+    b = height(surface.samples, at + one)
+    c = height(surface.samples, at + row)
+    d = height(surface.samples, at + row + one)
+    a_y = (c - height(surface.samples, at - row)) * half
+    b_y = (d - height(surface.samples, at - row + one)) * half
+    a_x = (b - height(surface.samples, at - one)) * half
+    b_x = (height(surface.samples, at + one + one) - a) * half
+    at += row
+    c_x = (d - height(surface.samples, at - one)) * half
+    d_x = (height(surface.samples, at + one + one) - c) * half
+    at += row
+    c_y = (height(surface.samples, at) - a) * half
+    d_y = (height(surface.samples, at + one) - b) * half
+    south = wp.vec3d(a, a_x, a_y) * ((whole - s) * (whole - t)) + wp.vec3d(b, b_x, b_y) * (s * (whole - t))
+    north = wp.vec3d(c, c_x, c_y) * ((whole - s) * t) + wp.vec3d(d, d_x, d_y) * (s * t)
+    return south + north
+
+
+@wp.func
 def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Height and gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    elif i > 0 and j > 0 and i < surface.columns - 2 and j < surface.rows - 2:
+        g = in_inner_cell(surface, i, j, s, t)
     else:
         g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
-    g = wp.vec3d(g[0], g[1] / surface.step_x, g[2] / surface.step_y)
+    g = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.coats.count > 0:
         x = surface.west + (wp.float64(i) + s) * surface.step_x
         y = surface.south + (wp.float64(j) + t) * surface.step_y

@@ -162,16 +162,20 @@ def settle_now(scene, depsgraph, waits: bool = True) -> list[str]:
     return settle(scene, depsgraph, VIEWPORT, waits=waits, frame_changes=False)
 
 
-def settle_shown(scene, depsgraph) -> None:
-    """The same for the live update, which never waits: only where something has changed, on ground that there is."""
+def settle_shown(scene, depsgraph) -> bool:
+    """The same for the live update, which never waits: only where something has changed, on ground that there is.
+    Returns False if it has to be asked again, since kernels are being prepared."""
     kept = kept_of(scene)
-    if not kept or depsgraph is None or not warmup.ask([ground, rays]):
-        return
+    if not kept or depsgraph is None:
+        return True
+    if not warmup.ask([ground, rays]):
+        return False
     try:
         if _settled.get(scene.session_uid) != _key(scene, kept, depsgraph):
             settle_now(scene, depsgraph, waits=False)
     except TerrainError:
         pass  # the terrain says so itself
+    return True
 
 
 def _key(scene, kept: list, depsgraph) -> tuple:

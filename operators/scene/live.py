@@ -106,7 +106,8 @@ def _next_job() -> Job | None:
     """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
     global _follows_viewport, _started
     for window in _windows():
-        keep_ground.settle_shown(window.scene, window.view_layer.depsgraph)
+        if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
+            mark_dirty()
     shown = [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
     _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
     for depsgraph, obj in shown:

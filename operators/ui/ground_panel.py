@@ -11,7 +11,7 @@ from .panel_parts import message
 
 
 class GroundPanel(bpy.types.Panel):
-    bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
+    bl_idname = "ADAPTIVE_TERRAIN_PT_on_ground"
     bl_label = "Ground"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
     bl_space_type = "VIEW_3D"
@@ -41,8 +41,8 @@ class GroundPanel(bpy.types.Panel):
 
     def _draw_keeping(self, box, obj):
         settings = obj.adaptive_terrain_keep
-        box.use_property_split, box.use_property_decorate = True, False
         box.row().prop(settings, "how", expand=True)
+        box.use_property_split, box.use_property_decorate = True, False
         if settings.how == ON:
             box.prop(settings, "offset")
             box.prop(settings, "align")

@@ -5,6 +5,7 @@ settled before the terrain is refined for them."""
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.scene import keep_ground, session, world_ground
 from adaptive_terrain.operators.scene.pauses import paused
@@ -233,6 +234,22 @@ def test_the_live_update_settles_what_has_moved_and_nothing_else(askew, monkeypa
         at = rock.matrix_world.translation
         assert at.z == pytest.approx(Cast(askew).height(at), abs=NEAR)
     assert len(settled) == 2
+
+
+def test_it_waits_for_kernels_that_are_being_prepared(askew, monkeypatch):
+    session.update_object(askew)
+    rock = cube("Rock", (80.0, -20.0, 0.0))
+    only(rock)
+    keep()
+    rock.location.x = 150.0
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    monkeypatch.setattr(warmup, "ask", lambda modules: False)
+    assert not keep_ground.settle_shown(bpy.context.scene, depsgraph), "ask again"
+    monkeypatch.setattr(warmup, "ask", lambda modules: True)
+    assert keep_ground.settle_shown(bpy.context.scene, depsgraph)
+    at = rock.matrix_world.translation
+    assert at.z == pytest.approx(Cast(askew).height(at), abs=NEAR)
 
 
 def test_a_scene_that_keeps_nothing_asks_for_no_ground(askew, monkeypatch):

@@ -18,7 +18,7 @@ from ...cbt_terrain.run import warmup
 from ...kernels.query import ground, rays
 from . import vertical_moves as moves
 from . import world_ground
-from .keep_properties import ON
+from .keep_properties import ON, any_kept
 from .request import VIEWPORT
 
 MOST_MOVES = 3  # of an object: one is enough, but for what float32 rounds
@@ -44,6 +44,8 @@ def refusal(obj, align: bool = False) -> str:
 
 def kept_of(scene) -> list:
     """The objects of a scene that are kept, and may be moved."""
+    if not any_kept():
+        return []
     return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)]
 
 
@@ -73,9 +75,10 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
     for obj in kept:
         _notes.pop(obj.session_uid, None)
     grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
-    followed, moved, todo = {obj: _leaders(obj) & set(kept) for obj in kept}, {}, kept
+    everyone = set(kept)
+    followed, moved, todo = {obj: _leaders(obj) & everyone for obj in kept}, {}, kept
     while off := _moves_of(todo, grounds, depsgraph, moved.keys()):
-        held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0])]
+        held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _set_free(obj)
             _notes[obj.session_uid] = f"{obj.name!r} is not moved: a constraint holds it where it is"
@@ -90,40 +93,48 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
         if not now:
             break
     if mode == VIEWPORT:
-        _settled[scene.session_uid] = _key(scene, kept, depsgraph)
+        _settled[scene.session_uid] = _key(kept, grounds, depsgraph)
     return [_notes[obj.session_uid] for obj in kept if obj.session_uid in _notes]
 
 
-def _moves_of(objects: list, grounds: list, depsgraph, turned) -> dict:
-    """By object: metres to rise and the normal to turn to, or None; of those that are not where they should be."""
-    evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
-    objects = [obj for obj, shown in zip(objects, evaluated, strict=True) if shown.is_evaluated]
-    places = np.array([obj.evaluated_get(depsgraph).matrix_world.translation for obj in objects]).reshape(-1, 3)
+def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
+    """By object: metres to rise and the normal to turn to, or None; of those that are not where they should be.
+
+    Those that have been `moved` are not turned again.
+    """
+    shown = {obj: obj.evaluated_get(depsgraph) for obj in objects}
+    shown = {obj: item for obj, item in shown.items() if item.is_evaluated and all(map(math.isfinite, _place(item)))}
     found = {}
-    for only in {obj.adaptive_terrain_keep.terrain for obj in objects}:
-        chosen = [n for n, obj in enumerate(objects) if obj.adaptive_terrain_keep.terrain == only]
-        chosen = [n for n in chosen if np.isfinite(places[n]).all()]
+    for only in {obj.adaptive_terrain_keep.terrain for obj in shown}:
+        chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
         own = [item for item in grounds if only is None or item.uid == only.session_uid]
-        under = world_ground.below(own, places[chosen])
-        normals = world_ground.normals(own, places[chosen], under)
-        for n, height, normal in zip(chosen, under.heights, normals, strict=True):
-            if np.isfinite(height):
-                found[objects[n]] = _move_of(objects[n], depsgraph, float(height), normal, objects[n] not in turned)
-    return {obj: found[obj] for obj in objects if found.get(obj) is not None}
+        places = np.array([_place(shown[obj]) for obj in chosen], np.float64)
+        under = world_ground.below(own, places)
+        turning = [_turns(obj) and obj not in moved for obj in chosen]
+        normals = world_ground.normals(own, places, under) if any(turning) else places
+        for obj, height, normal, turns in zip(chosen, under.heights.tolist(), normals, turning, strict=True):
+            rise = _rise_of(obj, shown[obj], height)
+            if rise or (turns and math.isfinite(height)):
+                found[obj] = rise, normal if turns else None
+    return {obj: found[obj] for obj in objects if obj in found}
 
 
-def _move_of(obj, depsgraph, height: float, normal: np.ndarray, turns: bool) -> tuple | None:
-    """None where an object is where it should be."""
-    settings, evaluated = obj.adaptive_terrain_keep, obj.evaluated_get(depsgraph)
-    z = evaluated.matrix_world.translation.z
+def _place(evaluated):
+    return evaluated.matrix_world.translation
+
+
+def _turns(obj) -> bool:
+    return obj.adaptive_terrain_keep.how == ON and obj.adaptive_terrain_keep.align
+
+
+def _rise_of(obj, evaluated, height: float) -> float:
+    """Metres by which an object is to rise over ground of a height; 0 where it is right, or there is no ground."""
+    settings, z = obj.adaptive_terrain_keep, _place(evaluated).z
     if settings.how == ON:
         rise = height + settings.offset - z
     else:
         rise = max(0.0, height + settings.clearance - z)
-    if not math.isfinite(rise) or abs(rise) <= moves.rounding(evaluated, height):
-        rise = 0.0
-    turns = turns and settings.how == ON and settings.align
-    return (rise, normal if turns else None) if rise or turns else None
+    return rise if math.isfinite(rise) and abs(rise) > moves.rounding(evaluated, height) else 0.0
 
 
 def _apply(obj, depsgraph, rise: float, normal) -> None:
@@ -171,14 +182,15 @@ def settle_shown(scene, depsgraph) -> bool:
     if not warmup.ask([ground, rays]):
         return False
     try:
-        if _settled.get(scene.session_uid) != _key(scene, kept, depsgraph):
+        grounds = world_ground.grounds_of(scene, depsgraph, waits=False)
+        if _settled.get(scene.session_uid) != _key(kept, grounds, depsgraph):
             settle_now(scene, depsgraph, waits=False)
     except TerrainError:
         pass  # the terrain says so itself
     return True
 
 
-def _key(scene, kept: list, depsgraph) -> tuple:
+def _key(kept: list, grounds: list, depsgraph) -> tuple:
     """Equal as long as nothing has moved, neither objects nor ground."""
     objects = []
     for obj in kept:
@@ -187,7 +199,6 @@ def _key(scene, kept: list, depsgraph) -> tuple:
         only = settings.terrain.session_uid if settings.terrain else 0
         matrix = np.array(obj.evaluated_get(depsgraph).matrix_world).tobytes()
         objects.append((obj.session_uid, matrix, *numbers, only))
-    grounds = world_ground.grounds_of(scene, depsgraph, waits=False)
     return tuple(objects), tuple(item.key() for item in grounds)
 
 

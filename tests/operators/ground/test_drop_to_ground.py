@@ -178,6 +178,20 @@ def test_what_cannot_be_moved_says_why_and_stays(askew, capfd):
     assert world(rock).translation.z == pytest.approx(Cast(askew).height((100, -30)), abs=NEAR)
 
 
+def test_linked_objects_are_left_alone(askew, tmp_path, capfd):
+    rock = cube("Rock", (100.0, -30.0, 80.0))
+    bpy.data.libraries.write(str(tmp_path / "rocks.blend"), {rock})
+    bpy.data.objects.remove(rock)
+    with bpy.data.libraries.load(str(tmp_path / "rocks.blend"), link=True) as (_, wanted):
+        wanted.objects = ["Rock"]
+    [rock] = wanted.objects
+    bpy.context.scene.collection.objects.link(rock)
+    only(rock)
+    for settings in ({}, {"keep": True}):
+        assert "'Rock' is linked from a library; make it local" in refused(capfd, **settings)
+    assert rock.location.z == 80.0 and not rock.adaptive_terrain_keep.keep
+
+
 def test_without_ground_or_objects_the_button_is_grey(scene, add_terrain):
     rock = cube("Rock", (0.0, 0.0, 0.0))
     only(rock)

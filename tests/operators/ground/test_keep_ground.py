@@ -260,6 +260,21 @@ def test_a_scene_that_keeps_nothing_asks_for_no_ground(askew, monkeypatch):
     assert len(askew.data.polygons) > 100
 
 
+def test_what_is_appended_kept_is_found(askew, tmp_path):
+    rock = cube("Rock", (80.0, -20.0, 0.0))
+    rock.adaptive_terrain_keep.keep = True
+    bpy.data.libraries.write(str(tmp_path / "rocks.blend"), {rock})
+    bpy.data.objects.remove(rock)
+    bpy.context.scene.frame_set(2)
+    assert not keep_ground.kept_of(bpy.context.scene)
+    with bpy.data.libraries.load(str(tmp_path / "rocks.blend")) as (_, wanted):
+        wanted.objects = ["Rock"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    bpy.context.scene.frame_set(3)
+    at = wanted.objects[0].matrix_world.translation
+    assert at.z == pytest.approx(Cast(askew).height(at), abs=NEAR)
+
+
 def test_beyond_the_terrain_it_is_where_its_animation_has_it(drive):
     drive.parent.location.x = 9000.0
     bpy.context.scene.frame_set(4)

@@ -59,7 +59,7 @@ class Bed:
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
-    """Let `years` pass; `number`: of this step, for the noise. The parameters are those of rivers.py.
+    """Let `years` pass; `number`: of this step's draw of the noise. The parameters are those of rivers.py.
 
     float64 [n], metres times samples of sediment that came to each sample: at those where water leaves, what has left;
     None without deposition.
@@ -71,7 +71,7 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
     if values["creep"] > 0.0:
         least = LEAST_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0)
-        _creep(bed, drainage, max(years * values["creep"], least))
+        bed.heights = diffuse(bed, bed.heights, max(years * values["creep"], least), drainage.base, bed.part)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
 
@@ -108,24 +108,26 @@ def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -
     return rate, filled
 
 
-def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
-    """Diffusion over `spread` m2, in as many explicit steps as are stable, or in an implicit one."""
+def diffuse(bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """`values` (float32 [n], used up) after diffusion over `spread` m2, in as many explicit steps as are stable, or in
+    an implicit one; `part` (float32 [n]) of it. Where `still` (uint8 [n], as all of the rim is) is 1 they stay."""
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
-    (rows, columns), other = bed.shape, bed.heights.copy()
+    (rows, columns), other = bed.shape, values.copy()
+    grid = grid_of(rows, columns, bed.step_x, bed.step_y)
     common = {"step": "rivers", "threads": bed.threads}
-    still = [flat(drainage.base, wp.uint8), flat(bed.part, wp.float32)]
+    where = [flat(still, wp.uint8), flat(part, wp.float32)]
     if passes > MOST_PASSES:
-        arrays = [*still, flat(other, wp.float32), flat(bed.heights, wp.float32)]
-        blocks, inputs = -(-columns // BLOCK), [BLOCK, drainage.grid, ns, *arrays]
+        arrays = [*where, flat(other, wp.float32), flat(values, wp.float32)]
+        blocks, inputs = -(-columns // BLOCK), [BLOCK, grid, ns, *arrays]
         launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
-        launch.spread(far_creep.creep_along_rows, rows, [drainage.grid, ew, *arrays], cost=columns, **common)
-        return
+        launch.spread(far_creep.creep_along_rows, rows, [grid, ew, *arrays], cost=columns, **common)
+        return values
     for _ in range(passes):
-        arrays = [*still, flat(bed.heights, wp.float32), flat(other, wp.float32)]
-        inputs = [drainage.grid, ew / passes, ns / passes, *arrays]
-        launch.spread(kernels.creep, rows - 2, inputs, cost=columns / 16, **common)
-        bed.heights, other = other, bed.heights
+        arrays = [*where, flat(values, wp.float32), flat(other, wp.float32)]
+        launch.spread(kernels.creep, rows - 2, [grid, ew / passes, ns / passes, *arrays], cost=columns / 16, **common)
+        values, other = other, values
+    return values
 
 
 def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:

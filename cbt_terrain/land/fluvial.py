@@ -27,6 +27,8 @@ CREEP = 0.4
 LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
+# Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
+SETTLING = 20
 
 
 @dataclass(eq=False)
@@ -131,9 +133,28 @@ def diffuse(bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part
 
 
 def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
-    load = np.zeros(len(rate))
+    load, lake = np.zeros(len(rate)), (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
     arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
     arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]
     launch.once(kernels.lay_down, inputs, step="rivers")
+    _settle(bed, lake, raised)
     return load
+
+
+def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
+    """Level out what has been laid down where there is a `lake` (bool [n], none of the rim), until now and just now."""
+    at = np.flatnonzero(lake)
+    was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
+    rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
+    rock[at], old[at], new[at] = bed.heights[at] - was, was, was
+    ends = np.flatnonzero(np.diff(at // bed.shape[1], append=-1))
+    last = at[ends].astype(np.int32)
+    first = at[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
+    where = [bed.shape[1], flat(first, wp.int32), flat(last, wp.int32), flat(lake.view(np.uint8), wp.uint8)]
+    cost = len(at) / max(len(ends), 1) / 8
+    for _ in range(SETTLING if len(at) else 0):
+        arrays = [flat(a, wp.float32) for a in (rock, old, new)]
+        launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
+        old, new = new, old
+    bed.heights[at] += old[at] - was

@@ -58,6 +58,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,
     ("detail_displace", ANY_SIZE): 6.0,
+    ("query_heights", ANY_SIZE): 0.5,
+    ("query_rays", ANY_SIZE): 0.005,
     ("import_reopen", ANY_SIZE): 1.0,
     ("scale_refine", ANY_SIZE): 1.05,
     ("scale_surface", ANY_SIZE): 1.05,

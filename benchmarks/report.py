@@ -79,6 +79,11 @@ MEANING = {
     "those without, from over its rim; ms are of a first update.",
     "detail_from_ground": "The same from 2 m above the ground, where a pixel is some millimetres.",
     "detail_displace": "Displacement with nine octaves of detail beside without, all vertices anew, one thread.",
+    "query_heights": "A million places of the built-in island in order: heights, normals, slopes; beside heights alone "
+    "by numpy; one thread. ns_random: in random order.",
+    "query_rays": "First hits of a camera's rays from 300 m over the island, 640 x 360; beside numpy's march by the "
+    "side of a cell; one thread.",
+    "query_sight": "Which samples within 500 m that eye sees, a line of sight each; one thread.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

@@ -29,6 +29,7 @@ from . import (
     light_rows,
     maps_rows,
     performance_page,
+    query_rows,
     report,
     scale,
     scenes,
@@ -140,6 +141,7 @@ def everything(
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
+    yield query_rows.query_rows
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

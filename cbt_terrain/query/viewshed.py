@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.query import viewshed as kernels
+from ...kernels.query.surface import Surface
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..run import launch
@@ -14,6 +15,7 @@ from ..run.buffers import flat
 from .surface import blocks_of, packed, vectors
 
 COST = 50.0
+AT_ONCE = 1 << 17  # samples of one launch: between two the work can be stopped
 # Of the greatest height: by so much the ground has to rise above a line of sight, more than float64 rounds.
 MARGIN = 1e-9
 
@@ -51,5 +53,15 @@ def viewshed(
     numbers = map(wp.float64, (target_height, radius * radius, slack))
     inputs = [surface, blocks, wp.vec3d(*eye[0]), *numbers, flat(seen, wp.bool)]
     threads = launch.default_threads() if threads is None else threads
-    launch.spread(kernels.in_sight, seen.size, inputs, step="query", threads=threads, cost=COST)
+    start, end = (surface.columns * row for row in _rows_near(surface, float(eye[0, 1]), radius))
+    for first in range(start, end, AT_ONCE):
+        count = min(AT_ONCE, end - first)
+        launch.spread(kernels.in_sight, count, [first, *inputs], step="query", threads=threads, cost=COST)
     return seen
+
+
+def _rows_near(surface: Surface, y: float, radius: float) -> tuple[int, int]:
+    """The first row of samples within a radius of y, and the one after the last."""
+    rows = (np.array([y - radius, y + radius]) - surface.south) / surface.step_y
+    low, high = np.floor(np.clip(rows, -1, surface.rows)).astype(int).tolist()
+    return max(low, 0), min(high + 2, surface.rows)

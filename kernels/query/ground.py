@@ -5,7 +5,7 @@ import warp as wp
 
 from ..effects.jet import arc_tangent
 from ..field.codes import prefetch_sample
-from .surface import Surface, cell_of, is_ground, jet_in
+from .surface import Surface, cell_of, is_ground, shaded_in
 
 wp.set_module_options({"enable_backward": False})
 
@@ -68,7 +68,7 @@ def ground_at(
         t = v - wp.float64(j)
         found = is_ground(surface, i, j, s == zero, t == zero)
         if found:
-            g = jet_in(surface, i, j, s, t)
+            g = shaded_in(surface, i, j, s, t)
             height = g[0] * surface.scale + surface.offset
             nx = -g[1] * surface.scale
             ny = -g[2] * surface.scale

@@ -99,8 +99,43 @@ def in_inner_cell(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: 
 
 
 @wp.func
+def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Height and the bilinear patch's own gradient (metres a cell)."""
+    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+    h = height(surface.samples, at)
+    east = height(surface.samples, at + wp.int64(1)) - h
+    at += wp.int64(surface.columns)
+    corner = height(surface.samples, at)
+    north = corner - h
+    twist = height(surface.samples, at + wp.int64(1)) - corner - east
+    return wp.vec3d(h + east * s + (north + twist * s) * t, east + twist * t, north + twist * s)
+
+
+@wp.func
+def metric(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
+    """Height and gradient g (metres a cell) as metres a metre, that of the detail added."""
+    found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
+    if surface.coats.count > 0:
+        x = surface.west + (wp.float64(i) + s) * surface.step_x
+        y = surface.south + (wp.float64(j) + t) * surface.step_y
+        found += detail_at(surface.coats, x, y)
+    return found
+
+
+@wp.func
 def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Height and gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
+    """Height and its gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
+    g = wp.vec3d()
+    if surface.bicubic == 1:
+        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    else:
+        g = in_saddle(surface, i, j, s, t)
+    return metric(surface, i, j, s, t, g)
+
+
+@wp.func
+def shaded_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """As `jet_in`, with the gradient by which the mesh is shaded: of a bilinear surface it has no steps."""
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
@@ -108,9 +143,4 @@ def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.floa
         g = in_inner_cell(surface, i, j, s, t)
     else:
         g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
-    g = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
-    if surface.coats.count > 0:
-        x = surface.west + (wp.float64(i) + s) * surface.step_x
-        y = surface.south + (wp.float64(j) + t) * surface.step_y
-        g += detail_at(surface.coats, x, y)
-    return g
+    return metric(surface, i, j, s, t, g)

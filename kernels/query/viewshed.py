@@ -3,7 +3,8 @@
 
 import warp as wp
 
-from .rays import NOWHERE, Blocks, first_hit, ray_of
+from .crossing import NOWHERE, Blocks
+from .rays import first_hit, ray_of
 from .surface import Surface, is_ground, jet_in
 
 wp.set_module_options({"enable_backward": False})
@@ -12,6 +13,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def in_sight(
     offset: int,
+    first: int,
     surface: Surface,
     blocks: Blocks,
     eye: wp.vec3d,
@@ -20,8 +22,8 @@ def in_sight(
     slack: wp.float64,
     seen: wp.array(dtype=wp.bool),
 ):
-    """Sample `offset + tid`: whether nothing rises above the line from `target` metres over it to the eye."""
-    n = offset + wp.tid()
+    """Sample `first + offset + tid`: whether nothing rises above the line from `target` metres over it to the eye."""
+    n = first + offset + wp.tid()
     row = n / surface.columns
     column = n - row * surface.columns
     i = wp.min(column, surface.columns - 2)

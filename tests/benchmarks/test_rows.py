@@ -27,6 +27,7 @@ from adaptive_terrain.benchmarks import (
     light_rows,
     maps_rows,
     measure,
+    query_rows,
     report,
     scale,
     scenes,
@@ -218,6 +219,7 @@ def small_suite(monkeypatch):
         hidden_row: {"SAMPLES": SAMPLES},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         detail_rows: {"SAMPLES": SAMPLES},
+        query_rows: {"SAMPLES": SAMPLES, "PLACES": 2_500, "RAYS": (16, 9), "MARCHED": 20},
         demand_rows: {"MILLION": 8_000},
         start: {"SIZE": 2_000, "RUNS": 1},
         scale: {"QUICK_SIZES": (8_000, 16_000)},
@@ -234,7 +236,8 @@ ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "dept
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
 ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
 ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets", "land_water", "land_snow"]
-ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace", "cold_start"]
+ENGINE_ROWS += ["hidden", "maps_normal", "detail_from_air", "detail_from_ground", "detail_displace"]
+ENGINE_ROWS += ["query_heights", "query_rays", "query_sight", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -102,8 +102,9 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("morph_flight", ANY_SIZE): (
         4.8,
-        "1.45 of it are triangles, a tenth of them in the fringe of the frame. In a flight everything else is copied; but two points in five are on their way and "
-        "move with every frame, and to know of the others that they are not takes their ratio: 120 ns a point.",
+        "1.45 of it are triangles, a tenth of them in the fringe of the frame. In a flight everything else is copied; "
+        "but two points in five are on their way and move with every frame, and to know of the others that they are "
+        "not takes their ratio: 120 ns a point.",
     ),
     ("morph_cut", ANY_SIZE): (
         3.0,

@@ -33,7 +33,7 @@ class Criterion:
     `max_depth`: bisections of a root square (None: to what float32 holds). `max_triangles`: None is no limit.
     `meshlet`: each leaf becomes 4**meshlet triangles, 0 .. 4.
     `morph`: points rise to their places by the view alone, so that nothing pops: see morph.py. 1 is off, 1.5 takes a
-    quarter more triangles for the same bound; 4 at most.
+    quarter to a half more triangles for the same bound; 4 at most.
     """
 
     error_px: float = 1.0

@@ -8,7 +8,8 @@ a mean of the meshes for 1 .. k times an error. So for a bound B the walk is ask
 
 from functools import lru_cache
 
-SMOOTH = 1.5  # the k of the product: a quarter more triangles, and jumps some 50 times smaller
+# A quarter to a half more triangles; jumps fall with the step of the camera.
+SMOOTH = 1.5
 MOST = 4.0  # more than three quarters more triangles than without, and little smoother
 
 

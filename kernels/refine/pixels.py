@@ -39,11 +39,11 @@ class LocalView:
     cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
-    fade: wp.float64  # 0: at once; else as far as the outer planes it rises as (1 + fade * part)^4 does
+    fade: wp.float64  # 0: at once; else over a fringe it rises as (1 + fade * part)^4 does
+    fringe: wp.float64  # how wide that is beyond a plane: metres, of perspective a part of the depth
     hidden2: wp.float64  # ... of what nearer ground hides
     rings: Rings
     planes: planes_type  # positive towards the frustum
-    outer: planes_type  # the same, further outside
 
 
 @wp.struct
@@ -97,13 +97,23 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 
 @wp.func
+def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
+    """Metres beyond a plane over which pixels get coarser, at a depth."""
+    wide = view.fringe
+    if view.kind == PERSPECTIVE:
+        wide = wide * larger(deep, wp.float64(0.0))
+    return wide
+
+
+@wp.func
 def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
     """As `stand_of`; CROSSED also where pixels get coarser by parts."""
     stand = stand_of(view, low, high)
     if stand != CLEAR and view.fade > wp.float64(0.0):
         stand = CROSSED
+        wide = fringe_at(view, most_of(view.depth, low, high))
         for p in range(view.plane_count):
-            if most_of(view.outer[p], low, high) <= wp.float64(0.0):
+            if most_of(view.planes[p], low, high) + wide <= wp.float64(0.0):
                 stand = OUTSIDE
     return stand
 
@@ -178,12 +188,13 @@ def veil_of(
 
 
 @wp.func
-def faded2(view: LocalView, inner: wp.float64, outer: wp.float64) -> wp.float64:
-    """Squared factor by which pixels are coarser at `inner`, negative, from a plane and at `outer` from its outer one.
+def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
+    """Squared factor by which pixels are coarser at `inner` metres, negative, from a plane and at a depth.
 
     It falls as either rises, also in rounded arithmetic.
     """
     coarser2 = view.off_screen2
+    outer = inner + fringe_at(view, deep)
     if outer > wp.float64(0.0):
         one = wp.float64(1.0)
         factor = one + view.fade / (one - outer / inner)
@@ -206,7 +217,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
                 if view.fade == zero:
                     coarser2 = view.off_screen2
                     break
-                coarser2 = larger(faded2(view, inner, most_of(view.outer[p], d.low, d.high)), coarser2)
+                coarser2 = larger(faded2(view, inner, most_of(view.depth, d.low, d.high)), coarser2)
     if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
         if (known & HIDDEN) != 0 or is_hidden(view.rings, slopes, d.low - view.eye, d.high - view.eye):
             coarser2 = view.hidden2
@@ -227,7 +238,7 @@ def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond,
                 if view.fade == zero:
                     coarser2 = view.off_screen2
                     break
-                coarser2 = larger(faded2(view, least, least_of(view.outer[p], d.low, d.high)), coarser2)
+                coarser2 = larger(faded2(view, least, least_of(view.depth, d.low, d.high)), coarser2)
     veil = veil_of(view, slopes, d.low, d.high, known)
     if veil != BARE:
         coarser2 = larger(coarser2, view.hidden2)

@@ -16,6 +16,7 @@ from .errors import TerrainError
 from .field.heightfield import HeightField
 from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
+from .mesh.rising import Rising
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
@@ -107,17 +108,28 @@ class Terrain:
         )
 
     def saved(self) -> tuple[bytes, dict]:
-        """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again."""
+        """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again.
+
+        Where points were rising it says until which ratio: of their heights the tree knows nothing.
+        """
         self._need_update()
-        meshlet, _, scale, offset = self._shape_key
-        return self.tree.to_bytes(), {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
+        meshlet, _, scale, offset, morph = self._shape_key
+        how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
+        return self.tree.to_bytes(), how | ({"morph": morph} if morph > 1 else {})
 
     def restore(
-        self, tree: bytes, *, meshlet: int = 0, vertical_scale: float = 1.0, vertical_offset: float = 0.0
+        self,
+        tree: bytes,
+        *,
+        meshlet: int = 0,
+        vertical_scale: float = 1.0,
+        vertical_offset: float = 0.0,
+        morph: float = 1.0,
     ) -> Update:
         """The mesh of a saved tree, without a criterion and a camera: of what `saved` gives the same, byte for byte.
 
-        Only its bound in metres is known. Raises TerrainError for what is no tree of this height field.
+        Where its points were rising (`morph` above 1), they are in their places now. Only its bound in metres is known.
+        Raises TerrainError for what is no tree of this height field.
         """
         key = (tree, meshlet, vertical_scale, vertical_offset)
         if type(meshlet) is not int or not all(isinstance(number, int | float) for number in key[2:]):
@@ -143,7 +155,7 @@ class Terrain:
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
         depth = int(depths.max())
         domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
-        shape = (meshlet, depth, vertical_scale, vertical_offset)
+        shape = (meshlet, depth, vertical_scale, vertical_offset, 1.0)
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
         leaves, error = self._refinement.replay(domain, depths, cell_bits)
         changed = leaves.changed or shape != shape_key
@@ -196,7 +208,8 @@ class Terrain:
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
-        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset)
+        rises_until = criterion.rises_until
+        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, rises_until)
         off = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
         plan = Plan((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
@@ -210,14 +223,16 @@ class Terrain:
         asked = pack(criterion, local, spans, domain.source)
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        surface, changed = self._last.surface if self._last else None, shape != shape_key
+        surface, changed = self._last.surface if self._last else None, shape != shape_key or rises_until > 1
         most = _max_leaves(criterion)
         while True:
-            leaves, relaxed = self._refinement.run(domain, asked, depth, most, criterion.max_triangles is not None)
+            limited = criterion.max_triangles is not None
+            leaves, relaxed = self._refinement.run(domain, asked, depth, most, limited, rises_until)
             # The same leaves displaced the same way are the same mesh.
             changed |= leaves.changed
+            rising = Rising(asked, rises_until, relaxed) if rises_until > 1 else None
             if changed:
-                surface = self._builder.build(leaves, domain, criterion.meshlet)
+                surface = self._builder.build(leaves, domain, criterion.meshlet, rising)
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
             if over <= 0 or leaves.total > most:

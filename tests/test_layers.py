@@ -28,6 +28,7 @@ ROOMS = {
         "bicubic",
         "mesh",
         "detail",
+        "morph",
         "effects",
         "land",
         "fitting",

@@ -14,6 +14,7 @@ from ...kernels.mesh import join as join_kernels
 from ...kernels.mesh import meshlet as meshlet_kernels
 from ...kernels.mesh import weld as weld_kernels
 from ...kernels.mesh import weld_state
+from ...kernels.morph import displace as rising_kernels
 from ...kernels.refine.runs import Run, Runs
 from ..errors import TerrainError
 from ..field import coats
@@ -26,6 +27,7 @@ from . import borders
 from .attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from .cut import swap
 from .meshlet_template import template
+from .rising import Rising, memories
 from .surface import Surface
 
 NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
@@ -33,6 +35,7 @@ NOT_NESTED = "its errors are not nested or its heights not finite, so that trian
 TRIANGLE_BYTES = 600
 # What becomes of points; the last frame's is kept for the next one.
 DISPLACED = ("positions", "normals", "uv")
+KNOWN = "known"  # ... of points that rise
 # Arrays of a surface whose buffers have other names, behind "leaf_" or "mesh_".
 BUFFERS = {LEVEL: "level"}
 
@@ -65,11 +68,12 @@ class SurfaceBuilder:
         self._coats = field.detail and coats.packed(field.detail, field.finest_edge, field.lattice)
         self._recorded: dict = {}
         self._shown: Leaves | _Meshlets | None = None  # whose points the positions are of
+        self._risen = False  # ... which were rising
         self._swapped: list[np.ndarray] = []  # ... once these have changed places again
         self._inner_runs = Runs()
 
-    def build(self, leaves: Leaves, domain: Domain, meshlet: int) -> Surface:
-        """Weld the leaves, expand them to 4**meshlet triangles each, displace the points.
+    def build(self, leaves: Leaves, domain: Domain, meshlet: int, rising: Rising | None = None) -> Surface:
+        """Weld the leaves, expand them to 4**meshlet triangles each, displace the points; `rising`: not all the way.
 
         Raises TerrainError where a damaged field gives leaves that do not fit together or positions that are not
         finite, and for more triangles than memory holds; then nothing of a surface holds, the last one's neither.
@@ -81,6 +85,9 @@ class SurfaceBuilder:
             for swapped in reversed(self._swapped):
                 for name in DISPLACED:
                     swap(self._buffers.numpy(name), swapped)
+        if self._risen != (rising is not None):
+            shown = None  # nothing to be copied from
+        self._risen = rising is not None
         _check_memory(triangles * 4**meshlet)
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
@@ -100,7 +107,7 @@ class SurfaceBuilder:
         elif shown is not None and leaves.after is shown:
             slots = self._take_points(leaves)
         pieces = self._pieces(vertices) if meshlet or len(parts) == 1 else 1
-        self._displace(parts, pieces, domain, point, slots)
+        self._displace(parts, pieces, domain, point, slots, rising, meshlet)
         memory = self._buffers.numpy
         surface = Surface(
             memory("positions")[:vertices],
@@ -227,7 +234,7 @@ class SurfaceBuilder:
     def _take(self, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
         """Have runs of points copied from the last frame, in which slices' points lie from `base` on and have numbers
         from `first` on."""
-        for name in DISPLACED:
+        for name in (*DISPLACED, KNOWN):
             self._buffers.swap(name, "last_" + name)
         get = self._buffers.get
         bind(
@@ -242,7 +249,14 @@ class SurfaceBuilder:
         )
 
     def _displace(
-        self, parts: list[tuple[int, int]], pieces: int, domain: Domain, point: str, slots: list[int] | None
+        self,
+        parts: list[tuple[int, int]],
+        pieces: int,
+        domain: Domain,
+        point: str,
+        slots: list[int] | None,
+        rising: Rising | None,
+        meshlet: int,
     ) -> None:
         """Positions, normals and uv of points that lie in parts (base, count), each part in so many pieces.
 
@@ -266,9 +280,14 @@ class SurfaceBuilder:
             first += n
         not_finite = self._buffers.numpy("not_finite")
         not_finite[0] = 0
-        if self._coats:
-            inputs = [[*values, self._coats] for values in inputs]
-        kernel = detail_kernels.displace_detail if self._coats else displace_kernels.displace
+        kernel = displace_kernels.displace
+        if rising:
+            packed = rising.pack(self._coats, meshlet, vertices, self._buffers)
+            scratch = memories(self._buffers, len(inputs))
+            kernel = rising_kernels.displace_rising
+            inputs = [[*values, packed, own] for values, own in zip(inputs, scratch, strict=True)]
+        elif self._coats:
+            kernel, inputs = detail_kernels.displace_detail, [[*values, self._coats] for values in inputs]
         launch.slices(kernel, inputs, step="displace", recorded=self._recorded)
         if not_finite[0]:
             raise self._field.damage("it has heights that are not finite or too large for a mesh")

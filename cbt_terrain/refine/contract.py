@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A bound is a contract: what was asked, times what a triangle limit relaxed. More is said only of what could not be
 kept: where a leaf is as deep as leaves may be, and where float32 and the source leave more open than was asked.
+
+Where points rise, the surface is a mean of the meshes for 1 .. k times what the finest holds. What that one is off
+beside its own t is nowhere more in the others. So the mean is off by what the finest is, and (m - 1) t.
 """
 
 import math
@@ -12,6 +15,7 @@ from ...kernels.field.domain import Domain
 from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
 from ...kernels.refine.pixels import Asked
 from ..ask.criterion import LARGEST, Criterion
+from ..ask.morph import mean_ramp
 from ..ask.spans import Spans
 from ..run import launch
 from ..run.buffers import Buffers
@@ -86,15 +90,17 @@ def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
     wanted, source = criterion.error_px * o.relaxed, o.domain.source
+    finest = wanted / mean_ramp(criterion.rises_until)
     least, most = o.domain.rounding + source, _fixed(o)
     # Of what cannot be refined away the source's rounding is a part that is not the same everywhere.
     low, high = (source * fixed.most / metres if metres else 0.0 for metres in (most, least))
-    kept = _kept(wanted, fixed.most, low, high)
-    kept = min(kept, fixed.most * (1 + o.relief / least) if least else 0.0)
-    over = o.stopped_above(ERROR, kept)
+    kept, limit = _kept(finest, fixed.most, low, high), fixed.most * (1 + o.relief / least) if least else 0.0
+    over = o.stopped_above(ERROR, min(kept, limit))
+    kept = min(kept + (wanted - finest), limit)
     at = over or fixed
     per = at.most / at.total if at.total else 0.0  # spans of a metre
-    found = _bound(wanted, at.most if over else kept, (at.fixed - source) * per, source * per, over is not None)
+    value = over.most + (wanted - finest) if over else kept
+    found = _bound(wanted, value, (at.fixed - source) * per, source * per, over is not None)
     if found.value <= criterion.error_px:
         return found
     seen = min(spans.pixels(found.value), LARGEST)
@@ -106,12 +112,12 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
     """Metres of height between mesh and surface, anywhere."""
     if not criterion.error_m:
         return None
-    fixed, source = _fixed(o), o.domain.source
-    kept = _kept(weighed_as(criterion.error_m, source) * o.relaxed, fixed, source, source)
-    kept = min(kept, o.relief + fixed)
-    over = o.stopped_above(METRES, kept)
-    precision = (over.fixed if over else fixed) - source
-    return _bound(criterion.error_m * o.relaxed, over.most if over else kept, precision, source, over is not None)
+    fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.rises_until)
+    finest = weighed_as(criterion.error_m, source, mean) * o.relaxed
+    kept, limit, rises = _kept(finest, fixed, source, source), o.relief + fixed, (mean - 1) * finest
+    over = o.stopped_above(METRES, min(kept, limit))
+    precision, value = (over.fixed if over else fixed) - source, over.most + rises if over else min(kept + rises, limit)
+    return _bound(criterion.error_m * o.relaxed, value, precision, source, over is not None)
 
 
 def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
@@ -119,8 +125,10 @@ def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
     if not criterion.edge_px:
         return None
     wanted = criterion.edge_px * o.relaxed
-    over, longer = o.stopped_above(EDGE, wanted * spans.edge), spans.excess_of_edges(o.deepest)
-    return Bound((over.most / spans.edge if over else wanted) * longer, _of_edges(over, longer))
+    finest = wanted / mean_ramp(criterion.rises_until)
+    over, longer = o.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(o.deepest)
+    longest = over.most / spans.edge + (wanted - finest) if over else wanted
+    return Bound(longest * longer, _of_edges(over, longer))
 
 
 def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
@@ -128,8 +136,10 @@ def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
     if not criterion.area_px:
         return None
     wanted = math.sqrt(2 * criterion.area_px) * o.relaxed
-    over, longer = o.stopped_above(AREA, wanted * spans.edge), spans.excess_of_edges(o.deepest)
-    area = 0.5 * (over.most / spans.edge) ** 2 if over else criterion.area_px * o.relaxed**2
+    finest = wanted / mean_ramp(criterion.rises_until)
+    over, longer = o.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(o.deepest)
+    longest = over.most / spans.edge + (wanted - finest) if over else wanted
+    area = 0.5 * longest**2 if over else criterion.area_px * o.relaxed**2
     return Bound(area * longer**2, _of_edges(over, longer))
 
 

@@ -9,6 +9,7 @@ from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
 from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.criterion import Criterion
+from ..ask.morph import mean_ramp
 from ..ask.spans import Spans
 from ..field import codes
 from ..field.coats import coat_tables, coats_of, mask_levels, most_of_masks
@@ -110,17 +111,17 @@ def _pack_detail(domain: Domain, field: HeightField, meshlet: int) -> None:
 
 def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> Asked:
     """What is asked, in spans of a pixel as the kernels measure them; `source`: metres that the source's own heights
-    may be off."""
-    asked = Asked()
+    may be off. Where points rise it is finer, so that the mean over the ramp is what the criterion says."""
+    asked, mean = Asked(), mean_ramp(criterion.rises_until)
 
     def squared(value: float) -> float:
-        return value**2 if value > 0 else math.inf
+        return (value / mean) ** 2 if value > 0 else math.inf
 
     asked.view_count = len(views)
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
     asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
     asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
-    asked.metres2 = squared(weighed_as(criterion.error_m, source) * (1 - 2 * MARGIN))
+    asked.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
     asked.diagonal2, asked.axis2 = spans.lengths
     asked.limit = 1.0
     views = views or [LocalView()]

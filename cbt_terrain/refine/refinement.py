@@ -87,19 +87,29 @@ class Refinement:
         self._motion, self._point_runs = Motion(), Runs()
         self._last: Walked | None = None
 
-    def run(self, domain: Domain, asked: Asked, max_depth: int, max_leaves: int, limited: bool = False):
+    def run(
+        self,
+        domain: Domain,
+        asked: Asked,
+        max_depth: int,
+        max_leaves: int,
+        limited: bool = False,
+        rises_until: float = 1.0,
+    ):
         """Refine from the roots to at most `max_leaves` and mark the tree.
 
         Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
         functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
-        asked for so few leaves, so they may well be too few; it only says what is tried first.
+        asked for so few leaves, so they may well be too few; it only says what is tried first. `rises_until`: the mesh
+        may be off by so many times what is asked.
         """
         self._need_tree(max(max_depth, MIN_DEPTH))
         most, walks = max(max_leaves, 2 * self.lattice.squares), None
         hides = has_rings(asked)
         for relaxed in RELAXED[limited] if hides else (math.inf,):
             if hides:
-                fill(self.field, domain, asked, max_depth, relaxed, self.buffers, self.threads)
+                off = relaxed * rises_until
+                fill(self.field, domain, asked, max_depth, off, self.buffers, self.threads)
             walks, counts = self._limited(domain, asked, max_depth, most, limited, relaxed)
             if walks is not None:
                 break

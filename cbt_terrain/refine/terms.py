@@ -63,11 +63,11 @@ def left_of(error_m: float, source: float) -> float:
     return error_m - source if source <= 0.5 * error_m else 0.8 * error_m
 
 
-def weighed_as(error_m: float, source: float) -> float:
+def weighed_as(error_m: float, source: float, mean: float = 1.0) -> float:
     """Metres that the criterion (`metres2_of` in kernels/refine/diamond.py) weighs an error as, so that all of it
-    holds."""
+    holds; `mean`: of a ramp (`mean_ramp`), which adds mean - 1 times as much to what the finest mesh is off."""
     left = left_of(error_m, source)
-    return min(left + source, 1.25 * left)
+    return min((left + source) / mean, left * (1.25 / (1.25 * mean - 0.25)))
 
 
 def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> Rounding:

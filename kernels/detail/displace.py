@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.detail import Coats, detail_at
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, Points, fetch_samples, put_vertex, runs_of, surface_at, take_run
+from ..mesh.displace import AHEAD, Points, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
 from ..unchecked import pair_at
 
 wp.set_module_options({"enable_backward": False})
@@ -39,7 +39,8 @@ def displace_detail(
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
-        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
+        take_run(points, at, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

@@ -122,19 +122,12 @@ def runs_of(points: Points, slot: wp.int32):
 
 
 @wp.func
-def take_run(
-    points: Points,
-    run: wp.int64,
-    run_end: wp.int64,
-    v: wp.int32,
-    end: wp.int32,
-    point_base: wp.int64,
-    vertex_base: wp.int32,
-):
-    """Copy what the last frame has of the points of a run from point v on; returns where they begin and end, both `end`
-    if there is none."""
+def find_run(points: Points, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64):
+    """Which points of a run from point v on there are, both `end` if there is none; and the vertex of the last frame
+    that the first of them was."""
     begin = end
     stop = end
+    at = wp.int64(0)
     if run < run_end:
         taken = points.taken.runs[run]
         first = taken.first - point_base
@@ -145,12 +138,18 @@ def take_run(
             while s + 1 < points.last_slices and taken.before >= points.last_base[s + 1]:
                 s += 1
             at = points.last_vertex[s] + taken.before - points.last_base[s] + wp.int64(begin) - first
-            count = stop - begin
-            to = vertex_base + begin
-            copy_vec3s(points.last_positions, at, count, points.positions, to)
-            copy_vec3s(points.last_normals, at, count, points.normals, to)
-            copy_vec2s(points.last_uv, at, count, points.uv, to)
-    return begin, stop
+    return begin, stop, at
+
+
+@wp.func
+def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
+    """Copy what the last frame has of points, from its vertex `at` on."""
+    if stop > begin:
+        count = stop - begin
+        to = vertex_base + begin
+        copy_vec3s(points.last_positions, at, count, points.positions, to)
+        copy_vec3s(points.last_normals, at, count, points.normals, to)
+        copy_vec2s(points.last_uv, at, count, points.uv, to)
 
 
 @wp.func
@@ -206,7 +205,8 @@ def displace(
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
-        begin, stop = take_run(points, run, run_end, v, end, point_base, vertex_base)
+        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
+        take_run(points, at, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How points rise to their places, as the kernels read it: cbt_terrain/ask/morph.py says by what."""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernels.morph import residual as kernels
+from ...kernels.morph.residual import FRONT, REMEMBERED, Ahead, Known, Memory
+from ...kernels.refine.pixels import Asked
+from ..run.buffers import Buffers, bind
+
+
+@dataclass(frozen=True)
+class Rising:
+    """`asked`: what the leaves were refined for. `end`: the ratio, more than 1, at which a point is in its place.
+    `relaxed`: the factor by which a triangle limit coarsened what was asked: where the ramp begins."""
+
+    asked: Asked
+    end: float
+    relaxed: float
+
+    def pack(self, coats, meshlet: int, vertices: int, buffers: Buffers) -> kernels.Rising:
+        """`coats`: of the detail, or None. What is known of points for the next frame is in the buffers."""
+        rising = kernels.Rising()
+        rising.asked, ramp = self.asked, rising.ramp
+        ramp.limit, ramp.end2, ramp.steep = self.relaxed**2, self.end**2, 1.0 / (1.0 - 1.0 / self.end)
+        ramp.bisections = 2 * meshlet
+        if coats:
+            ramp.coats = coats
+        known, last = buffers.get("known", vertices, Known), buffers.get("last_known", 1, Known)
+        bind(rising, known=known, last_known=last)
+        return rising
+
+
+def memories(buffers: Buffers, threads: int) -> list[Memory]:
+    """Scratch of so many threads."""
+    arrays = {
+        "points": buffers.get("rising_points", threads * int(REMEMBERED), wp.vec2i),
+        "lags": buffers.get("rising_lags", threads * int(REMEMBERED), wp.float64),
+        "front": buffers.get("rising_front", threads * int(FRONT), Ahead),
+    }
+    made = [Memory() for _ in range(threads)]
+    for slot, memory in enumerate(made):
+        bind(memory, slot=slot, **arrays)
+    return made

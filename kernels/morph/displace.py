@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Displacement of points that rise to their places. Normals are those of the surface."""
+
+import warp as wp
+
+from ..field.domain import Domain
+from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
+from ..unchecked import pair_at
+from .residual import Memory, Rising, forget_all, risen
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def put_height(points: Points, o: wp.int32, domain: Domain, height: wp.float64):
+    """The height of vertex `o`, of which all else is there: as `put_vertex` in kernels/mesh/displace.py."""
+    z = height * domain.height_scale + domain.height_offset
+    if not (wp.abs(z) < HIGHEST):
+        points.not_finite[0] = 1
+    points.positions[o][2] = wp.float32(z)
+
+
+@wp.kernel
+def displace_rising(
+    first: wp.int32,
+    end: wp.int32,
+    point_base: wp.int64,
+    vertex_base: wp.int32,
+    slot: wp.int32,
+    domain: Domain,
+    points: Points,
+    rising: Rising,
+    memory: Memory,
+):
+    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new."""
+    forget_all(memory)
+    last = point_base + wp.int64(end - 1)
+    run, run_end = runs_of(points, slot)
+    v = first
+    while v < end:
+        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
+        take_run(points, at, begin, stop, vertex_base)
+        run += wp.int64(1)
+        for u in range(v, stop):
+            k = point_base + wp.int64(u)
+            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            p = pair_at(points.point, k)
+            last_vertex = wp.int64(-1)
+            if u >= begin:
+                last_vertex = at + wp.int64(u - begin)
+            there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
+            height = there.surface[0] - there.residual
+            if u < begin:
+                g = wp.vec3d(height, there.surface[1], there.surface[2])
+                put_vertex(points, vertex_base + u, domain, p, g)
+            else:
+                put_height(points, vertex_base + u, domain, height)
+        v = stop

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Split vertices as points of the lattice: how deep their diamond is, and which edge they split.
+
+All of it follows from the trailing zeros of a point's coordinates, in every root square alike.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class SplitVertex:
+    """A point of the lattice and its diamond."""
+
+    point: wp.vec2i
+    depth: wp.int32  # of the diamond that it splits; 0: a corner of a root square
+    left: wp.vec2i  # the ends of the edge that it splits, in either order
+    right: wp.vec2i
+
+
+@wp.func
+def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
+    """The depth of the diamond that is split at p; 0: a corner of a root square."""
+    both = p[0] | p[1]
+    step = both & -both  # the largest power of two of which both coordinates are multiples
+    depth = wp.int32(0)
+    if step > 0 and step >> unit_bits == 0:
+        depth = 2 * (unit_bits - wp.bit_count(step - 1))
+        if (p[0] & p[1] & step) != 0:  # the centre of a cell, not the middle of a side
+            depth -= 1
+    return depth
+
+
+@wp.func
+def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
+    v = SplitVertex()
+    v.point = p
+    v.depth = depth_of(unit_bits, p)
+    if v.depth > 0:
+        half = wp.int32(1) << (unit_bits - ((v.depth + 1) >> 1))
+        along = wp.vec2i(half, 0)
+        if (v.depth & 1) == 1:
+            # The diagonals of the four cells in a cell meet in its middle; that of a root square goes down.
+            rises = v.depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
+            along = wp.vec2i(half, wp.where(rises, half, -half))
+        elif (p[0] & half) == 0:
+            along = wp.vec2i(0, half)
+        v.left = p - along
+        v.right = p + along
+    return v
+
+
+@wp.func
+def above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
+    """The diamond so many bisections, an even number, above that of v, with the whole edge in one of its triangles.
+
+    Two above, the split vertex is that end of the edge which is two bisections older; the other end is older still.
+    """
+    for _ in range(bisections >> 1):
+        end = v.left
+        if depth_of(unit_bits, end) != v.depth - 2:
+            end = v.right
+        v = split_vertex(unit_bits, end)
+    return v

@@ -87,6 +87,7 @@ def _terrain(store: str, px: float):
     settings = obj.adaptive_terrain
     settings.viewport.error_px = COARSE_PX  # what Blender asks for around the render is no part of it
     settings.render.error_px = px
+    settings.render.smooth_transitions = False  # a still
     settings.store, settings.live, settings.enabled = store, False, True
     return obj
 

@@ -8,9 +8,12 @@ import json
 import math
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
+from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
@@ -26,8 +29,11 @@ from matplotlib.cbook import get_sample_data
 
 ISLAND_SIZE = 2049
 RESOLUTION = (1920, 1080)
-# Of the demo's flight: at the start, near the ground, near its end; popping is towards the frame after each.
+# Of the demo's flight: at the start, near the ground, near its end; popping is towards STEP of a frame after each. The
+# flight crosses an island in 24 frames: as a second each, they are a flight of 320 m/s, 24 frames a second.
 FRAMES = (1, 12, 23)
+STEP = 1 / 24
+FLIGHT_NOTE = "Popping is that of a flight of 24 frames where the demo has one, 13 m a frame."
 MODEL = "jacksboro"
 MODEL_NOTE = "The elevation model is the Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it."
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -77,6 +83,10 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
     flight = folder / "flight.json"
     flight.write_text(json.dumps(FLIGHT), encoding="utf-8")
     subject = store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
+    path = read_camera_path(flight)
+    after = [Frame([path.view(number + STEP, RESOLUTION)]) for number in FRAMES]
+    subject.frames = [replace(frame, after=next_) for frame, next_ in zip(subject.frames, after, strict=True)]
+    subject.notes.append(FLIGHT_NOTE)
     subject.seen = f"along the demo's flight, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
     return subject
 

@@ -30,16 +30,18 @@ def ignore(_fraction: float) -> None:
 
 @dataclass(frozen=True)
 class Errors:
-    """One distribution of errors, none negative: all 0 where `count` is 0. `p95`: 95 % are at most this."""
+    """One distribution of errors, none negative: all 0 where `count` is 0. `p95`, `p999`: 95 % and 99.9 % are at
+    most this."""
 
     count: int
     max: float
     p95: float
+    p999: float
     mean: float
     rms: float
 
 
-NONE = Errors(0, 0.0, 0.0, 0.0, 0.0)
+NONE = Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def errors_of(values: np.ndarray) -> Errors:
@@ -50,9 +52,12 @@ def errors_of(values: np.ndarray) -> Errors:
     np.abs(values, out=values)
     at = -(-values.size * 95 // 100) - 1
     values.partition(at)
+    highest = np.sort(values[at:])
+    last = -(-values.size * 999 // 1000) - 1 - at
     mean = float(np.sum(values, dtype=np.float64)) / values.size
     squares = sum(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks(values))
-    return Errors(values.size, float(values[at:].max()), float(values[at]), mean, float(np.sqrt(squares / values.size)))
+    quantiles = float(highest[-1]), float(highest[0]), float(highest[last])
+    return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
 
 
 def _blocks(values: np.ndarray):

@@ -34,7 +34,7 @@ DIFFERENT = 0.02
 LONG_FIT_MS = 1000.0
 STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
 TERMS = tuple(Terms.__dataclass_fields__)
-PARTS = ("count", "max", "p95", "mean", "rms")
+PARTS = tuple(Errors.__dataclass_fields__)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a sweep varies: the error that is asked, limits of depth, meshlets, interpolation, fitted heights."""
+"""What a sweep varies: the error that is asked, limits of depth, meshlets, interpolation, fitted heights, how points
+come and go."""
 
 import dataclasses
 import math
 from dataclasses import dataclass
 
 from ..ask.criterion import Criterion
+from ..ask.morph import SMOOTH
 from ..field.heightfield import INTERPOLATIONS, HeightField
 from .timed_runs import Frame
 
@@ -13,6 +15,8 @@ PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
 # Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
 METRE_STEPS, COARSEST_PART = 7, 1 / 32
 MESHLETS = (1, 2, 3, 4)
+# Errors in pixels of which transitions are measured both ways, smooth and not.
+BOTH_WAYS_PX = (4.0, 2.0, 1.0, 0.5)
 # Bisections that a limit of depth stops short of the raster's cells.
 SHORT_OF_CELLS = (6, 4, 2, 0)
 # Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
@@ -22,7 +26,8 @@ MAX_TRIANGLES = 1 << 23
 @dataclass(frozen=True)
 class Setting:
     """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
-    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field."""
+    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field. `morph`: in
+    place of the criterion's; None keeps that."""
 
     unit: str
     error: float
@@ -30,22 +35,25 @@ class Setting:
     meshlet: int = 0
     fitted: bool = False
     interpolation: str = INTERPOLATIONS[0]
+    morph: float | None = None
 
     @property
     def plain(self) -> bool:
         """Whether the error is all that is asked, of whichever surface."""
-        return self.max_depth is None and self.meshlet == 0 and not self.fitted
+        return self.max_depth is None and self.meshlet == 0 and not self.fitted and self.morph is None
 
     def criterion(self, base: Criterion) -> Criterion:
         """`base` with this setting in place of its errors, lengths, areas and limits."""
         asked = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
         limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
-        return dataclasses.replace(base, **asked, **limits)
+        morph = base.morph if self.morph is None else self.morph
+        return dataclasses.replace(base, **asked, **limits, morph=morph)
 
 
-def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
+def settings_for(heights: HeightField, frame: Frame, morph: float = 1.0) -> list[Setting]:
     """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
-    every other error with the other interpolation. A fit has a bilinear surface without detail under it."""
+    every other error with the other interpolation. A fit has a bilinear surface without detail under it. Where a frame
+    follows, some errors with the other transitions: `morph` is that of the criterion which is swept."""
     own = {"interpolation": heights.interpolation}
     other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []
@@ -55,6 +63,8 @@ def settings_for(heights: HeightField, frame: Frame) -> list[Setting]:
         settings += [Setting("px", 1.0, max_depth=depth, **own) for depth in depths if depth >= 1]
         settings += [Setting("px", 1.0, meshlet=meshlet, **own) for meshlet in MESHLETS]
         settings += [Setting("px", error, **other) for error in PIXELS[::2]]
+        changed = SMOOTH if morph == 1 else 1.0
+        settings += [Setting("px", error, **own, morph=changed) for error in BOTH_WAYS_PX if frame.after]
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
     settings += [Setting("m", error, **own) for error in metres]
     settings += [Setting("m", error, **other) for error in metres[::2]]

@@ -133,6 +133,8 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
     pixels = positive(MAX_ERROR_PX)
     verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
+    smooth = "points rise to their places from frame to frame, instead of popping (as the scene says; of a store off)"
+    verb.add_argument("--morph", action=argparse.BooleanOptionalAction, help=smooth)
     verb.add_argument("--shading-floor", type=part, metavar="F", help="part of an error that counts from above, 0 to 1")
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")

@@ -158,6 +158,7 @@ def run_export(arguments) -> None:
 
 def _export_source(arguments):
     from ...cbt_terrain.ask.criterion import SHADING_FLOOR, Criterion
+    from ...cbt_terrain.ask.morph import SMOOTH
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..blender import need_bpy
     from ..output.exporting import needs_blender
@@ -175,6 +176,7 @@ def _export_source(arguments):
             arguments.meshlet,
             arguments.interpolation,
             arguments.shading_floor,
+            arguments.morph,
             arguments.effects,
             _detail(arguments),
         )
@@ -185,6 +187,7 @@ def _export_source(arguments):
         max_triangles=arguments.budget,
         meshlet=arguments.meshlet or 0,
         shading_floor=SHADING_FLOOR if arguments.shading_floor is None else arguments.shading_floor,
+        morph=SMOOTH if arguments.morph else 1.0,
     )
     resolution = arguments.resolution or DEFAULT_RESOLUTION
     interpolation = arguments.interpolation or INTERPOLATIONS[0]

@@ -53,7 +53,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     settings = obj.adaptive_terrain
     settings.enabled, settings.store = True, str(store.resolve())
     for detail in (settings.render, settings.viewport):
-        detail.error_px = criterion.error_px
+        detail.error_px, detail.smooth_transitions = criterion.error_px, criterion.morph > 1.0
     scene.frame_set(frames[0])
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
     bake_island_maps(obj)

@@ -98,7 +98,8 @@ class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
     `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
-    `shading_floor`, `effects` (names) and `detail` replace what the objects say; None keeps it.
+    `shading_floor`, `morph` (Smooth Transitions), `effects` (names) and `detail` replace what the objects say; None
+    keeps it.
     """
 
     def __init__(
@@ -111,6 +112,7 @@ class SceneFrames:
         meshlet: int | None = None,
         interpolation: str | None = None,
         shading_floor: float | None = None,
+        morph: bool | None = None,
         effects: tuple[str, ...] | None = None,
         detail: Detail | None = None,
     ):
@@ -127,7 +129,7 @@ class SceneFrames:
             raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
         self.scene, self.resolution = bpy.context.scene, resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, effects, detail)
+        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, morph, effects, detail)
         self.objects = session.terrains_of(self.scene)
         if not self.objects:
             raise TerrainError(

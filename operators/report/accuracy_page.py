@@ -27,6 +27,7 @@ from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .accuracy_plots import label, pareto_rows, plots
 from .land_section import land_section
+from .transitions_section import transitions_section
 
 TITLE = "What accuracy costs"
 # Part of a time within which two measurements of the same differ.
@@ -53,6 +54,7 @@ WORDS = [
     ),
     ("depth", "A limit of bisections of a root square."),
     ("meshlet m", "Each leaf is drawn as 4^m triangles."),
+    ("smooth, not smooth", "With Smooth Transitions, or without them, where the other rows are the other way round."),
     ("fitted", "Vertices are moved off the surface, within the bound."),
     (
         "geometric, precision, source",
@@ -142,7 +144,7 @@ def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
         blocks += [Heading(subject.title)] if several else []
         blocks += front(subject, prefix)
     for subject in subjects:
-        blocks += tables(subject, f" of {subject.title}" if several else "")
+        blocks += tables(subject, f" of {subject.title}" if several else "", prefix)
     measured_on = "Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."
     return [*blocks, Heading("What the words mean"), Words(WORDS), Text(measured_on)]
 
@@ -208,8 +210,8 @@ def strip_rows(subject) -> list[Row]:
     return [plain[setting] for setting in settings if setting in plain]
 
 
-def tables(subject, of: str) -> list:
-    """Every figure of one terrain. `of`: its name in headings, where there are others."""
+def tables(subject, of: str, prefix: str) -> list:
+    """Every figure of one terrain. `of`: its name in headings, where there are others. `prefix`: as of `page`."""
     heights, rows = subject.heights, subject.rows
     relief = heights.max_height - heights.min_height
     made = heights.provenance
@@ -231,6 +233,7 @@ def tables(subject, of: str) -> list:
         *error_tables(rows),
         Heading(f"Where the time{of} goes"),
         steps_table(rows),
+        *transitions_section(rows, of, f"{prefix}{subject.name}_popping.svg"),
         *land_section(heights, of),
     ]
 

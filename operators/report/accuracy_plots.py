@@ -71,8 +71,9 @@ def spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
 
 def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
     """The rows of one unit that no other of their interpolation beats in error and cost: each interpolation is another
-    surface, whose errors do not compare. A fit is made once, so its time is no cost of a frame."""
-    found = []
+    surface, whose errors do not compare. A fit is made once, so its time is no cost of a frame. Rows with the other
+    transitions take no part: what those are for is no error."""
+    found, rows = [], [row for row in rows if row.setting.morph is None]
     for name in dict.fromkeys(row.setting.interpolation for row in rows):
         kept = [r for r in rows if r.setting.interpolation == name and (cost == "triangles" or not r.setting.fitted)]
         found += [kept[i] for i in pareto([(row.error, cost_of(row, cost)) for row in kept])]
@@ -88,5 +89,6 @@ def label(setting: Setting) -> str:
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
     parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []
+    parts += ["smooth" if setting.morph > 1 else "not smooth"] if setting.morph is not None else []
     parts += [setting.interpolation] if setting.interpolation != INTERPOLATIONS[0] else []
     return ", ".join([*parts, "fitted"] if setting.fitted else parts)

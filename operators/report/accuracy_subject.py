@@ -58,7 +58,7 @@ class Subject:
     @property
     def settings(self) -> list[Setting]:
         """A whole sweep, and the current setting if that is none of it."""
-        settings = settings_for(self.heights, self.frames[0])
+        settings = settings_for(self.heights, self.frames[0], self.base.morph)
         return settings if self.current is None or self.current in settings else [self.current, *settings]
 
 

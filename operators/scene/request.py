@@ -13,6 +13,7 @@ from mathutils import Matrix
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
+from ...cbt_terrain.ask.morph import SMOOTH
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
@@ -43,6 +44,7 @@ class Overrides:
     meshlet: int | None = None
     interpolation: str | None = None
     shading_floor: float | None = None
+    smooth_transitions: bool | None = None
     effects: tuple[str, ...] | None = None
     ground: Ground | None = None
 
@@ -177,6 +179,7 @@ def _named(obj):
 def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
     """The criterion that a DetailSettings asks for."""
     limit = detail.max_triangles if detail.limit_triangles else None
+    smooth = detail.smooth_transitions if overrides.smooth_transitions is None else overrides.smooth_transitions
     return Criterion(
         error_px=detail.error_px if overrides.error_px is None else overrides.error_px,
         edge_px=detail.edge_px,
@@ -189,6 +192,7 @@ def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
         max_depth=detail.max_depth if detail.limit_depth else None,
         max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
         meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,
+        morph=SMOOTH if smooth else 1.0,
     )
 
 

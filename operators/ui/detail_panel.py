@@ -24,6 +24,7 @@ def _draw_detail(column, detail) -> None:
     column.prop(detail, "off_screen_factor", text="Off-Screen ×")
     column.prop(detail, "hidden_factor", text="Hidden ×")
     column.prop(detail, "shading_floor")
+    column.prop(detail, "smooth_transitions")
     column.prop(detail, "meshlet")
     column.separator()
     switched(column, detail, "limit_depth", "max_depth")

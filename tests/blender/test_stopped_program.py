@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from real_program import processes
 
 FLIGHT = {
     "clip": [1, 50000],
@@ -25,18 +26,6 @@ def store(program, tmp_path_factory):
     program.run("--command", "adaptive_terrain", "import", "island", "--size", "257", "--store", folder / "store")
     (folder / "flight.json").write_text(json.dumps(FLIGHT))
     return folder
-
-
-def processes(mark: str) -> list[int]:
-    """Blender programs, and their children, whose command line or environment names this folder."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark.encode() in (process / "environ").read_bytes():
-                found.append(int(process.name))
-        except OSError:
-            continue
-    return found
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

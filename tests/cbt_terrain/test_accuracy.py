@@ -54,7 +54,7 @@ def test_a_plane_has_no_error_at_all():
 
 def test_one_spike_is_one_error():
     measured = measure(spiked(), mesh_of(spiked(), 100.0), random_points=0)
-    assert measured.vertical_m.__dict__ == {"count": 25, "max": 10.0, "p95": 0.0, "mean": 0.4, "rms": 2.0}
+    assert measured.vertical_m.__dict__ == {"count": 25, "max": 10.0, "p95": 0.0, "p999": 10.0, "mean": 0.4, "rms": 2.0}
     assert measured.vertical_max_m == 10.0 and measured.screen_px is None
 
 
@@ -205,6 +205,7 @@ def test_a_distribution_is_that_of_numpy():
     found = errors_of(values.copy())
     assert (found.count, found.max) == (1001, np.abs(values).max())
     assert found.p95 == np.quantile(np.abs(values), 0.95, method="inverted_cdf")
+    assert found.p999 == np.quantile(np.abs(values), 0.999, method="inverted_cdf") < found.max
     assert found.mean == pytest.approx(np.abs(values).mean()) and found.rms == pytest.approx((values**2).mean() ** 0.5)
     assert errors_of(np.zeros(0)).count == 0
 

@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.accuracy.sweep import Row, curve_of, pareto, s
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting, metre_steps, settings_for
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import RUNS, SHORT_RUNS, Frame, median_by_step, timed_runs
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
 from adaptive_terrain.cbt_terrain.effects.plan import plan
@@ -30,7 +31,7 @@ def field():
 
 
 def errors(largest: float) -> Errors:
-    return Errors(10, largest, 0.8 * largest, 0.3 * largest, 0.4 * largest)
+    return Errors(10, largest, 0.8 * largest, largest, 0.3 * largest, 0.4 * largest)
 
 
 def make_row(setting: Setting, error: float, triangles: int, ms: float, limited: str = "", ingest: float = 0.0) -> Row:
@@ -75,6 +76,16 @@ def test_a_sweep_of_a_smooth_surface_has_the_other_one_beside_it(field):
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
     assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
     assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
+
+
+def test_transitions_are_measured_both_ways_where_a_frame_follows(field):
+    moving = Frame([SEEN], after=Frame([FURTHER]))
+    for own, other in ((1.0, SMOOTH), (SMOOTH, 1.0), (2.5, 1.0)):
+        changed = [s for s in settings_for(field, moving, own) if s.morph is not None]
+        assert [s.error for s in changed] == [4.0, 2.0, 1.0, 0.5] and not any(s.plain for s in changed)
+        assert {s.criterion(Criterion(morph=own)).morph for s in changed} == {other}
+        assert Setting("px", 1.0).criterion(Criterion(morph=own)).morph == own
+    assert not any(s.morph for s in settings_for(field, Frame([SEEN])))
 
 
 def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_screen():

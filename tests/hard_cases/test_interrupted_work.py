@@ -32,7 +32,7 @@ from adaptive_terrain.operators.demo import demo
 from adaptive_terrain.operators.output import frame_sources
 from adaptive_terrain.operators.cli import verbs
 few = [Setting("px", 4.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0, interpolation="bicubic")]
-accuracy_subject.settings_for = lambda heights, frame: few
+accuracy_subject.settings_for = lambda heights, frame, morph: few
 demo.SIZE, demo.FRAMES, demo.PICTURE_FRAMES, demo.LEVELS_FRAME = 129, range(1, 4), (1,), 2
 demo.RESOLUTION, demo.PLAN_RESOLUTION = (64, 36), (48, 48)
 from adaptive_terrain.operators.cli.command_line import program

@@ -50,7 +50,7 @@ def hills(tmp_path_factory):
 @pytest.fixture
 def few(monkeypatch):
     """A sweep of few settings."""
-    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame: list(FEW))
+    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: list(FEW))
 
 
 @pytest.fixture

@@ -8,12 +8,13 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.accuracy import sweep
+from adaptive_terrain.cbt_terrain.accuracy import Errors, sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.terms import Terms
 from adaptive_terrain.operators.report import accuracy_page, accuracy_plots
+from adaptive_terrain.operators.report.transitions_section import transitions_section
 from adaptive_terrain.operators.text.log_plot import Curve, draw
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 
@@ -50,6 +51,25 @@ def test_each_interpolation_has_a_pareto_front_of_its_own():
     better = dataclasses.replace(rows[0], setting=smooth, triangles=1, ms={"total": 0.1})
     front = accuracy_plots.pareto_rows([*rows, better], "triangles")
     assert front == [*accuracy_plots.pareto_rows(rows, "triangles"), better]
+
+
+@pytest.mark.parametrize(("morph", "name"), [(1.5, "smooth"), (1.0, "not smooth")])
+def test_a_section_compares_popping_with_smooth_transitions_and_without(morph, name):
+    """Whichever way the other rows are; errors of the pair are not mixed up, and it has no part in the fronts."""
+    own = dataclasses.replace(known_rows()[0], popping_px=Errors(9, 4.0, 0.0, 3.0, 0.1, 0.2))
+    setting = dataclasses.replace(own.setting, morph=morph)
+    jumps = Errors(9, 0.04, 0.01, 0.02, 0.01, 0.01)
+    other = dataclasses.replace(own, setting=setting, popping_px=jumps, triangles=125, ms={"total": 0.5})
+    heading, _, table, plot = transitions_section([own, other, *known_rows()[1:]], " of hills", "a_popping.svg")
+    assert heading.text == "What Smooth Transitions of hills save and cost"
+    ratios, jumped = (["1.25", "0.50"], ["4", "0.04"]) if morph > 1 else (["0.80", "2.00"], ["0.04", "4"])
+    [line] = table.rows
+    assert line[0] == "4 px" and line[1:3] == jumped and line[-2:] == ratios
+    curves = ElementTree.fromstring(plot.svg).findall(f".//{SVG}text")
+    assert {"without, largest", "smooth, 99.9 %"} <= {text.text for text in curves}
+    assert accuracy_plots.label(setting) == f"4 px, {name}"
+    assert other not in accuracy_plots.pareto_rows([own, other], "ms")
+    assert transitions_section(known_rows(), "", "a_popping.svg") == []
 
 
 def test_the_table_says_which_rows_are_on_the_pareto_fronts():

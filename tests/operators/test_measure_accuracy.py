@@ -66,8 +66,8 @@ def held(monkeypatch):
 def some_errors():
     from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
 
-    errors = Errors(count=10, max=0.5, p95=0.25, mean=0.125, rms=0.1875)
-    return Measured(errors, 0.75, 1e-5, errors, errors, errors, Errors(0, 0.0, 0.0, 0.0, 0.0), None)
+    errors = Errors(count=10, max=0.5, p95=0.25, p999=0.5, mean=0.125, rms=0.1875)
+    return Measured(errors, 0.75, 1e-5, errors, errors, errors, Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0), None)
 
 
 MEASURED = some_errors()

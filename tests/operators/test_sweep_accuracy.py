@@ -32,7 +32,7 @@ FEW = [
 @pytest.fixture
 def terrain(scene, add_terrain, tmp_path, monkeypatch):
     """A terrain that asks for 2 px, a report folder, a sweep of few settings."""
-    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame: list(FEW))
+    monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: list(FEW))
     scene.render.resolution_percentage = 25  # looking takes longest
     obj = add_terrain()
     obj.adaptive_terrain.render.error_px = 2.0

@@ -19,7 +19,7 @@ def known_rows() -> list[Row]:
     ]
     rows = []
     for setting, error, triangles, ms in known:
-        errors = Errors(9, error, error / 2, error / 3, error / 3)
+        errors = Errors(9, error, error / 2, error, error / 3, error / 3)
         on_screen = errors if setting.unit == "px" else None
         measured = Measured(errors, error, 0.0, errors, errors, on_screen, on_screen, None)
         bound = max(setting.error, error)

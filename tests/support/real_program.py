@@ -55,6 +55,18 @@ class Program:
         return json.loads(results[0][len(MARK) :])
 
 
+def processes(mark: str) -> list[int]:
+    """Blender programs, and their children, whose command line or environment names this folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (process / "environ").read_bytes():
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
 @pytest.fixture(scope="session")
 def bare_program(tmp_path_factory):
     wrapper = os.environ.get("ADAPTIVE_TERRAIN_BLENDER")

@@ -139,9 +139,9 @@ def measure_accuracy():
     result["curves"] = [json.loads(detail.curve) for detail in (settings.viewport, settings.render)]
 
 
-def coarse_settings(heights, frame):
+def coarse_settings(heights, frame, morph):
     """Of a whole sweep what takes little: every kind, but the finest errors, where the time goes, only in pixels."""
-    found = settings_for(heights, frame)
+    found = settings_for(heights, frame, morph)
     metres = max(setting.error for setting in found if setting.unit == "m")
     least = {"px": 1.0, "m": metres / 8}
     pictured = found[: found.index(next(setting for setting in found if not setting.plain))]

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far points pop with Smooth Transitions and without, and what they cost: a part of the page of `accuracy`."""
+
+from dataclasses import replace
+
+from ...cbt_terrain.accuracy.sweep import Row
+from ..text.log_plot import Curve, draw
+from ..text.page_blocks import Heading, Plot, Table, Text
+from ..text.svg import BLUE, RED
+
+HEAD = [
+    "asked",
+    "pops: max, without",
+    "smooth",
+    "p99.9, without",
+    "smooth",
+    "error: max, without",
+    "smooth",
+    "triangles ×",
+    "ms ×",
+]
+
+
+def transitions_section(rows: list[Row], of: str, plot: str) -> list:
+    """Blocks of the page; none where no frame follows another. `of`: the terrain's name in headings, where there are
+    others. `plot`: the name of the plot's file."""
+    pairs = both_ways(rows)
+    if not pairs:
+        return []
+    lines = [
+        [
+            f"{rough.setting.error:g} px",
+            *(f"{row.popping_px.max:.3g}" for row in (rough, smooth)),
+            *(f"{row.popping_px.p999:.3g}" for row in (rough, smooth)),
+            *(f"{row.error:.3g}" for row in (rough, smooth)),
+            f"{smooth.triangles / rough.triangles:.2f}",
+            f"{smooth.whole_ms / rough.whole_ms:.2f}",
+        ]
+        for rough, smooth in pairs
+    ]
+    return [
+        Heading(f"What Smooth Transitions{of} save and cost"),
+        Text(
+            "Pixels by which points of the ground jump from one frame's mesh to the next one's, the largest and what "
+            "99.9 % of them stay within; the largest error of what is seen; and how many times as many triangles, and "
+            "milliseconds to the finished mesh, smooth ones take. A jump without them is as large as the error. Smooth "
+            "ones move as far as the camera does: half the way a frame, half the jump."
+        ),
+        Table(HEAD, lines),
+        Plot(plot, "How far points pop against the error that is asked, both logarithmic.", _drawing(pairs)),
+    ]
+
+
+def both_ways(rows: list[Row]) -> list[tuple[Row, Row]]:
+    """Rows of the same error without Smooth Transitions and with them, where popping was measured."""
+    by_setting = {row.setting: row for row in rows if row.popping_px is not None}
+    pairs = []
+    for row in by_setting.values():
+        other = by_setting.get(replace(row.setting, morph=None))
+        if row.setting.morph is not None and other is not None:
+            pairs.append((other, row) if row.setting.morph > 1 else (row, other))
+    return pairs
+
+
+def _drawing(pairs: list[tuple[Row, Row]]) -> str:
+    curves = []
+    for i, (name, colour) in enumerate((("without", RED), ("smooth", BLUE))):
+        for part, label, dash in (("max", "largest", ""), ("p999", "99.9 %", "7 4")):
+            points = [(pair[i].setting.error, getattr(pair[i].popping_px, part)) for pair in pairs]
+            curves.append(Curve(f"{name}, {label}", colour, points, dash))
+    return draw(curves, "error asked, px", "jump, px")

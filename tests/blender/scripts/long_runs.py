@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Do the same things again and again in the open file, and write down what the process holds: FOLDER COUNTS.
+
+COUNTS is JSON, {"fly": 1000, ...}: how often each of `ACTS` is done, in this order. FOLDER gets a file of samples an
+act, then done.json. With a window every step is a turn of a timer, so that Blender draws and the terrain follows by
+itself; without one the steps follow each other.
+"""
+
+import json
+import os
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
+from bl_ext.user_default.adaptive_terrain.operators.scene import import_terrain, live, session
+
+folder, counts = sys.argv[sys.argv.index("--") + 1 :]
+folder, counts = Path(folder), json.loads(counts)
+SAMPLES = 100  # of an act, at most
+RENDERED = 12  # which frames of a flight in the window are rendered: each 12th
+CYCLE = 48  # frames after which the camera is where it was
+WAIT_S = 900.0  # only so that a hang ends
+
+
+def terrain():
+    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
+
+
+def held() -> dict[str, int]:
+    """What the process holds: memory in kilobytes, open files, threads, mapped arrays of stores, datablocks, what the
+    extension remembers; and triangles of the mesh."""
+    data = {
+        kind.identifier: len(getattr(bpy.data, kind.identifier))
+        for kind in bpy.types.BlendData.bl_rna.properties
+        if kind.type == "COLLECTION"
+    }
+    return {
+        "memory_kb": int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024,
+        "files": len(os.listdir("/proc/self/fd")),
+        "threads": len(os.listdir("/proc/self/task")),
+        "mapped_arrays": Path("/proc/self/maps").read_text().count("/terrain/"),
+        "datablocks": sum(data.values()),
+        "records": len(session._records),
+        "fields": len(session._fields),
+        "triangles": len(terrain().data.polygons),
+    }
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.005
+
+
+def settled():
+    """The terrain follows what was changed. Without a window it has done so already."""
+    if not bpy.app.background:
+        yield 0.0  # Blender evaluates and draws
+        yield from until(lambda: live._job is None and not live._dirty and not warmup.preparing())
+
+
+def viewport():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    return bpy.context.temp_override(window=window, area=area, region=region, screen=window.screen)
+
+
+def fly(step, count):
+    """A frame with live update, the camera and motion blur; now and then it is rendered beside the window."""
+    scene = bpy.context.scene
+    scene.frame_set(1 + step % CYCLE)
+    yield from settled()
+    if step % RENDERED == 0:
+        with viewport():
+            bpy.ops.render.render("INVOKE_DEFAULT")
+        yield 0.1
+        yield from until(lambda: not bpy.app.is_job_running("RENDER"))
+        yield from settled()
+
+
+def undo(step, count):
+    """A change, Undo and Redo, as often as Blender keeps steps, and further back."""
+    detail = terrain().adaptive_terrain.viewport
+    detail.error_px = 40.0 + step % 7
+    yield from settled()
+    with viewport():
+        bpy.ops.ed.undo_push(message=f"step {step}")
+    for again in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo)[: 2 + (step % 3 == 0)]:
+        with viewport():
+            again()
+        yield from settled()
+    if len(terrain().data.polygons) == 0:
+        raise AssertionError("Undo left no mesh")
+
+
+def load(step, count):
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    yield from settled()
+    yield from until(lambda: session.record_of(terrain()).status.triangles > 0)
+
+
+def arrange(step, count):
+    """Collections, a view layer, an instance and a driver come, are updated for, and go."""
+    scene, obj = bpy.context.scene, terrain()
+    collection = bpy.data.collections.new("Ground")
+    scene.collection.children.link(collection)
+    collection.objects.link(obj)
+    [home] = [place for place in obj.users_collection if place != collection]
+    home.objects.unlink(obj)
+    layer = scene.view_layers.new("More")
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", collection
+    scene.collection.objects.link(instance)
+    driver = obj.driver_add("adaptive_terrain.viewport.error_px").driver
+    driver.expression = "40 + frame % 9"
+    scene.frame_set(1 + step % CYCLE)
+    yield from settled()
+    layer.layer_collection.children[collection.name].exclude = True
+    scene.frame_set(2 + step % CYCLE)
+    yield from settled()
+    obj.driver_remove("adaptive_terrain.viewport.error_px")
+    home.objects.link(obj)
+    bpy.data.objects.remove(instance)
+    bpy.data.collections.remove(collection)
+    scene.view_layers.remove(layer)
+    yield from settled()
+
+
+def write(step, count):
+    """Import another island into the store, which another program reads meanwhile."""
+    terrain().adaptive_terrain.seed = step
+    bpy.context.view_layer.objects.active = terrain()
+    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+    yield 0.0
+
+
+def render(step, count):
+    """A rendered frame with motion blur, in the background."""
+    bpy.context.scene.frame_set(1 + step % CYCLE)
+    bpy.ops.render.render(write_still=True)
+    yield 0.0
+
+
+def quit_importing(step, count):
+    """End Blender while a large import runs."""
+    obj = terrain()
+    bpy.context.view_layer.objects.active = obj
+    obj.adaptive_terrain.island_size = 8193
+    with viewport():
+        bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
+    yield from until(lambda: import_terrain.progress_of(terrain())[0] > 0.02)
+    bpy.ops.wm.quit_blender()
+    yield WAIT_S  # that is done after this turn
+
+
+ACTS = {act.__name__: act for act in (fly, undo, load, arrange, write, render, quit_importing)}
+
+
+def steps():
+    yield 0.5
+    yield from until(lambda: not warmup.preparing())
+    for name, count in counts.items():
+        started, cpu, samples = time.monotonic(), time.process_time(), []
+        for step in range(count):
+            yield from ACTS[name](step, count)
+            if (step + 1) % max(1, count // SAMPLES) == 0:
+                samples.append({"step": step + 1} | held())
+        spent = {"wall_s": time.monotonic() - started, "cpu_s": time.process_time() - cpu}
+        (folder / f"{name}.json").write_text(json.dumps(spent | {"samples": samples}))
+    (folder / "done.json").write_text("{}")
+
+
+_steps = steps()
+
+
+def turn():
+    try:
+        return next(_steps)
+    except StopIteration:
+        return None
+    except Exception:
+        (folder / "done.json").write_text(json.dumps({"error": traceback.format_exc()}))
+        return None
+
+
+if bpy.app.background:
+    while turn() is not None:
+        pass
+else:
+    bpy.app.timers.register(turn, first_interval=0.5, persistent=True)

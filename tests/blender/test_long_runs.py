@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hours of work in the real program, in small: nothing crashes, and what the process holds does not grow.
+
+`ADAPTIVE_TERRAIN_FUZZ=10000` flies and renders 1,000 frames, does the rest a tenth to a third as often, and prints what
+it found. In a short run only what is counted can be told from noise.
+"""
+
+import json
+import os
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from program_window import window
+from real_program import SCRIPTS, processes
+
+FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
+SCRIPT = SCRIPTS / "long_runs.py"
+SIZE = 0, 0, 480, 360  # of the window, which is drawn by software
+# A small island in the factory scene, coarse in the viewport. It is saved, so that its store lies beside it.
+PREPARE = """
+import bpy
+scene = bpy.context.scene
+bpy.data.objects.remove(bpy.data.objects["Cube"])
+bpy.ops.wm.save_as_mainfile(filepath=PATH)
+bpy.ops.mesh.adaptive_terrain_add()
+terrain = bpy.context.object
+settings = terrain.adaptive_terrain
+settings.island_size, settings.viewport.error_px, settings.render.error_px = 257, 8.0, 4.0
+assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+for frame, x in ((1, 7.0), (25, 9.0), (49, 7.0)):
+    scene.camera.location.x = x
+    scene.camera.keyframe_insert("location", frame=frame)
+scene.render.resolution_x, scene.render.resolution_y = 192, 108
+scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+scene.render.filepath = PATH.replace("shot.blend", "picture")
+bpy.ops.wm.save_mainfile()
+"""
+# Counts must end as they were after a third. Memory: kilobytes a step that its trend may have, over the same part.
+COUNTED = "files", "threads", "mapped_arrays", "datablocks", "records", "fields"
+MEMORY_KB_A_STEP = 20.0
+
+
+def times(short: int, of_a_thousand: int) -> int:
+    """How often something is done: in a short run, and for each thousand frames of a long one."""
+    return max(short, FUZZ * of_a_thousand // 10_000)
+
+
+@pytest.fixture
+def shot(program, tmp_path):
+    path = tmp_path / "shot.blend"
+    program.run("-b", "--python-exit-code", "1", "--python-expr", f"PATH = {str(path)!r}\n{PREPARE}")
+    return path
+
+
+def found(folder, acts) -> dict:
+    """What the script has written of its acts, after a look at how it ended."""
+    end = folder / "done.json"
+    assert not end.exists() or "error" not in json.loads(end.read_text()), json.loads(end.read_text())["error"]
+    return {act: json.loads((folder / f"{act}.json").read_text()) for act in acts}
+
+
+def must_be_flat(act: str, said: dict) -> None:
+    """Counts end as they were after a third of the samples, at their largest; memory has no trend since then."""
+    samples = said["samples"]
+    third = len(samples) // 3
+    middle, end = samples[third : 2 * third], samples[2 * third :]
+    peaks = {name: [max(sample[name] for sample in part) for part in (middle, end)] for name in COUNTED}
+    steps, memory = (np.array([sample[name] for sample in samples[third:]], float) for name in ("step", "memory_kb"))
+    trend = float(np.polyfit(steps, memory, 1)[0])
+    figures = {"times": samples[-1]["step"], "memory_mb": memory[[0, -1]] // 1024, "kb_a_step": round(trend, 1)}
+    print(act, {name: round(said[name], 1) for name in ("wall_s", "cpu_s")}, figures, peaks)
+    grown = {name: peak for name, peak in peaks.items() if peak[1] > peak[0]}
+    assert not grown, (act, grown)
+    assert not FUZZ or trend < MEMORY_KB_A_STEP, (act, figures)
+
+
+def in_a_window(program, shot, counts: dict[str, int]) -> int:
+    """Do that often what the script can; returns its exit code if it quits."""
+    folder = shot.parent
+    arguments = [shot, "--window-geometry", *map(str, SIZE), "--python", SCRIPT]
+    with window(program, [*map(str, arguments), "--", str(folder), json.dumps(counts)], folder) as blender:
+        while blender.poll() is None and not (folder / "done.json").exists():
+            time.sleep(0.1)
+        return blender.poll()
+
+
+def test_a_long_day_in_the_window(program, shot):
+    """A flight with live update, motion blur and renders; Undo and Redo; files that are opened; collections, view
+    layers, instances and drivers that come and go; and the end, in the middle of an import."""
+    counts = {"fly": times(24, 1000), "undo": times(9, 300), "load": times(6, 100), "arrange": times(6, 100)}
+    code = in_a_window(program, shot, counts | {"quit_importing": 1})
+    said = found(shot.parent, counts)
+    for act, figures in said.items():
+        must_be_flat(act, figures)
+    assert len({sample["triangles"] for sample in said["fly"]["samples"]}) > 1, "the terrain follows its camera"
+    must_be_gone(shot, code)
+
+
+@pytest.mark.skipif(not FUZZ, reason="one of many is part of the long day")
+@pytest.mark.parametrize("number", range(FUZZ // 1000))
+def test_quit_while_importing(program, shot, number):
+    must_be_gone(shot, in_a_window(program, shot, {"quit_importing": 1}))
+
+
+def must_be_gone(shot, code: int) -> None:
+    """Blender quit as it should, no process of it is left, nor anything of the import that it was at."""
+    assert code == 0, (shot.parent / "blender.log").read_text()[-4000:]
+    assert not processes(str(shot.parent))
+    [store] = (shot.parent / "terrain").iterdir()
+    assert len(list(store.glob("data-*"))) == 1
+
+
+def test_one_program_renders_what_another_imports_anew(program, shot, tmp_path):
+    """Frames with motion blur, from a store that another program writes meanwhile, again and again."""
+    counts = {"render": {"render": times(24, 1000)}, "write": {"write": times(6, 200)}}
+    running = {}
+    for name, asked in counts.items():
+        (tmp_path / name).mkdir()
+        command = program.command("-b", shot, "--python", SCRIPT, "--", tmp_path / name, json.dumps(asked))
+        log = open(tmp_path / name / "log", "w")
+        running[name] = subprocess.Popen(command, env=program.environment(), stdout=log, stderr=subprocess.STDOUT)
+    for name, process in running.items():
+        assert process.wait() == 0, (tmp_path / name / "log").read_text()[-4000:]
+        must_be_flat(name, found(tmp_path / name, [name])[name])

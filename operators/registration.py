@@ -7,6 +7,7 @@ import bpy
 
 from . import handlers
 from .effects import bake_maps, land_presets, splat_layers, terrain_material
+from .farm import submit_to_farm
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -46,6 +47,7 @@ MODULES = (
     shape_land,
     water_surface,
     export_terrain,
+    submit_to_farm,
     measuring,
     measure_accuracy,
     sweep_accuracy,

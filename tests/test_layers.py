@@ -39,7 +39,7 @@ ROOMS = {
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "demand", "scene", "effects", "output", "report", "ui", "handlers", "registration"),
+        *("text", "mesh", "demand", "scene", "effects", "output", "report", "farm", "ui", "handlers", "registration"),
         *("blender", "demo", "cli"),
     ],
 }

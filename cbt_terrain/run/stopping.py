@@ -21,6 +21,7 @@ GRACE_SECONDS = 5.0
 # A terminal and a wrapper (timeout, make) both pass one Ctrl-C on; a second one of the user comes later.
 ONE_PRESS_SECONDS = 0.5
 
+_natives: dict[int, int] = {}  # by signal: the address of the handler of a host program that `listening` has replaced
 _asked: int | None = None
 _listening = False
 _held = 0
@@ -47,6 +48,15 @@ def answer() -> int | None:
     global _asked
     number, _asked = _asked, None
     return number
+
+
+def pass_on(number: int) -> bool:
+    """Have the host program hear a signal whose own handler `listening` has replaced: Blender then ends a render, and
+    nothing else. Returns whether there is such a handler. For the main thread."""
+    native = _natives.get(number)
+    if native:
+        ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(number)
+    return bool(native)
 
 
 @contextmanager
@@ -107,7 +117,8 @@ def _replace(number: int):
     native = getsig(number)
     before = signal.signal(number, lambda *_: None)
     if before is None:  # Blender's own, which Python does not know
-        return lambda: setsig(number, native)
+        _natives[number] = native
+        return lambda: (_natives.pop(number), setsig(number, native))
     return lambda: signal.signal(number, before)
 
 

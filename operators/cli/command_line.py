@@ -14,7 +14,8 @@ from typing import NoReturn
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
-from . import verbs
+from ..text.console import BAR, OPENJD
+from . import farm_verbs, verbs
 from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive
 
 PROGRAM = "adaptive-terrain"
@@ -22,6 +23,7 @@ MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M, MAX_DETAIL_M = 1e6, 1e9, 1e6
 MAX_BUDGET_MB = 1e9
 FRAMES = "A,B-C,D-E:STEP"
+CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
 SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is below 900 m, and the result for QGIS
 
   {"version": 1, "entries": [{"effect": "rivers", "parameters": {"years": 3e5},
@@ -61,6 +63,8 @@ def _run(argv: list[str] | None) -> int:
         return 2
     except (TerrainError, OSError) as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        if arguments.progress == OPENJD:
+            print(f"openjd_fail: {' '.join(str(error).split())}", flush=True)
         return 1
     return 0
 
@@ -201,12 +205,45 @@ def build_parser() -> argparse.ArgumentParser:
         "--export", type=path, metavar="FILE", help="heights as .tif or .exr too; layers beside it, FILE_layer.tif"
     )
 
+    _add_farm(subparsers, parse_formats, argument(parse_frames))
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
     if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
         _add_bench(subparsers)
     return parser
+
+
+def _add_farm(subparsers, formats, frames) -> None:
+    scene = {"type": path, "metavar": "X.blend", "required": True}
+    verb = _verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
+    verb.add_argument("--scene", **scene, help="the .blend file, as it is on disk")
+    verb.add_argument("--frames", type=frames, metavar=FRAMES, help="the scene's, without")
+    verb.add_argument(
+        "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
+    )
+    verb.add_argument("--chunk", type=count, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
+    what = verb.add_mutually_exclusive_group()
+    what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
+    what.add_argument("--format", type=argument(formats), default=("npz",), metavar="F,F", help="of the meshes (npz)")
+    verb.add_argument(
+        "--extension", metavar="ZIP", help="install this zip for the job alone; installed: pack the one that runs"
+    )
+
+    verb = _verb(subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare)
+    verb.add_argument("--scene", **scene)
+    verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
+    verb.add_argument("--only", choices=("stores", "land"), help="import stores, or shape land and bake maps")
+
+    verb = _verb(subparsers, "render", "render frames of a scene, each refined or not rendered", farm_verbs.run_render)
+    verb.add_argument("--scene", **scene)
+    verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
+    verb.add_argument("--out", type=path, required=True, metavar="DIR")
+    verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+
+    verb = _verb(subparsers, "verify", "check that frames are there, whole and of one scene", farm_verbs.run_verify)
+    verb.add_argument("folder", type=path, help="where export or render has written them")
+    verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
 
 
 def _add_bench(subparsers) -> None:
@@ -222,7 +259,12 @@ def _add_bench(subparsers) -> None:
 
 def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
-    verb.add_argument("--progress", action="store_true", default=None, help="show the bar even where no terminal is")
+    how = {"nargs": "?", "choices": (BAR, OPENJD), "const": BAR}
+    verb.add_argument(
+        "--progress",
+        **how,
+        help="show the bar even where no terminal is, or tell a farm that runs Open Job Description",
+    )
     verb.set_defaults(run=run)
     return verb
 

@@ -4,6 +4,7 @@
 import os
 import sys
 import time
+from contextlib import contextmanager
 
 from ...cbt_terrain.errors import shown
 from ..text.console import Progress, duration
@@ -140,7 +141,16 @@ def run_export(arguments) -> None:
     from ..output.exporting import export_frames
 
     source = _export_source(arguments)
-    bar = Progress(len(arguments.frames), "export", arguments.progress)
+    with frames_told(arguments, "export") as on_frame:
+        export_frames(
+            source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
+        )
+
+
+@contextmanager
+def frames_told(arguments, label: str):
+    """A function that is told of each frame as it is done, with its summary and whether it was complete before."""
+    bar = Progress(len(arguments.frames), label, arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
 
     def on_frame(frame: int, summary: dict, skipped: bool) -> None:
@@ -149,9 +159,7 @@ def run_export(arguments) -> None:
         bar.to(next(counter), worked=not skipped)
 
     try:
-        export_frames(
-            source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
-        )
+        yield on_frame
     finally:
         bar.close()
 
@@ -310,7 +318,7 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
     """`frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum, the largest bound."""
     from ..text.shown_bounds import limit_text
 
-    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {_largest_bound(terrains)}"]
+    parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {largest_bound(terrains)}"]
     if empty := [t["name"] for t in terrains if not t["triangles"]]:
         parts.append(f"nothing is left of {' and '.join(empty)}")
     if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
@@ -321,7 +329,7 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
     return f"{what}: {', '.join(parts)}"
 
 
-def _largest_bound(terrains: list[dict]) -> str:
+def largest_bound(terrains: list[dict]) -> str:
     """With its unit: of errors in pixels where some were asked for, else of errors in metres, edges or areas."""
     from ..text.shown_bounds import bound_text
 

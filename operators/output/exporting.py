@@ -89,21 +89,48 @@ def export_frames(
     settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are. Several
     processes may write into one folder at once.
     """
+    write_frames(
+        lambda frame: _export_frame(source, frame, formats, out),
+        source.settings,
+        frames,
+        out,
+        formats=formats,
+        resume=resume,
+        on_frame=on_frame,
+    )
+
+
+def write_frames(
+    write: Callable[[int], dict],
+    settings: dict,
+    frames: Sequence[int],
+    out: Path,
+    *,
+    formats: Sequence[str] = (),
+    resume: bool,
+    on_frame: Callable[[int, dict, bool], None],
+) -> None:
+    """Have `write` write each frame's files into `out`, and close the frame with what it returns: "files" (sizes in
+    bytes by name), "terrains" (their figures) and "elapsed_ms". `settings`: all that a frame is made of, as JSON."""
     make_folder(out)
-    settings = hashlib.blake2b(json.dumps(source.settings, sort_keys=True).encode(), digest_size=12).hexdigest()
+    settings = hashlib.blake2b(json.dumps(settings, sort_keys=True).encode(), digest_size=12).hexdigest()
     for frame in frames:
         stopping.check()
-        summary_path = out / f"frame_{frame:04d}.json"
+        summary_path = out / summary_name(frame)
         complete = _complete(summary_path, settings, formats)
         summary = complete if resume else None
         if summary is None:
             if complete is None:  # else it says of the files to come what it says of those that stand
                 summary_path.unlink(missing_ok=True)
-            summary = {"frame": frame, "settings": settings, **_export_frame(source, frame, formats, out)}
+            summary = {"frame": frame, "settings": settings, **write(frame)}
             write_text(summary_path, json.dumps(summary, indent=1) + "\n")
             on_frame(frame, summary, False)
         else:
             on_frame(frame, summary, True)
+
+
+def summary_name(frame: int) -> str:
+    return f"frame_{frame:04d}.json"
 
 
 def make_folder(path: Path) -> None:

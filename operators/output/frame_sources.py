@@ -116,25 +116,14 @@ class SceneFrames:
         effects: tuple[str, ...] | None = None,
         detail: Detail | None = None,
     ):
-        bpy = import_bpy("A .blend file")
-        from ..scene import session
+        self.scene, self.objects = open_scene(blend)
+        import bpy
+
         from ..scene.request import Overrides
 
-        if not Path(blend).is_file():
-            raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
-        try:
-            with quiet():
-                bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
-        except RuntimeError as error:
-            raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
         self.name = Path(blend).stem
-        self.scene, self.resolution = bpy.context.scene, resolution
+        self.resolution = resolution
         self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, morph, effects, detail)
-        self.objects = session.terrains_of(self.scene)
-        if not self.objects:
-            raise TerrainError(
-                f"The scene {self.scene.name!r} in {blend} has no adaptive terrain; add one and save it."
-            )
         _need_distinct_names(self.objects)
         self.camera = None
         if camera is not None:
@@ -256,6 +245,25 @@ def _view(view: View) -> dict:
         "resolution": list(view.resolution),
         "clip": list(view.clip),
     }
+
+
+def open_scene(blend: Path) -> tuple:
+    """Open a .blend file; returns its scene and the scene's terrains, one at least. Raises TerrainError."""
+    bpy = import_bpy("A .blend file")
+    from ..scene import session
+
+    if not Path(blend).is_file():
+        raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
+    except RuntimeError as error:
+        raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
+    scene = bpy.context.scene
+    objects = session.terrains_of(scene)
+    if not objects:
+        raise TerrainError(f"The scene {scene.name!r} in {blend} has no adaptive terrain; add one and save it.")
+    return scene, objects
 
 
 def import_bpy(what: str):

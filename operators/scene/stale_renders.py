@@ -2,20 +2,40 @@
 """A frame whose terrain cannot be refined would show the mesh of another frame, and nobody would know.
 
 Without a window, on a farm say, such a frame is not written and the process ends with exit code 1, unless the scene
-says otherwise. With one, Blender lets nobody but the user cancel a render, so a message tells of it in the end.
+says otherwise. With one, Blender lets nobody but the user cancel a render, so a message tells of it in the end. A
+command that renders gets an error that it can tell in its own way.
 """
 
 import os
 import signal
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import stopping
 
 EXIT_CODE = 1
 FRAMES_NAMED = 10
 _ending = False
+_raising = False
+_caught: list[str] = []
 _shown_stale: dict[int, str] = {}  # frame -> why
+
+
+@contextmanager
+def raising():
+    """A render inside ends, and a TerrainError is raised after it, where a terrain cannot be refined."""
+    global _raising
+    _raising = True
+    _caught.clear()
+    try:
+        yield
+    finally:
+        _raising = False
+    if _caught:
+        raise TerrainError(_caught[0])
 
 
 def meet(scene, reasons: list[str]) -> None:
@@ -24,6 +44,11 @@ def meet(scene, reasons: list[str]) -> None:
     if _ending:  # each view layer asks, and a second interruption would kill Blender
         return
     why = " ".join(reasons)
+    if _raising:
+        if not _caught:
+            stopping.pass_on(signal.SIGINT)
+        _caught.append(f"Frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}")
+        return
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
         print(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
         _shown_stale[scene.frame_current] = why

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line shows: a progress bar with the time left, and silence from programs that talk."""
+"""What the command line shows: a progress bar with the time left, or lines that a render farm reads, and silence from
+programs that talk."""
 
 import ctypes
 import os
@@ -10,15 +11,18 @@ from contextlib import contextmanager
 from ...cbt_terrain.run import stopping
 
 BAR_WIDTH = 28
+# How progress is told: a bar for people, or the lines of Open Job Description ("How Jobs Are Run", stdout messages).
+BAR, OPENJD = "bar", "openjd"
 
 
 class Progress:
     """A bar on stderr, redrawn in place; it shows only where someone looks at a terminal, or where it is asked for.
 
     `total` is the number of steps; a step that had nothing to do is not counted in the estimate of the time left.
+    `show`: OPENJD for a line on stdout at each whole per cent instead.
     """
 
-    def __init__(self, total: float, label: str, show: bool | None = None):
+    def __init__(self, total: float, label: str, show: bool | str | None = None):
         self.total, self.label = total, label
         self.show = sys.stderr.isatty() if show is None else show
         self.done = self._worked = 0.0
@@ -37,7 +41,7 @@ class Progress:
     def say(self, line: str) -> None:
         """Print a line to stdout, above the bar."""
         self._clear()
-        print(line, flush=True)
+        print(f"openjd_status: {line}" if self.show == OPENJD else line, flush=True)
         self._draw()
 
     def close(self) -> None:
@@ -55,6 +59,9 @@ class Progress:
         if not self.show:
             return
         part = self.done / self.total if self.total else 1.0
+        if self.show == OPENJD:
+            self._draw_line(f"openjd_progress: {int(100 * part)}")
+            return
         filled = int(BAR_WIDTH * part)
         left = self.left_s()
         remaining = "" if left is None else f"  {duration(left)} left"
@@ -64,8 +71,13 @@ class Progress:
             sys.stderr.write(f"\r\x1b[K{bar}")
             sys.stderr.flush()
 
+    def _draw_line(self, line: str) -> None:
+        if line != self._drawn:
+            self._drawn = line
+            print(line, flush=True)
+
     def _clear(self) -> None:
-        if self.show:
+        if self.show and self.show != OPENJD:
             self._drawn = ""
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()

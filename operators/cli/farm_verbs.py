@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs that a render farm calls, and the one that writes its job."""
+
+from ..text.console import Progress
+from .verbs import frames_told, largest_bound
+
+
+def run_prepare(arguments) -> None:
+    from ..blender import need_bpy
+
+    need_bpy("A .blend file")
+    from ..output.frame_sources import open_scene
+    from ..output.preparing import PARTS, prepare
+    from ..scene.shot import frames_of
+
+    scene, objects = open_scene(arguments.scene)
+    parts = [arguments.only] if arguments.only else list(PARTS)
+    bar = Progress(len(parts) * len(objects), "prepare", arguments.progress)
+    try:
+        prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to)
+    finally:
+        bar.close()
+
+
+def run_render(arguments) -> None:
+    from ..blender import need_bpy
+
+    need_bpy("A .blend file")
+    from ..output.frame_sources import SceneFrames
+    from ..output.rendering import render_frames
+
+    source = SceneFrames(arguments.scene, None, None)
+    with frames_told(arguments, "render") as on_frame:
+        render_frames(source, arguments.frames, arguments.out, resume=arguments.resume, on_frame=on_frame)
+
+
+def run_verify(arguments) -> None:
+    from ..output.verifying import verify_frames
+
+    summaries = verify_frames(arguments.folder, arguments.frames)
+    terrains = [terrain for summary in summaries for terrain in summary["terrains"]]
+    line = f"{len(summaries):,} frames are whole, {sum(t['triangles'] for t in terrains):,} triangles"
+    bar = Progress(1.0, "verify", arguments.progress)
+    bar.say(f"{line}, largest bound {largest_bound(terrains)}")
+    bar.to(1.0)
+    bar.close()
+
+
+def run_submit(arguments) -> None:
+    from ..blender import need_bpy
+
+    need_bpy("A .blend file")
+    from ..farm.submit import submit
+    from ..output.frame_sources import open_scene
+
+    scene, objects = open_scene(arguments.scene)
+    for line in submit(
+        scene,
+        objects,
+        arguments.out,
+        frames=arguments.frames,
+        chunk=arguments.chunk,
+        formats=() if arguments.render else arguments.format,
+        extension=arguments.extension,
+    ):
+        print(line)

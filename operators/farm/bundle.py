@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job bundle of Open Job Description, as `deadline bundle submit` and `openjd run` take it, and a job type for
+Flamenco. JSON is YAML, so what is made of values is written as JSON; what is written by hand are files beside this."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..output.exporting import write_files
+
+HERE = Path(__file__).parent
+TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
+GUARD, FLAMENCO = "guard.py", "adaptive_terrain_render.js"
+MOST_NAME = 64  # characters
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a farm is asked for: all paths absolute. `formats`: of the meshes; none for pictures. `zip_path`: of the
+    extension, None where workers have it. `files`, `folders`: that a worker reads; `made`: folders it writes before
+    the frames, which go to `out`."""
+
+    name: str
+    blend: Path
+    frames: Sequence[int]
+    chunk: int
+    formats: Sequence[str]
+    out: Path
+    version: str
+    zip_path: Path | None
+    files: Sequence[Path]
+    folders: Sequence[Path]
+    made: Sequence[Path]
+
+
+def write_bundle(job: Job, folder: Path) -> None:
+    """Write the bundle's files; raises TerrainError where that cannot be."""
+    guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
+    flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
+    files = {TEMPLATE: template(job, guard), VALUES: _values(job), ASSETS: _assets(job)}
+    write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco})
+
+
+def template(job: Job, guard: str) -> str:
+    """The job's template: its beginning, and the steps of meshes or of pictures."""
+    steps = _text("meshes.yaml" if job.formats else "render.yaml")
+    indent = " " * 8
+    return _text("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
+
+
+def range_text(frames: Sequence[int]) -> str:
+    """Frames in rising order as Open Job Description writes a range: `1-24,30-60:2`, none twice."""
+    rest, parts = sorted(set(frames)), []
+    while rest:
+        step = rest[1] - rest[0] if len(rest) > 1 else 1
+        count = 1
+        while count < len(rest) and rest[count] - rest[count - 1] == step:
+            count += 1
+        if count == 2 and step > 1:  # two alone are no row
+            count = 1
+        first, last = rest[0], rest[count - 1]
+        parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
+        rest = rest[count:]
+    return ",".join(parts)
+
+
+def _values(job: Job) -> str:
+    values = {
+        "JobName": job.name[:MOST_NAME],
+        "BlenderFile": str(job.blend),
+        "Frames": range_text(job.frames),
+        "ChunkSize": job.chunk,
+        "Format": ",".join(job.formats),
+        "OutputDir": str(job.out),
+        "ExtensionZip": "" if job.zip_path is None else str(job.zip_path),
+    }
+    return _json({"parameterValues": [{"name": name, "value": value} for name, value in values.items()]})
+
+
+def _assets(job: Job) -> str:
+    """What is brought to a worker and back. Nobody finds the stores by looking into the .blend file."""
+    inputs = {"filenames": _names([job.blend, *job.files]), "directories": _names(job.folders)}
+    outputs = {"directories": _names([job.out, *job.made])}
+    return _json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    return sorted({str(path) for path in paths})
+
+
+def _json(content: dict) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def _text(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")

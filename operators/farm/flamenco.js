@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Flamenco job type "Adaptive Terrain Render": put this file into the manager's folder "scripts" as
+// adaptive_terrain_render.js. Workers need the extension and the stores; a guard ends a task where one is missing.
+const GUARD = "@GUARD@";
+const JOB_TYPE = {
+    label: "Adaptive Terrain Render",
+    description: "Pictures of a scene with adaptive terrains, each refined for its frame.",
+    settings: [
+        { key: "frames", type: "string", required: true, eval: "f'{C.scene.frame_start}-{C.scene.frame_end}'",
+            description: "Such as 47, 1-30 or 3, 5-10, 47-327" },
+        { key: "chunk_size", type: "int32", default: 4, description: "Frames of one task", visible: "submission" },
+        { key: "render_output_path", type: "string", subtype: "file_path", editable: false,
+            eval: "str(Path(abspath('//render')) / '{timestamp}' / '######')" },
+        { key: "blendfile", type: "string", required: true, description: "The .blend file", visible: "web" },
+        { key: "format", type: "string", required: true, eval: "C.scene.render.image_settings.file_format",
+            visible: "web" },
+    ],
+};
+
+function compileJob(job) {
+    const settings = job.settings;
+    const prepare = author.Task("prepare", "blender");
+    prepare.addCommand(author.Command("exec", {
+        exe: "{blender}",
+        args: ["--command", "adaptive_terrain", "prepare", "--scene", settings.blendfile, "--frames", settings.frames],
+    }));
+    job.addTask(prepare);
+    for (const chunk of frameChunker(settings.frames, settings.chunk_size)) {
+        const task = author.Task(`render-${chunk}`, "blender");
+        task.addCommand(author.Command("blender-render", {
+            exe: "{blender}",
+            exeArgs: "{blenderArgs}",
+            argsBefore: [],
+            blendfile: settings.blendfile,
+            args: [
+                "--python-exit-code", "1", "--python-expr", GUARD,
+                "--render-output", settings.render_output_path, "--render-format", settings.format,
+                "--render-frame", chunk.replaceAll("-", ".."),
+            ],
+        }));
+        task.addDependency(prepare);
+        job.addTask(task);
+    }
+}

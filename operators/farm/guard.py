@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ends Blender with exit code 1 where it would render terrains with the mesh that their file was saved with. It runs in
+any Blender, and needs nothing of the extension.
+
+    blender -b X.blend --python-exit-code 1 --python guard.py -f 1-4
+
+A job of Open Job Description runs it without a file, and with `-- ZIP FOLDER`: the zip is then installed into a user
+folder of the job's own in FOLDER.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import bpy
+
+VERSION = ""  # of the extension that the job was made with; any will do where this is empty
+USER_FOLDER = "BLENDER_USER_RESOURCES"
+
+
+def fail(message):
+    print(f"openjd_fail: {message}", flush=True)
+    sys.exit(1)
+
+
+def install(zip_path, folder):
+    """The worker's preferences come along: they say which graphics cards Cycles uses."""
+    preferences = os.path.join(bpy.utils.user_resource("CONFIG"), "userpref.blend")
+    environment = {**os.environ, USER_FOLDER: folder}
+    for name in ("BLENDER_USER_CONFIG", "BLENDER_USER_SCRIPTS", "BLENDER_USER_EXTENSIONS", "BLENDER_USER_DATAFILES"):
+        environment.pop(name, None)
+        print(f"openjd_unset_env: {name}")
+    os.makedirs(os.path.join(folder, "config"), exist_ok=True)
+    if os.path.isfile(preferences):
+        shutil.copy(preferences, os.path.join(folder, "config"))
+    blender = bpy.app.binary_path
+    command = [blender, "--command", "extension", "install-file", "-r", "user_default", "--enable", zip_path]
+    if subprocess.run(command, env=environment).returncode:
+        fail(f"the extension's zip cannot be installed: {zip_path}")
+    print(f"openjd_env: {USER_FOLDER}={folder}", flush=True)
+    check = [blender, "-b", "--python-exit-code", "1", "--python", os.path.abspath(__file__)]
+    sys.exit(subprocess.run(check, env=environment).returncode)
+
+
+def check_extension():
+    if not hasattr(bpy.types.Object, "adaptive_terrain"):
+        fail("the extension Adaptive Terrain is not enabled in this Blender, terrains would be stale")
+    there = [m for name, m in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
+    found = next((m.__version__ for m in there if hasattr(m, "__version__")), "unknown")
+    if VERSION and found != VERSION:
+        fail(f"Adaptive Terrain {found} is here, the job was made with {VERSION}")
+    print(f"Adaptive Terrain {found}, Blender {bpy.app.version_string}", flush=True)
+
+
+def check_file():
+    for scene in bpy.data.scenes:
+        scene.adaptive_terrain.stop_stale_renders = True
+    for obj in bpy.data.objects:
+        if obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None:
+            store = bpy.path.abspath(obj.adaptive_terrain.store)
+            if not os.path.isfile(os.path.join(store, "store.json")):
+                fail(f"the store of {obj.name} is missing: {store}")
+
+
+arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+if arguments and arguments[0]:
+    install(arguments[0], os.path.join(arguments[1], "blender"))
+check_extension()
+check_file()

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The job of a scene: what a worker needs beside the .blend file, found in Blender."""
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.source_info import versions
+from ...cbt_terrain.run.partial_files import written_beside
+from ..effects.map_images import map_folder
+from ..effects.map_request import read_as_images
+from ..output.exporting import make_folder
+from ..output.preparing import is_missing, store_of
+from ..scene.import_terrain import settings_of
+from ..scene.land_request import folder_beside
+from ..scene.properties import land_of
+from ..scene.shot import frames_of
+from .bundle import Job, write_bundle
+
+FRAMES, INSTALLED = "frames", "installed"
+PACKAGE = Path(__file__).resolve().parents[2]
+UDIM = "<UDIM>"
+
+
+def submit(
+    scene,
+    objects: Sequence,
+    out: Path,
+    *,
+    frames: Sequence[int] | None,
+    chunk: int,
+    formats: Sequence[str],
+    extension: str | None,
+) -> list[str]:
+    """Write the job of the saved file that is open into the folder `out`; returns lines that say what to know of it.
+
+    frames: None for the scene's. formats: of meshes; none for pictures. extension: a zip that workers install for the
+    job alone, INSTALLED for the one that runs, None where they have it. Raises TerrainError.
+    """
+    blend, out = Path(bpy.data.filepath).resolve(), Path(out).resolve()
+    files, folders, made, notes = _listed_files(), [], [], []
+    for obj in objects:
+        _add_terrain(obj, files, folders, made)
+        if not store_of(obj).resolve().is_relative_to(blend.parent):
+            notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_of(obj)}")
+    make_folder(out)
+    zip_path = None if extension is None else _zip_path(extension, out)
+    if zip_path is None:
+        notes.append("no zip goes with the job: workers need the extension of this version")
+    job = Job(
+        name=f"{blend.stem} {'meshes' if formats else 'pictures'}",
+        blend=blend,
+        frames=frames or frames_of(scene),
+        chunk=max(1, chunk),
+        formats=formats,
+        out=out / FRAMES,
+        version=versions()["adaptive-terrain"],
+        zip_path=zip_path,
+        files=files + ([] if zip_path is None else [zip_path]),
+        folders=folders,
+        made=made,
+    )
+    write_bundle(job, out)
+    return [f"{out} is a job of {len(set(job.frames)):,} frames, {chunk} a task", *(f"note: {note}" for note in notes)]
+
+
+def _listed_files() -> list[Path]:
+    """Files that Blender knows the scene to be made of (images, libraries, caches) and that are there."""
+    found = []
+    for path in map(Path, bpy.utils.blend_paths(absolute=True, packed=False, local=False)):
+        tiles = path.parent.glob(path.name.replace(UDIM, "[0-9]" * 4)) if UDIM in path.name else [path]
+        found += [tile.resolve() for tile in tiles if tile.is_file()]
+    return found
+
+
+def _add_terrain(obj, files: list[Path], folders: list[Path], made: list[Path]) -> None:
+    """What one terrain is made of, and what is made of it ahead of the frames."""
+    store = store_of(obj)
+    if is_missing(store):
+        made.append(store)
+        if land_of(obj.adaptive_terrain) is None:
+            source = Path(settings_of(obj).source)
+            if not source.is_file():
+                raise TerrainError(
+                    f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}; import it "
+                    "again, or choose where they are."
+                )
+            files.append(source.resolve())
+    else:
+        folders.append(store)
+    derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
+    derived += [map_folder(obj)] if read_as_images(obj) else []
+    made += derived
+    folders += [folder for folder in derived if folder.is_dir()]
+
+
+def _zip_path(extension: str, out: Path) -> Path:
+    """The zip that goes with the job."""
+    if extension != INSTALLED:
+        if not zipfile.is_zipfile(extension):
+            raise TerrainError(f"{extension} is no zip; expected the extension's, or {INSTALLED!r}.")
+        return Path(extension).resolve()
+    if not (PACKAGE / "wheels").is_dir():
+        raise TerrainError(
+            "This extension is not installed from a zip, so there is none to go with the job: name one "
+            "(`make extension` builds it), or leave it to the workers to have it."
+        )
+    path = out / "adaptive_terrain.zip"
+    with written_beside(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+        for file in sorted(PACKAGE.rglob("*")):
+            if file.is_file() and "__pycache__" not in file.parts:
+                archive.write(file, file.relative_to(PACKAGE))
+    return path

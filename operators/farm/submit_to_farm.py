@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write the job of a scene for a render farm."""
+
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ..output.exporting import parse_frames
+from ..scene import session
+from ..scene.properties import PATH_OPTIONS
+from .submit import INSTALLED, submit
+
+
+class SubmitToFarm(bpy.types.Operator):
+    """Write a job that a render farm runs (Open Job Description: Deadline Cloud and others; and Flamenco), of the file
+    as it is saved, with the stores of its terrains"""
+
+    bl_idname = "adaptive_terrain.submit"
+    bl_label = "Submit to Farm"
+
+    folder: bpy.props.StringProperty(
+        name="Folder",
+        description="Where the job is written; frames go to the folder frames in it",
+        subtype="DIR_PATH",
+        default="//farm/",
+        options=PATH_OPTIONS,
+    )
+    frames: bpy.props.StringProperty(name="Frames", description="Such as 1-24, 1-24:2 or 1-3,8; empty: the scene's")
+    chunk: bpy.props.IntProperty(name="Frames per Task", default=4, min=1, soft_max=100)
+    render: bpy.props.BoolProperty(name="Render", description="Pictures; else meshes as .npz files", default=True)
+    bring: bpy.props.BoolProperty(
+        name="Bring Extension",
+        description="Workers install this extension for the job alone: same platform, 200 MB. Else they need it",
+        default=True,
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if not bpy.data.filepath:
+            cls.poll_message_set("Save the file first")
+            return False
+        return bool(session.terrains_of(context.scene))
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_props_dialog(self, width=400)
+
+    def execute(self, context):
+        try:
+            if bpy.data.is_dirty and not bpy.app.background:  # where it always says so
+                raise TerrainError("The file has unsaved changes, and a farm renders what is saved: save it first.")
+            said = submit(
+                context.scene,
+                session.terrains_of(context.scene),
+                Path(bpy.path.abspath(self.folder)),
+                frames=self._frames(),
+                chunk=self.chunk,
+                formats=() if self.render else ("npz",),
+                extension=INSTALLED if self.bring else None,
+            )
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for line in said:
+            self.report({"INFO"}, line)
+        return {"FINISHED"}
+
+    def _frames(self) -> tuple[int, ...] | None:
+        if not self.frames.strip():
+            return None
+        try:
+            return parse_frames(self.frames)
+        except ValueError as error:
+            raise TerrainError(f"The {error}.") from None
+
+
+register, unregister = bpy.utils.register_classes_factory((SubmitToFarm,))

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames to pictures, as `blender -f` renders them: each is whole under its final name or not there, and is closed by a
+summary as the frame of an export is."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.partial_files import private_folder
+from ..scene import session, stale_renders
+from ..scene.pauses import paused
+from ..scene.request import RENDER
+from .exporting import write_frames
+from .frame_sources import SceneFrames, bounds_of
+
+
+def render_frames(
+    source: SceneFrames,
+    frames: Sequence[int],
+    out: Path,
+    *,
+    resume: bool = False,
+    on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
+) -> None:
+    """Render every frame of the scene that is open into `out`: `frame_FRAME` with the suffix of the scene's format.
+
+    `resume` and `on_frame` as for `export_frames`. Raises TerrainError where a frame's mesh would be stale.
+    """
+    render = source.scene.render
+    if render.is_movie_format:
+        raise TerrainError(
+            f"The scene {source.scene.name!r} is rendered into a movie ({render.image_settings.file_format}); expected "
+            "a picture a frame: choose such a File Format under Output."
+        )
+    settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
+    write_frames(lambda frame: _render(source, frame, out), settings, frames, out, resume=resume, on_frame=on_frame)
+
+
+def _render(source: SceneFrames, frame: int, out: Path) -> dict:
+    """One frame; a render with several views has as many pictures."""
+    start = time.perf_counter()
+    scene, terrains = source.scene, []
+    with paused():  # the render sets it again, and then updates each terrain once
+        scene.frame_set(frame)
+    with private_folder(out) as folder:
+        partial = folder / "pictures"
+        scene.render.filepath, scene.render.use_file_extension = str(partial / f"frame_{frame:04d}"), True
+        with _noted(terrains, source.objects), stale_renders.raising():
+            try:
+                bpy.ops.render.render(write_still=True)
+            except RuntimeError as error:
+                raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
+        files = sorted(partial.iterdir()) if partial.is_dir() else []
+        for file in files:
+            os.replace(file, out / file.name)
+    if not files:
+        raise TerrainError(f"Blender wrote no picture of frame {frame} into {out}; check the disk and its messages.")
+    sizes = {file.name: (out / file.name).stat().st_size for file in files}
+    return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
+
+
+@contextmanager
+def _noted(terrains: list[dict], objects: list):
+    """Put the figures of the meshes that are rendered into `terrains`, before the viewport gets its own back."""
+
+    def note(_scene, _unused=None) -> None:
+        shown = {obj.name: session.record_of(obj).status for obj in objects}
+        terrains[:] = [_figures(name, status) for name, status in shown.items() if status.mode == RENDER]
+
+    bpy.app.handlers.render_post.append(note)
+    try:
+        yield
+    finally:
+        bpy.app.handlers.render_post.remove(note)
+
+
+def _figures(name: str, status: session.Status) -> dict:
+    """As `exporting.figures`, of what the panel shows."""
+    ms = {step: round(ms, 3) for step, ms in status.ms.items()}
+    return {"name": name, "triangles": status.left, **bounds_of(status), "ms": ms}

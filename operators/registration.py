@@ -6,7 +6,7 @@ import atexit
 import bpy
 
 from . import handlers
-from .effects import bake_maps, land_presets, splat_layers, terrain_material
+from .effects import add_scatter, bake_maps, land_presets, splat_layers, terrain_material
 from .farm import submit_to_farm
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
@@ -26,7 +26,7 @@ from .scene import (
     update_terrain,
     water_surface,
 )
-from .ui import effects_panel, overlay_panel, panels, status_bar, status_row
+from .ui import effects_panel, overlay_panel, panels, scatter_panel, status_bar, status_row
 
 MODULES = (
     properties,
@@ -40,6 +40,7 @@ MODULES = (
     bake_land,
     bake_maps,
     terrain_material,
+    add_scatter,
     splat_layers,
     layer_images,
     land_list,
@@ -55,6 +56,7 @@ MODULES = (
     overlay_panel,
     status_row,
     panels,
+    scatter_panel,
     handlers,
     live,
     status_bar,

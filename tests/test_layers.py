@@ -30,12 +30,13 @@ ROOMS = {
         "detail",
         "morph",
         "effects",
+        "scatter",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "scatter", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

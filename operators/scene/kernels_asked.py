@@ -11,7 +11,7 @@ from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.run.warmup import other_modules
 from .request import Request
 
-DETAIL, HIDING = "kernels.detail.", "horizon_map"
+DETAIL, HIDING, SCATTER = "kernels.detail.", "horizon_map", "kernels.scatter."
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
@@ -19,9 +19,13 @@ def kernels_for(request: Request) -> list[ModuleType]:
     asked = list(request.effects.asked)
     if isinstance(request.ground, LayeredDetail):
         asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+    for item in request.scatters.asked:
+        asked += [read for read, _ in item.scatter.reads()]
     found = kernels_of(plan(asked))
     for module in other_modules():
         if DETAIL in module.__name__ and request.ground is not None:
+            found.append(module)
+        elif SCATTER in module.__name__ and request.scatters.asked:
             found.append(module)
         elif module.__name__.endswith(HIDING) and request.criterion.hidden_factor != 1.0:
             found.append(module)

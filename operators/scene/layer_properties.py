@@ -2,6 +2,7 @@
 """Settings of the splat layers of a terrain (`object.adaptive_terrain.layers`), and the one place that reads them."""
 
 import math
+from dataclasses import replace
 
 import bpy
 from bpy.props import (
@@ -160,7 +161,16 @@ def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
 
 
 def _layer(layers, number: int) -> rules.Layer:
-    settings, found = layers[number], []
+    settings = layers[number]
+    own = layer_alone(settings)
+    if not settings.mask:
+        return own
+    return replace(own, rules=(*own.rules, rules.covering(_number_of(layers, settings.mask, number))))
+
+
+def layer_alone(settings) -> rules.Layer:
+    """The layer of a LayerSettings, without what other layers mask of it."""
+    found = []
     for kind in BANDS:
         band = getattr(settings, kind)
         if band.use:
@@ -171,8 +181,6 @@ def _layer(layers, number: int) -> rules.Layer:
     if settings.aspect.use:
         aspect = settings.aspect
         found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
-    if settings.mask:
-        found.append(rules.covering(_number_of(layers, settings.mask, number)))
     if settings.image is not None:
         found.append(rules.painted(painted_of(settings.image)))
     numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged

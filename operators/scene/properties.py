@@ -25,6 +25,7 @@ from .detail_properties import RenderDetail, ViewportDetail, changed
 from .ground_properties import GroundDetail
 from .layer_properties import LayerSettings
 from .map_properties import MapSettings
+from .scatter_properties import ScatterSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
@@ -223,7 +224,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 CLASSES = (
     *(*effect_properties.CLASSES, *layer_properties.CLASSES, *land_properties.CLASSES),
-    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings, ScatterSettings),
 )
 
 
@@ -232,9 +233,10 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Object.adaptive_terrain = PointerProperty(type=TerrainSettings)
     bpy.types.Scene.adaptive_terrain = PointerProperty(type=SceneSettings)
+    bpy.types.Object.adaptive_scatter = PointerProperty(type=ScatterSettings)
 
 
 def unregister() -> None:
-    del bpy.types.Object.adaptive_terrain, bpy.types.Scene.adaptive_terrain
+    del bpy.types.Object.adaptive_terrain, bpy.types.Scene.adaptive_terrain, bpy.types.Object.adaptive_scatter
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

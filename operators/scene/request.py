@@ -27,6 +27,7 @@ from .land_request import Land, land_of
 from .land_tiles import Seen
 from .layered_ground import ground_of
 from .properties import CHOSEN_CAMERA, VIEWPORT_VIEW
+from .scatters import Scatters, gather_scatters
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 
@@ -57,8 +58,9 @@ class Request:
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
-    `effects`: those whose attributes the mesh gets. `store`: folder of the height field, which is the shaped one where
-    there is one. `land`: what is to be made of it first, or None.
+    `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
+    folder of the height field, which is the shaped one where there is one. `land`: what is to be made of it first, or
+    None.
     """
 
     store: str
@@ -77,10 +79,11 @@ class Request:
     note: str
     frozen: str
     effects: Effects
+    scatters: Scatters = Scatters()
 
     def key(self) -> tuple:
         """Equal for equal requests."""
-        shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects
+        shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
         return self.store, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
@@ -164,6 +167,9 @@ def gather(
         note=note,
         frozen=frozen,
         effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
+        scatters=gather_scatters(
+            obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
+        ),
     )
 
 

@@ -32,6 +32,7 @@ from .asked_effects import EffectStatus, statuses
 from .overlay import Overlay, make_overlay
 from .properties import ERROR_OVERLAY, NO_OVERLAY
 from .request import VIEWPORT, Request, gather
+from .scatters import ScatterRecord, make_points, show_points
 
 
 @dataclasses.dataclass
@@ -76,7 +77,8 @@ class Record:
     """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
     `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
     `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
-    arrays of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each."""
+    arrays of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each.
+    `scatters`: by the session_uid of their objects."""
 
     terrain: Terrain | None = None
     field: object = None
@@ -90,6 +92,7 @@ class Record:
     effects_serial: int = 0
     effects_made: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     live_key: tuple | None = None
+    scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
     generation: int = 0
     status: Status = dataclasses.field(default_factory=Status)
 
@@ -169,6 +172,7 @@ def solve(record: Record, request: Request):
         update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
     record.serial += bool(update.changed)
     _make_effects(record, request, update, placed)
+    make_points(record.scatters, request, record.field, record.terrain, update.surface, record.serial)
     return update
 
 
@@ -248,6 +252,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms
+    show_points(obj, record.scatters, request)
     if record.effects:
         ms["effects"] = sum(made.ms for made in record.effects_made.values())
     record.status = Status(
@@ -287,6 +292,8 @@ def forget_shown() -> None:
     kept.forget()
     for record in _records.values():
         record.shown = record.live_key = None
+        for scatter in record.scatters.values():
+            scatter.shown = ()
         record.generation += 1
 
 

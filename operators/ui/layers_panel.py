@@ -64,19 +64,24 @@ class LayersPanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def _draw_layer(column, settings, layer) -> None:
+    draw_rules(column, layer)
+    column.prop_search(layer, "mask", settings, "layers")
+    column.separator()
+    column.label(text="Detail")
+    draw_ground(column, layer.detail)
+
+
+def draw_rules(column, layer) -> None:
+    """What a layer alone depends on."""
     column.prop(layer, "strength")
     for kind in BANDS:
         _draw_band(column, getattr(layer, kind), ("low", "high", "edge"))
     _draw_band(column, layer.aspect, ("direction", "within", "edge"))
-    column.prop_search(layer, "mask", settings, "layers")
     column.prop(layer, "image")
     column.separator()
     column.prop(layer, "noise_size")
     column.prop(layer, "ragged")
     column.prop(layer, "seed")
-    column.separator()
-    column.label(text="Detail")
-    draw_ground(column, layer.detail)
 
 
 def _draw_band(column, band, names: tuple[str, ...]) -> None:

@@ -14,6 +14,7 @@ from . import (
     layers_panel,
     maps_panel,
     overlay_panel,
+    scatter_panel,
     statistics_panel,
 )
 from .panel_parts import TerrainSubpanel, figures, switched
@@ -110,6 +111,7 @@ CLASSES = (
     MeshPanel,
     effects_panel.EffectsPanel,
     *layers_panel.CLASSES,
+    *scatter_panel.CLASSES,
     maps_panel.MapsPanel,
     OutputPanel,
     *statistics_panel.CLASSES,

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Candidates of a scatter that are on the ground already: later frames find them by their squares."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.scatter import points as kernels
+from ..run.buffers import flat, shared
+
+SPARE = 2.0  # times what is kept, the room for it
+
+
+class Kept:
+    """Runs of candidates in a few long arrays, found by int64 keys. `positions`, `normals`: float32 [room, 3];
+    `density`: float32 [room]."""
+
+    def __init__(self):
+        self._used = 0
+        self._keys = np.empty(0, np.int64)  # ascending
+        self._at = np.empty(0, np.int64)  # where the run of each begins
+        self._count = np.empty(0, np.int64)
+        self._make(0)
+
+    @property
+    def nbytes(self) -> int:
+        return self.positions.nbytes + self.normals.nbytes + self.density.nbytes
+
+    def packed(self) -> kernels.Kept:
+        made = kernels.Kept()
+        made.positions, made.normals = shared(self.positions, wp.vec3f), shared(self.normals, wp.vec3f)
+        made.density = flat(self.density, wp.float32)
+        return made
+
+    def find(self, keys: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """int64 [n], bool [n]: where the run of each key begins, and whether it has `count` candidates at least."""
+        if not len(self._keys):
+            return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
+        number = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        return self._at[number], (self._keys[number] == keys) & (self._count[number] >= count)
+
+    def reserve(self, count: int, keys: np.ndarray) -> int:
+        """Where `count` more begin. Where there is no room, only the runs of `keys`, which are known, are kept."""
+        if self._used + count > len(self.density):
+            number = np.searchsorted(self._keys, np.sort(keys))
+            held, before = self._count[number], (self.positions, self.normals, self.density)
+            ends = np.cumsum(held)
+            used = int(ends[-1]) if len(ends) else 0
+            which = np.arange(used) + np.repeat(self._at[number] - (ends - held), held)
+            self._make(int(SPARE * (used + count)))
+            for own, other in zip((self.positions, self.normals, self.density), before, strict=True):
+                own[:used] = other[which]
+            self._keys, self._at, self._count, self._used = self._keys[number], ends - held, held, used
+        return self._used
+
+    def add(self, keys: np.ndarray, count: np.ndarray) -> None:
+        """What was reserved is there: runs of so many candidates each. They replace those of the same keys."""
+        at = self._used + np.cumsum(count) - count
+        others = ~np.isin(self._keys, keys)
+        both = [np.concatenate([a[others], b]) for a, b in ((self._keys, keys), (self._at, at), (self._count, count))]
+        order = np.argsort(both[0])
+        self._keys, self._at, self._count = (array[order] for array in both)
+        self._used += int(count.sum())
+
+    def _make(self, room: int) -> None:
+        self.positions, self.normals = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
+        self.density = np.empty(room, np.float32)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of a scatter: their places on the ground, which of them views want, and what is told of those.
+
+Every square of the plan has a run of candidates: the points of the tile's square from rank 0 on. Where they are on the
+ground depends on no view; that is kept from frame to frame.
+"""
+
+import warp as wp
+
+from ..detail.displace import with_detail
+from ..field.detail import Coats
+from ..field.domain import Domain
+from ..field.noise import scramble
+from ..mesh.displace import surface_at
+from .seen import Views, wanted_at
+
+wp.set_module_options({"enable_backward": False})
+
+UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16: points of the tile are so many of its sides
+PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14: the tile has so many points
+RANKS = wp.constant(wp.int64(16384))
+PART = wp.constant(wp.float64(0.25))  # of a rank: over how much more density a point grows
+TURNS = wp.constant(1024)  # directions that points are turned to
+
+
+@wp.struct
+class Run:
+    """The candidates of a square. `tile_x`, `tile_y`: the tile's number. `first`: of the square's ranks in `order`.
+    `at`: of the first candidate among those that are kept. `out`: of the first place for those that are wanted.
+    `clear`: 1 where all of the square is in the frame of the first view."""
+
+    tile_x: wp.int32
+    tile_y: wp.int32
+    first: wp.int32
+    count: wp.int32
+    at: wp.int32
+    out: wp.int32
+    clear: wp.int32
+
+
+@wp.struct
+class Pattern:
+    """The tile, and how it is laid. `order`: ranks by squares, one halving after the other."""
+
+    place: wp.array(dtype=wp.vec2i)
+    order: wp.array(dtype=wp.int32)
+    west: wp.float64  # metres, of tile (0, 0)
+    south: wp.float64
+    side: wp.float64
+
+
+@wp.struct
+class Kept:
+    """Candidates on the ground. `density`: 0 .. 1, how many of all ranks there are."""
+
+    positions: wp.array(dtype=wp.vec3f)
+    normals: wp.array(dtype=wp.vec3f)
+    density: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class Chosen:
+    """Candidates that views want, run by run: which, and how far each has grown."""
+
+    which: wp.array(dtype=wp.int32)
+    rank: wp.array(dtype=wp.int32)
+    grown: wp.array(dtype=wp.float32)
+    counts: wp.array(dtype=wp.int32)  # of each run
+
+
+@wp.struct
+class Look:
+    """What points have beside their places. `cosine`, `sine`: of half of each turn."""
+
+    seed: wp.uint32
+    size: wp.float32
+    variation: wp.float32  # part of the size by which it varies either way
+    align: wp.float32  # 0: upright; 1: along the normal
+    tiles: wp.int64  # in a row
+    cosine: wp.array(dtype=wp.float32)
+    sine: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class Points:
+    """What is told of points."""
+
+    positions: wp.array(dtype=wp.vec3f)
+    normals: wp.array(dtype=wp.vec3f)
+    size: wp.array(dtype=wp.float32)
+    id: wp.array(dtype=wp.int64)
+    variant: wp.array(dtype=wp.int32)
+    rotation: wp.array(dtype=wp.vec4f)
+
+
+@wp.func
+def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> wp.bool:
+    """Whether a lattice point is on the raster and in no hole."""
+    bits = domain.unit_bits - domain.levels
+    i = wp.min(p[0] >> bits, domain.width - 2)
+    j = wp.min(p[1] >> bits, domain.height - 2)
+    inside = p[0] >= 0 and p[1] >= 0
+    inside = inside and p[0] <= (domain.width - 1) << bits and p[1] <= (domain.height - 1) << bits
+    if inside and valid.shape[0] > 0:
+        at = j * domain.width + i
+        corners = valid[at] * valid[at + 1] * valid[at + domain.width] * valid[at + domain.width + 1]
+        inside = corners != wp.uint8(0)
+    return inside
+
+
+@wp.func
+def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
+    """The lattice coordinate; of what is further out than the raster one beyond it."""
+    end = wp.float64((samples - 1) << (domain.unit_bits - domain.levels)) + wp.float64(1.0)
+    return wp.int32(wp.floor(wp.clamp(units, wp.float64(-1.0), end) + wp.float64(0.5)))
+
+
+@wp.kernel
+def place(
+    begin: wp.int32,
+    end: wp.int32,
+    domain: Domain,
+    coats: Coats,
+    valid: wp.array(dtype=wp.uint8),
+    pattern: Pattern,
+    runs: wp.array(dtype=Run),
+    kept: Kept,
+):
+    """Put the candidates of a run on the surface, at the lattice point that is nearest; density 1, or 0 off the ground.
+
+    All in float64, cast to float32 last.
+    """
+    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    slope_x = domain.height_scale / (domain.unit_x * units)
+    slope_y = domain.height_scale / (domain.unit_y * units)
+    for t in range(begin, end):
+        run = runs[t]
+        x0 = pattern.west + wp.float64(run.tile_x) * pattern.side - domain.west
+        y0 = pattern.south + wp.float64(run.tile_y) * pattern.side - domain.south
+        for k in range(run.count):
+            q = pattern.place[pattern.order[run.first + k]]
+            x = (x0 + wp.float64(q[0]) * UNIT * pattern.side) / domain.unit_x
+            y = (y0 + wp.float64(q[1]) * UNIT * pattern.side) / domain.unit_y
+            p = wp.vec2i(nearest(x, domain.width, domain), nearest(y, domain.height, domain))
+            position = wp.vec3f()
+            normal = wp.vec3f(0.0, 0.0, 1.0)
+            density = wp.float32(0.0)
+            if is_ground(domain, valid, p):
+                density = wp.float32(1.0)
+                g = surface_at(domain, p)
+                if coats.count > 0:
+                    g = with_detail(domain, coats, p, g)
+                px = domain.west + wp.float64(p[0]) * domain.unit_x
+                py = domain.south + wp.float64(p[1]) * domain.unit_y
+                pz = g[0] * domain.height_scale + domain.height_offset
+                nx = -g[1] * slope_x
+                ny = -g[2] * slope_y
+                nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
+                position = wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz))
+                normal = wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz))
+            kept.positions[run.at + k] = position
+            kept.normals[run.at + k] = normal
+            kept.density[run.at + k] = density
+
+
+@wp.kernel
+def choose(
+    begin: wp.int32,
+    end: wp.int32,
+    views: Views,
+    pattern: Pattern,
+    runs: wp.array(dtype=Run),
+    kept: Kept,
+    chosen: Chosen,
+):
+    """List those of runs whose rank is below what is wanted at their places.
+
+    A point is whole where a quarter more is wanted than its rank, or all, and begins with nothing.
+    """
+    first = views.views[0]
+    for t in range(begin, end):
+        run = runs[t]
+        n = run.out
+        for k in range(run.count):
+            at = run.at + k
+            rank = pattern.order[run.first + k]
+            r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK
+            density = wp.float64(kept.density[at])
+            if density > r:
+                p = kept.positions[at]
+                p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
+                want = density * wanted_at(views, first, p3, run.clear)
+                if want > r:
+                    s = wp.min((want - r) / wp.min(PART * r, wp.float64(1.0) - r), wp.float64(1.0))
+                    chosen.which[n] = at
+                    chosen.rank[n] = rank
+                    chosen.grown[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))
+                    n += 1
+        chosen.counts[t] = n - run.out
+
+
+@wp.func
+def turned(look: Look, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
+    """Quaternion (w, x, y, z): about the upright axis by a turn, and that axis then the short way to its direction."""
+    x = normal[0] * look.align
+    y = normal[1] * look.align
+    z = normal[2] * look.align + (1.0 - look.align)
+    w = wp.sqrt(x * x + y * y + z * z) + z
+    c = look.cosine[turn]
+    s = look.sine[turn]
+    q = wp.vec4f(w * c, x * s - y * c, x * c + y * s, w * s)
+    return q / wp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+
+
+@wp.kernel
+def tell(
+    begin: wp.int32,
+    end: wp.int32,
+    runs: wp.array(dtype=Run),
+    first: wp.array(dtype=wp.int32),
+    kept: Kept,
+    chosen: Chosen,
+    look: Look,
+    points: Points,
+):
+    """Fill in the points of runs, those of each from number first[run] on."""
+    for t in range(begin, end):
+        run = runs[t]
+        tile = wp.int64(run.tile_y) * look.tiles + wp.int64(run.tile_x)
+        row = scramble(scramble(wp.uint32(run.tile_y) + look.seed) + wp.uint32(run.tile_x))
+        for k in range(chosen.counts[t]):
+            n = first[t] + k
+            at = chosen.which[run.out + k]
+            rank = chosen.rank[run.out + k]
+            drawn = scramble(row + wp.uint32(rank))
+            other = scramble(drawn + wp.uint32(1))
+            vary = wp.float32(wp.int32(other)) * 4.656612873077393e-10  # -1 .. 1
+            points.positions[n] = kept.positions[at]
+            points.normals[n] = kept.normals[at]
+            points.size[n] = look.size * (1.0 + look.variation * vary) * chosen.grown[run.out + k]
+            points.id[n] = tile * RANKS + wp.int64(rank)
+            points.variant[n] = wp.int32(drawn >> wp.uint32(1))
+            points.rotation[n] = turned(look, kept.normals[at], wp.int32(scramble(other) >> wp.uint32(22)))

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much of a scatter views want at a place, and at most and at least over a box: 1 is full density.
+
+Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance.
+"""
+
+import warp as wp
+
+from ..refine.diamond import larger
+from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Views:
+    """`full2`: squared metres up to which density is full. No views: it is so everywhere."""
+
+    count: wp.int32
+    full2: wp.float64
+    views: wp.array(dtype=LocalView)
+
+
+@wp.func
+def ramp(full2: wp.float64, far2: wp.float64) -> wp.float64:
+    return wp.where(far2 > full2, full2 / far2, wp.float64(1.0))
+
+
+@wp.func
+def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
+    """Squared metres from the eye, differences from which are x, y, z; 0 of parallel rays, which have no eye."""
+    far2 = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
+    return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), far2)
+
+
+@wp.func
+def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
+    """Of a view at a place that is in its frame with the margin (`clear`: which is known); 0 elsewhere."""
+    inside = wp.int32(1)
+    if clear == 0:
+        for k in range(view.plane_count):
+            if most_of(view.planes[k], p, p) < wp.float64(0.0):
+                inside = 0
+                break
+    want = wp.float64(0.0)
+    if inside == 1:
+        want = ramp(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))
+    return want
+
+
+@wp.func
+def wanted_at(views: Views, first: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
+    """The most of all views. The first is at hand: to read one takes longer than to ask it."""
+    want = wp.float64(1.0)
+    if views.count > 0:
+        want = wanted_by(views.full2, first, p, clear)
+        for v in range(1, views.count):
+            want = larger(want, wanted_by(views.full2, views.views[v], p, 0))
+    return want
+
+
+@wp.func
+def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
+    """The most that a place of a box may have; the least, 0 where a frame ends in it."""
+    zero = wp.float64(0.0)
+    most = wp.where(views.count == 0, wp.float64(1.0), zero)
+    least = most
+    for v in range(views.count):
+        view = views.views[v]
+        stand = stand_of(view, low, high)
+        if stand != OUTSIDE:
+            a = low - view.eye
+            b = high - view.eye
+            near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
+                              larger(larger(a[2], -b[2]), zero))  # fmt: skip
+            most = larger(most, ramp(views.full2, near2))
+            if stand == CLEAR:
+                far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
+                least = larger(least, ramp(views.full2, far2))
+    return most, least

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of a scatter (`object.adaptive_scatter`), and the one place that reads them."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.scatter.scatter import Scatter
+from .detail_properties import changed
+from .layer_properties import LayerSettings, layer_alone, layers_of
+
+SURFACE, MESH = "SURFACE", "MESH"
+
+
+class ScatterSettings(bpy.types.PropertyGroup):
+    """Points that stand on the terrain that the object is a child of."""
+
+    enabled: BoolProperty(name="Adaptive Scatter", description="This object's points are written by Adaptive Terrain")
+    spacing: FloatProperty(
+        name="Spacing",
+        description="At full density there is one point on a square of this side, in the terrain's own space",
+        default=10.0, min=1e-4, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    full_until: FloatProperty(
+        name="Full Until",
+        description="Distance from the camera up to which there are all points; further away as many a pixel as there. "
+        "0: all points everywhere",
+        default=500.0, min=0.0, soft_max=10_000.0, precision=1, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    layer: StringProperty(
+        name="On Layer", description="A layer of the terrain: as dense as it covers the ground", update=changed
+    )
+    where: PointerProperty(type=LayerSettings)
+    size: FloatProperty(
+        name="Size", description="Of points that are full-grown", default=1.0, min=0.0, soft_max=100.0, update=changed
+    )
+    variation: FloatProperty(
+        name="Variation", description="Part of the size by which it varies either way", default=0.2, min=0.0, max=1.0,
+        subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    align: FloatProperty(
+        name="Align to Ground", description="0 stands upright, 1 along the ground's normal", default=0.0, min=0.0,
+        max=1.0, subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    roots: EnumProperty(
+        name="Roots On",
+        items=[(SURFACE, "Ground", "At the heights of the height map: a point never moves, and is as far from the mesh "
+                "as the terrain's error allows"),
+               (MESH, "Mesh", "On the triangles that are drawn: a point goes up and down with them")],
+        update=changed,
+    )  # fmt: skip
+    margin_deg: FloatProperty(
+        name="Margin", description="How far outside the frame points still are, degrees", default=5.0, min=0.0,
+        max=89.0, precision=1, update=changed,
+    )  # fmt: skip
+    margin_m: FloatProperty(
+        name="Reach", description="The same in metres: how far what stands there reaches, with its shadow",
+        default=0.0, min=0.0, soft_max=100.0, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    seed: IntProperty(name="Seed", description="Another seed is other points", default=0, min=0, update=changed)
+
+
+def scatter_of(settings, terrain_settings) -> Scatter:
+    """The scatter that evaluated settings ask for, on a terrain with those settings. Raises TerrainError."""
+    layers, on = (), -1
+    if settings.layer:
+        layers = layers_of(terrain_settings)
+        names = [layer.name for layer in layers]
+        if settings.layer not in names:
+            raise TerrainError(f"It stands on the layer {settings.layer!r}, which the terrain has not; choose another.")
+        on = names.index(settings.layer)
+    numbers = {name: getattr(settings, name) for name in ("spacing", "full_until", "size", "variation", "align")}
+    margins = {"margin_deg": settings.margin_deg, "margin_m": settings.margin_m}
+    return Scatter(where=layer_alone(settings.where), layers=layers, on=on, seed=settings.seed, **numbers, **margins)
+
+
+CLASSES = (ScatterSettings,)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scatters: those of a terrain with what they take, and the settings of the one that is selected."""
+
+import bpy
+
+from ..scene import session
+from ..scene.scatter_properties import MESH
+from ..scene.scatters import ScatterRecord, is_scatter, scatters_of
+from ..text.numbers import plain
+from ..text.shown_bounds import bound_text
+from .layers_panel import draw_rules
+from .panel_parts import TerrainSubpanel, figures
+
+
+class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_scatters"
+    bl_label = "Scatter"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        terrain = context.object
+        column = self.layout.column(align=True)
+        for obj in scatters_of(terrain):
+            points, ms = summary(session.record_of(terrain).scatters.get(obj.session_uid))
+            row = column.split(factor=0.4)
+            row.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
+            row.label(text=points)
+            row.label(text=ms)
+            row.prop(obj, "hide_viewport", text="", emboss=False)
+        self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
+
+
+class ScatterPanel(bpy.types.Panel):
+    """Of a scatter that is selected."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_scatter"
+    bl_label = "Adaptive Scatter"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Terrain"
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and is_scatter(obj) and obj.parent is not None and session.is_terrain(obj.parent)
+
+    def draw(self, context):
+        obj, terrain = context.object, context.object.parent
+        settings, record = obj.adaptive_scatter, session.record_of(terrain)
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        box = self.layout.box().column(align=True)
+        figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        column = self.layout.column()
+        for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m", "seed"):
+            column.prop(settings, name)
+        column.separator()
+        column.prop_search(settings, "layer", terrain.adaptive_terrain, "layers")
+        draw_rules(column, settings.where)
+
+
+def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
+    """How many points there are, and milliseconds of the last that were made."""
+    if scatter is None or scatter.points is None:
+        return "-", "-"
+    return f"{len(scatter.points):,}", f"{plain(sum(scatter.ms.values()))} ms"
+
+
+def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
+    """The lines at the panel's top: as many whatever there is."""
+    points, ms = summary(scatter)
+    tested, off = "-", "-"
+    if points != "-":
+        tested = f"{scatter.points.tested:,}"
+        bound = (status.bound_px, "px") if status.bound_px is not None else (status.bound_m or 0.0, "m")
+        off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
+    return [("Points", points), ("Looked at", tested), ("Update", ms), ("Off the mesh", off)]
+
+
+CLASSES = (ScattersPanel,)
+register, unregister = bpy.utils.register_classes_factory((ScatterPanel,))

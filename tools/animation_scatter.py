@@ -20,7 +20,7 @@ FRAMES, STEP = 200, 2.0  # metres a frame
 COMPARED = 4  # frames for Blender's own points
 SAME_PLACE = 0.02  # metres
 RESOLUTION = (1920, 1080)
-SCATTER = Scatter(spacing=8.0, full_until=400.0)
+SCATTER = Scatter(spacing=4.0, full_until=800.0)
 # As many points as the scatter has, about.
 METHODS = {"RANDOM": {"Density": 0.002}, "POISSON": {"Distance Min": 15.0, "Density Max": 0.02}}
 
@@ -38,7 +38,10 @@ def scatter_section(folder: Path) -> list:
     counts, moved, sudden, changed = stillness(Scatterer(field, SCATTER))
     rows = [["Adaptive Scatter", f"{counts:,.0f}", f"{100 * (1 - moved):.4g} %"]]
     need_bpy("Blender's own distribution of points")
-    rows += [[f"Distribute Points on Faces, {name}", f"{n:,.0f}", f"{100 * kept:.2g} %"] for name, n, kept in by_blender(field)]
+    rows += [
+        [f"Distribute Points on Faces, {name}", f"{n:,.0f}", f"{100 * kept:.2g} %"]
+        for name, n, kept in by_blender(field)
+    ]
     return [
         Heading("Scatter that stands still"),
         Text(
@@ -125,9 +128,7 @@ def _distribution(method: str, inputs: dict[str, float]):
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     nodes = Nodes(tree)
     ground = nodes.add("NodeGroupInput").outputs[0]
-    spread = nodes.add(
-        "GeometryNodeDistributePointsOnFaces", {"Mesh": ground, **inputs}, distribute_method=method
-    )
+    spread = nodes.add("GeometryNodeDistributePointsOnFaces", {"Mesh": ground, **inputs}, distribute_method=method)
     vertices = nodes.add("GeometryNodePointsToVertices", {0: spread.outputs["Points"]})
     nodes.add("NodeGroupOutput", {0: vertices.outputs[0]})
     return tree

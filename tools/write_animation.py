@@ -5,7 +5,6 @@
 farm, which `make fly-over` writes (it takes the real Blender program).
 """
 
-import json
 import sys
 import tempfile
 from pathlib import Path
@@ -21,8 +20,8 @@ from fly_over import farm_section
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 INTRODUCTION = (
     "Written by `make animation`; do not edit it by hand. A film needs three things that meshes of changing detail do "
-    "not give by themselves: ground that does not pop, things on it that stand still, and a farm that renders any frame "
-    "alone. Here is how each is had, and what was measured of it."
+    "not give by themselves: ground that does not pop, things on it that stand still, and a farm that renders any "
+    "frame alone. Here is how each is had, and what was measured of it."
 )
 
 

@@ -134,8 +134,8 @@ def popping_section(folder: Path) -> list:
         Heading("No pop"),
         Text(
             "Where a mesh takes a point it jumps, by up to the error that was asked for: small, but thousands of "
-            "points do it in every frame. With *Smooth Transitions* (on in renders) a point enters where it changes nothing, "
-            "and rises to its place as the camera comes nearer. How far it has risen depends on the view alone. So any "
+            "points do it in every frame. With *Smooth Transitions* (on in renders) a point enters where it changes "
+            "nothing, and rises to its place as the camera comes nearer. How far it has risen depends on the view alone. So any "
             "frame can be rendered alone, in any order; and the error that is asked for still holds, because the "
             f"surface is a mean of meshes of which each holds it (asked {1 / mean_ramp(SMOOTH):.2f} of the error, "
             "[the proof](method/morph.md))."

@@ -53,6 +53,7 @@ fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_interrupted_work.py
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k damaged_files_are
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_damaged_stores.py tests/blender/test_damaged_stores.py
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/blender/test_long_runs.py -s
 
 hard-cases: $(READY)
 	$(PY) tools/hard_cases_page.py

@@ -20,6 +20,12 @@ _FRONT_DOOR = {
     "View": "ask.view",  # what cameras see
     "Criterion": "ask.criterion",  # and how fine that is to be
     "bake": "fit.bake",  # a height field to a mesh without a camera
+    "ground_at": "query.ground",  # heights, normals and slopes at places of a height field
+    "profile": "query.ground",  # ... and heights along a line
+    "pick": "query.rays",  # where rays meet it
+    "nearest": "query.rays",  # ... along a direction, to either side
+    "box_range": "query.box",  # its least and greatest height in a box
+    "viewshed": "query.viewshed",  # which of its samples an eye sees
 }
 
 

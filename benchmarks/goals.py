@@ -51,6 +51,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("land_sediment", ANY_SIZE): 1.5,
     ("land_scree", ANY_SIZE): 0.06,
     ("land_demanded", ANY_SIZE): 0.35,
+    ("scatter", ANY_SIZE): 0.3,
+    ("scatter_flight", ANY_SIZE): 0.1,
     ("maps_normal", ANY_SIZE): 1.0,
     # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.
     ("shading_error", ANY_SIZE): 0.36,
@@ -58,6 +60,8 @@ GOALS: dict[tuple[str, int], float] = {
     ("detail_from_air", ANY_SIZE): 1.1,
     ("detail_from_ground", ANY_SIZE): 1.75,
     ("detail_displace", ANY_SIZE): 6.0,
+    ("query_heights", ANY_SIZE): 0.5,
+    ("query_rays", ANY_SIZE): 0.005,
     ("import_reopen", ANY_SIZE): 1.0,
     ("scale_refine", ANY_SIZE): 1.05,
     ("scale_surface", ANY_SIZE): 1.05,

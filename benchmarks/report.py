@@ -68,6 +68,9 @@ MEANING = {
     "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
     "to the same bytes; one thread.",
     "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",
+    "scatter": "Points of a scatter on the rough field, one on 1.9 x 1.9 m up to 1,500 m from the camera, with nothing "
+    "known before, beside the same points by numpy's whole arrays. tested: candidates that were looked at.",
+    "scatter_flight": "The same, of the next frame of the flight.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
     "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
@@ -79,6 +82,11 @@ MEANING = {
     "those without, from over its rim; ms are of a first update.",
     "detail_from_ground": "The same from 2 m above the ground, where a pixel is some millimetres.",
     "detail_displace": "Displacement with nine octaves of detail beside without, all vertices anew, one thread.",
+    "query_heights": "A million places of the built-in island in order: heights, normals, slopes; beside heights alone "
+    "by numpy; one thread. ns_random: in random order.",
+    "query_rays": "First hits of a camera's rays from 300 m over the island, 640 x 360; beside numpy's march by the "
+    "side of a cell; one thread.",
+    "query_sight": "Which samples within 500 m that eye sees, a line of sight each; one thread.",
     "fit_rough": "A static mesh for one vertical error (asked_m) whose vertices may leave the surface, `bake --fit`: "
     "513² samples of the rough field; beside greedy Delaunay insertion for the same error at the samples.",
     "fit_jacksboro": "The same of a real DEM, 321 x 385 samples 90 m apart.",

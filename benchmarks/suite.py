@@ -29,8 +29,10 @@ from . import (
     light_rows,
     maps_rows,
     performance_page,
+    query_rows,
     report,
     scale,
+    scatter_rows,
     scenes,
     scree_rows,
     shading_row,
@@ -137,9 +139,11 @@ def everything(
     yield partial(land_rows.land_rows)
     yield partial(scree_rows.scree_rows)
     yield water_rows.water_rows
+    yield partial(scatter_rows.scatter_rows, rough)
     yield partial(hidden_row.hidden_row, folder)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
+    yield query_rows.query_rows
     store = in_blender.keep(rough, folder / "rough")
     yield partial(start.warm_row, rough, store)
     if not quick:

@@ -17,7 +17,7 @@ from ..cbt_terrain.run import stopping
 from .demand import kept
 from .mesh import freed_memory
 from .report import accuracy_report, measuring
-from .scene import live, pauses, session, stale_renders
+from .scene import live, pauses, resting_land, session, stale_renders
 from .scene.request import RENDER, VIEWPORT
 
 # A terrain's mesh depends on no other, nor does what is read of it.
@@ -130,6 +130,7 @@ def on_depsgraph_update(scene, depsgraph) -> None:
 
 @_unless_paused
 def on_load_pre(_path, _unused=None) -> None:
+    resting_land.stop()
     session.clear()
 
 

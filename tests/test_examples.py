@@ -57,6 +57,15 @@ def check_06_an_effect(said, folder):
     assert 0.0 <= least < 0.5 < most <= 1.0
 
 
+def check_07_queries(said, folder):
+    assert 0 < numbers(said, r"slope of (\d+) degrees")[0] < 60
+    assert numbers(said, r"sees ([\d,]+) samples")[0] > 100
+    assert numbers(said, r"meets the ground ([\d.]+) m from it")[0] < 1e-3
+    low, high = (numbers(said, rf"has {pattern}")[0] for pattern in (r"([\d.-]+) to", r"[\d.-]+ to ([\d.]+) m"))
+    assert low < high and numbers(said, r"climbs ([\d,]+) m")[0] > 100
+    assert numbers(said, r"are ([\d.]+) m off the surface")[0] < 1e-3
+
+
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}
 
 

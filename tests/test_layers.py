@@ -30,13 +30,14 @@ ROOMS = {
         "detail",
         "morph",
         "effects",
+        "query",
         "scatter",
         "land",
         "fitting",
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "effects", "scatter", "maps"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "scatter", "maps"),
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -85,6 +85,7 @@ CASES = {
     57: "Tile by tile",
     58: "The same seed, the same bytes",
     59: "Light: rays along axes, through corners, grazing, from outside, upright; the sun below the horizon",
+    60: "Points that rise to their places: both ends of the ramp, neighbours at different stages",
     61: "Viewport and render detail differ, frames other than 0, every format in every order",
     62: "A raster that does not fit the lattice",
     63: "Height maps that are attacks",

@@ -14,6 +14,8 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # How many times coarser a terrain may be of which nothing is in view.
 HIDDEN = 1e90
+# Where points rise, detail gets coarser outside the frame over so many degrees, not at once.
+FADE_DEG = 10.0
 
 
 def localise(
@@ -35,13 +37,14 @@ def localise(
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * length(stretch * (box[1] - box[0])), 1e-150)
-    planes = product(frustum_planes(view, criterion.guard_deg), to_camera)
-    planes[:, 3] += np.abs(planes[:, 2]) * off
-    # What rounding could put on the wrong side of a plane is inside.
-    planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
-    factor = min(criterion.off_screen_factor, LARGEST)
+    planes, outer = (
+        _from_terrain(frustum_planes(view, criterion.guard_deg + more), to_camera, box, off) for more in (0.0, FADE_DEG)
+    )
+    factor, fade = min(criterion.off_screen_factor, LARGEST), 0.0
     if factor > 1 and _outside(planes, box):
         factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
+    elif criterion.rises_until > 1 and len(outer) == len(planes):  # a wide lens has no outer planes
+        fade = math.sqrt(math.sqrt(factor)) - 1
     try:
         eye = -solve(linear, shift[:, None])[:, 0]
     except np.linalg.LinAlgError:
@@ -56,7 +59,9 @@ def localise(
         "cosine2": 1 / secant_of(view) ** 2,
         "near2": near**2,
         "off_screen2": factor**2,
+        "fade": fade,
         "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
+        "outer": np.concatenate([outer, np.zeros((MAX_PLANES - len(outer), 4))]),
     }
     local = LocalView()
     local.kind, local.plane_count = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind), len(planes)
@@ -67,6 +72,15 @@ def localise(
             )
         setattr(local, name, value)
     return local
+
+
+def _from_terrain(planes: np.ndarray, to_camera: np.ndarray, box: np.ndarray, off: float) -> np.ndarray:
+    """Planes of camera space as planes of the terrain's; inside is what `off` metres of height can bring inside, and
+    what rounding could put on the wrong side."""
+    planes = product(planes, to_camera)
+    planes[:, 3] += np.abs(planes[:, 2]) * off
+    planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
+    return planes
 
 
 def frustum_planes(view: View, guard_deg: float) -> np.ndarray:

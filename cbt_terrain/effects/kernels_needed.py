@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which modules of kernels a plan's effects launch from, so that they can be loaded ahead.
+"""Which modules of kernels effects launch from, so that they can be loaded ahead.
 
-Found by what the modules of the effects' functions name: themselves, or through other modules of effects. That may be
-a few too many, never one too few.
+Found by what the modules of the effects' functions name: themselves, or through other modules of effects, those on
+heights (land/) too. That may be a few too many, never one too few.
 """
 
 import sys
+from collections.abc import Iterable
 from functools import cache
 from types import ModuleType
 
@@ -17,13 +18,18 @@ from .catalogue import EFFECTS
 from .plan import Plan
 
 ROOM = __name__.rpartition(".")[0]
+ROOMS = ROOM, f"{ROOM.rpartition('.')[0]}.land"
 
 
 def kernels_of(plan: Plan) -> list[ModuleType]:
     """Modules of kernels that are launched for the steps of a plan; none for none."""
-    named = _named_by(evaluate.__name__) if plan.steps else frozenset()
-    for step in plan.steps:
-        named |= _named_by(EFFECTS[step.name].make.__module__)
+    makers = [EFFECTS[step.name].make.__module__ for step in plan.steps]
+    return kernels_named_by([evaluate.__name__, *makers] if makers else [])
+
+
+def kernels_named_by(modules: Iterable[str]) -> list[ModuleType]:
+    """Modules of kernels that functions of these modules of effects launch."""
+    named = frozenset().union(*map(_named_by, modules))
     return [module for module in other_modules() if module.__name__ in named]
 
 
@@ -37,7 +43,7 @@ def _named_by(module: str) -> frozenset[str]:
             continue
         found.add(name)
         # The evaluator knows every effect by the catalogue, and needs the kernels of none for that.
-        if name.startswith(ROOM) and name != EFFECTS_OF:
+        if name.startswith(ROOMS) and name != EFFECTS_OF:
             waiting += {_home(value) for value in vars(sys.modules[name]).values()} - {None}
     return frozenset(found)
 
@@ -52,4 +58,4 @@ def _home(value: object) -> str | None:
     if isinstance(value, wp.Kernel):
         return value.module.name
     home = getattr(value, "__module__", None)
-    return home if isinstance(home, str) and home.startswith(ROOM) else None
+    return home if isinstance(home, str) and home.startswith(ROOMS) else None

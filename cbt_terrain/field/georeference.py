@@ -15,6 +15,9 @@ SMALLEST_EXTENT, LARGEST_EXTENT = 1e-30, 1e30
 SHOWN_RIM_ERROR = 1e-3
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)')
 
+# What is said of a raster whose rows are not along x of its coordinate system.
+ROTATED = "The raster is rotated against its coordinate system; it is laid out along its own rows."
+
 
 @dataclass(frozen=True)
 class Georeference:
@@ -109,7 +112,7 @@ def from_transform(
                 "degrees, give the extent in metres."
             )
     if b or d:
-        warnings.append("The raster is rotated against its coordinate system; it is laid out along its own rows.")
+        warnings.append(ROTATED)
     south, east = (e > 0.0, a < 0.0) if not (b or d) else (False, False)
     steps = along * per_x, down * per_y
     return Georeference(*steps, (x, y), crs, south, east, tuple(warnings), tuple(size_warnings))

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field.georeference import degree_lengths, ellipsoid_of
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.answers import answer, ask
+from ..importing.placing import is_placed, unit_lengths
 from ..maps.exr import ExrFile
 from ..run import child
 from ..run.partial_files import written_beside
@@ -138,14 +138,10 @@ def _georeference(field: HeightField):
 
     lattice, step_x, step_y = field.lattice, field.lattice.step_x, field.lattice.step_y
     x, y, crs = 0.0, 0.0, None
-    if field.crs and field.provenance.get("settings", {}).get("extent") is None:
+    if is_placed(field):
         crs = CRS.from_string(field.crs)
         x, y = (float(c) for c in field.origin[:2])
-        if crs.is_geographic:
-            degrees = np.degrees(crs.units_factor[1])
-            lengths = degree_lengths(y * degrees, ellipsoid_of(crs.to_wkt()))
-            step_x, step_y = step_x / (degrees * lengths[0]), step_y / (degrees * lengths[1])
-        elif crs.is_projected:
-            step_x, step_y = step_x / crs.linear_units_factor[1], step_y / crs.linear_units_factor[1]
+        metres_x, metres_y = unit_lengths(field)
+        step_x, step_y = step_x / metres_x, step_y / metres_y
     west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y
     return Affine(step_x, 0.0, west, 0.0, -step_y, north), crs

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One effect at one level: what it gets to see of a tile or of the whole, and what it makes of it, kept by content."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,8 +105,8 @@ class Work:
         return content_key(about, place, *arrays, *layers)
 
 
-def unpacked(effect: LandEffect, change: np.ndarray) -> Change:
-    """A change of float32 [1 + layers, rows, columns]: its heights first, then its layers as they are declared."""
+def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
+    """A change of 1 + layers, each float32 [rows, columns]: its heights first, then its layers as they are declared."""
     return Change(change[0], {layer.name: change[k] for k, layer in enumerate(effect.layers, 1)})
 
 
@@ -130,11 +130,11 @@ def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarra
     return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
 
 
-def apply_tile(work: Work, tile: int, coarse: np.ndarray, tell: Tell) -> np.ndarray | None:
+def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray | None:
     """What a tile adds to the coarser level's change, over its window with a BAND all round, [1 + layers, rows,
     columns]; None where its mask lets nothing through.
 
-    coarse: [1 + layers, rows, columns] of the next coarser level.
+    coarse: [rows, columns] of 1 + layers of the next coarser level.
     """
     effect, level = work.entry.declaration, work.level
     band = level.window(tile, BAND, BAND)

@@ -2,17 +2,20 @@
 """Masks: how much of an effect is wanted where, by a painted image and by rules over the ground that it finds."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import TerrainError, shown
+from .mask_reads import ATTRIBUTES
 from .tiles import Level, Window
 
-HEIGHT, SLOPE, ASPECT = RULES = ("height", "slope", "aspect")
-UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""}
-LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0}
+HEIGHT, SLOPE, ASPECT = ("height", "slope", "aspect")
+UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""} | {name: effect.unit for name, effect in ATTRIBUTES.items()}
+LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(ATTRIBUTES, 1e15)
+# Of these an edge is in powers of ten: they go from a square metre to a continent.
+BY_TENS = ("flow", "discharge")
 LEAST_EDGE = 1e-9
 STEEPEST = 1e30  # metres a metre
 BAND_ROWS = 256
@@ -22,8 +25,9 @@ BAND_ROWS = 256
 class GroundRule:
     """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
 
-    `of`: height in metres, slope in degrees, or aspect, the cosine of the angle between downhill and `direction`
-    (degrees, clockwise from north), which is 0 on level ground. The ground is that which the effect finds.
+    `of`: height in metres; slope in degrees; aspect, the cosine of the angle between downhill and `direction` (degrees,
+    clockwise from north), which is 0 on level ground; or one of ATTRIBUTES in its own unit, of those in BY_TENS with
+    an edge in powers of ten. The ground is that which the effect finds.
     """
 
     of: str
@@ -34,8 +38,9 @@ class GroundRule:
 
     def check(self, where: str) -> None:
         """Raise TerrainError for what cannot be; `where`: whose rule it is."""
-        if self.of not in RULES:
-            raise TerrainError(f"{where} has a rule about {shown(repr(self.of))}; expected one of: {', '.join(RULES)}.")
+        if self.of not in LIMITS:
+            known = ", ".join(LIMITS)
+            raise TerrainError(f"{where} has a rule about {shown(repr(self.of))}; expected one of: {known}.")
         limit = LIMITS[self.of]
         known = [value for value in (self.low, self.high) if not math.isinf(value)]
         if any(math.isnan(v) or abs(v) > limit for v in known) or not 0.0 <= self.edge <= 2 * limit:
@@ -60,6 +65,11 @@ class Mask:
     rules: tuple[GroundRule, ...] = ()
     factor: float = 1.0
 
+    @property
+    def versions(self) -> tuple[int, ...]:
+        """Of the effects that the rules read."""
+        return tuple(ATTRIBUTES[rule.of].version for rule in self.rules if rule.of in ATTRIBUTES)
+
     def check(self, where: str) -> None:
         if not 0.0 <= self.factor <= 1.0:
             raise TerrainError(f"{where} has a factor of {self.factor}; expected 0 to 1.")
@@ -68,19 +78,28 @@ class Mask:
 
 
 def whole_mask(
-    mask: Mask, image: np.ndarray | None, level: Level, heights: Callable[[Window], np.ndarray]
+    mask: Mask,
+    image: np.ndarray | None,
+    level: Level,
+    heights: Callable[[Window], np.ndarray],
+    read: Mapping[str, np.ndarray] | None = None,
 ) -> np.ndarray:
     """float32 [rows, columns] of a level, 0 to 1.
 
-    image: float32 [rows, columns], row 0 south, or None. heights(window) gives float32 metres of the ground.
+    image: float32 [rows, columns], row 0 south, or None. heights(window) gives float32 metres of the ground. read: what
+    rules about ATTRIBUTES read, float32 [rows, columns] of the level (mask_reads.py).
     """
     out = np.full(level.shape, mask.factor, np.float32)
     for first in range(0, level.rows, BAND_ROWS):
         rows = slice(first, min(first + BAND_ROWS, level.rows))
         if image is not None:
             out[rows] *= _image_at(image, level, rows)
-        if mask.rules:
-            out[rows] *= _ruled(mask.rules, level, rows, heights)
+        of_shape = [rule for rule in mask.rules if rule.of not in ATTRIBUTES]
+        if of_shape:
+            out[rows] *= _ruled(of_shape, level, rows, heights)
+        for rule in mask.rules:
+            if rule.of in ATTRIBUTES:
+                out[rows] *= _read(rule, read[rule.of][rows])
     return out
 
 
@@ -104,10 +123,8 @@ def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.nda
     return first, np.minimum(first + 1, pixels - 1), (place - first).astype(np.float32)
 
 
-def _ruled(
-    rules: tuple[GroundRule, ...], level: Level, rows: slice, heights: Callable[[Window], np.ndarray]
-) -> np.ndarray:
-    """The product of rules at some rows of a level."""
+def _ruled(rules: list[GroundRule], level: Level, rows: slice, heights: Callable[[Window], np.ndarray]) -> np.ndarray:
+    """The product of rules of height, slope and aspect at some rows of a level."""
     wide = slice(max(rows.start - 1, 0), min(rows.stop + 1, level.rows))
     ground = heights((wide, slice(0, level.columns)))
     inner = slice(rows.start - wide.start, rows.stop - wide.start)
@@ -119,7 +136,7 @@ def _ruled(
         if rule.of == HEIGHT:
             out *= _between(ground[inner], rule.low, rule.high, rule.edge)
         elif rule.of == SLOPE:
-            out *= _between_slopes(tangent, rule)
+            out *= _between_places(tangent, rule, _tangent)
         else:
             angle = math.radians(rule.direction)
             downhill = -(east * np.float32(math.sin(angle)) + north * np.float32(math.cos(angle)))
@@ -133,14 +150,26 @@ def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.nda
     return _rising(values, low - half, low + half) * _rising(-values, -high - half, -high + half)
 
 
-def _between_slopes(tangent: np.ndarray, rule: GroundRule) -> np.ndarray:
-    """Soft edges are straight in tangents on each side of a limit: these need no function that differs from machine to
-    machine."""
+def _read(rule: GroundRule, values: np.ndarray) -> np.ndarray:
+    if rule.of not in BY_TENS:
+        return _between(values, rule.low, rule.high, rule.edge)
+    powers = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))
+    return _between_places(values, replace(rule, **dict(zip(("low", "high"), powers, strict=True))), _power)
+
+
+def _between_places(values: np.ndarray, rule: GroundRule, place: Callable[[float], float]) -> np.ndarray:
+    """Limits and edges are in degrees or in powers of ten, whose `place` among the values is given. Soft edges are
+    straight in the values on each side of a limit: these need no function that differs from machine to machine."""
     half = 0.5 * max(rule.edge, LEAST_EDGE)
-    low, high = ([_tangent(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
-    up = np.interp(tangent, low, (0.0, 0.5, 1.0)).astype(np.float32)
-    down = np.interp(tangent, high, (1.0, 0.5, 0.0)).astype(np.float32)
+    low, high = ([place(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
+    up = np.interp(values, low, (0.0, 0.5, 1.0)).astype(np.float32)
+    down = np.interp(values, high, (1.0, 0.5, 0.0)).astype(np.float32)
     return _smooth(up) * _smooth(down)
+
+
+def _power(tens: float) -> float:
+    """10 to the power `tens`; what is below any number that is measured, or above, for those without end."""
+    return -STEEPEST if tens == -math.inf else 10.0 ** min(tens, 30.0)
 
 
 def _tangent(degrees: float) -> float:

@@ -12,11 +12,13 @@ import numpy as np
 
 from ..field.build import from_array
 from ..field.heightfield import HeightField
+from .kernels_needed import prepare
 from .land_effect import Change, Ground, LandEffect
 from .level_work import LevelGround
 from .levels import masked
 from .mask import whole_mask
-from .stack import Entry, Stack
+from .mask_reads import values_of
+from .stack import Entry, Stack, check_by_products
 from .stack_layers import joined
 from .tile_cache import content_key
 from .tiles import Level, levels_of
@@ -24,8 +26,6 @@ from .tiles import Level, levels_of
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
 SECONDS = 10.0  # after which a preview goes without the effects that are left
-COMPILING = 120.0  # more, where an effect has not been applied before: its kernels may have to be compiled
-_applied: set[str] = set()
 _FOUND = ("land preview",)  # in HeightField.found
 
 
@@ -91,6 +91,7 @@ def preview(
 
     images: of masks, by file name, float32 [rows, columns], row 0 south. seconds: that effects may take.
     """
+    check_by_products(stack, source.layers)
     level = levels_of(source.lattice)[-1]
     states = _apply(source, level, stack, images or {}, threads, seconds)
     lattice, places = source.lattice, _places(source)
@@ -116,10 +117,11 @@ def _apply(
     source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
 ) -> list[_Applied]:
     """The ground without any entry, and after each of the active ones until time is over; kept for the next call."""
-    end, more = time.monotonic() + seconds, 0.0
+    prepare(stack)
+    end = time.monotonic() + seconds
 
     def go_on(_part: float) -> None:
-        if time.monotonic() > end + more:
+        if time.monotonic() > end:
             raise _TooSlow
 
     kept = source.found.get(_FOUND, [])
@@ -132,18 +134,21 @@ def _apply(
         kept = []
         mask = None
         if entry.mask is not None:
-            heights = states[-1].ground.heights
-            mask = whole_mask(entry.mask, images.get(entry.mask.image), level, lambda window, h=heights: h[window])
+            mask = _mask(entry, images, level, states[-1].ground, threads)
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=go_on)
         try:
             go_on(0.0)
-            more += 0.0 if entry.effect in _applied else COMPILING
             states.append(_after(states[-1], ground, entry, key))
-            _applied.add(entry.effect)
         except _TooSlow:
             break
     source.found[_FOUND] = states
     return states
+
+
+def _mask(entry: Entry, images: Mapping, level: Level, ground: Ground, threads: int) -> np.ndarray:
+    names = sorted({rule.of for rule in entry.mask.rules})
+    read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
+    return whole_mask(entry.mask, images.get(entry.mask.image), level, ground.heights.__getitem__, read)
 
 
 def _ground(source: HeightField, level: Level) -> Ground:

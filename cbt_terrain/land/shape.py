@@ -18,7 +18,9 @@ from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
 from .levels import finer, masked
 from .mask import whole_mask
+from .mask_reads import values_of
 from .stack import Entry, Stack
+from .stack_layers import joined
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
 
@@ -66,12 +68,13 @@ class Shaped:
 
 @dataclass(eq=False)
 class State:
-    """What a level leaves to the next finer one. `changes`: of each entry, [1 + its layers, rows, columns], without its
-    mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared. `unsure`: where an
-    effect has added nothing, though its mask let it: finer waves than this level knows may come, or only layers."""
+    """What a level leaves to the next finer one. `changes`: of each entry, 1 + its layers, each [rows, columns],
+    without its mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared.
+    `unsure`: where an effect has added nothing, though its mask let it: finer waves than this level knows may come, or
+    only layers."""
 
     level: Level
-    changes: list[np.ndarray | None]
+    changes: list[Sequence[np.ndarray] | None]
     total: np.ndarray
     layers: dict[str, np.ndarray]
     most: np.ndarray
@@ -158,10 +161,7 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes = []
     for number, entry in enumerate(run.entries):
-        mask = None
-        if entry.mask is not None:
-            image = run.images.get(entry.mask.image)
-            mask = whole_mask(entry.mask, image, level, partial(_heights, ground, total))
+        mask = _mask(run, entry, level, ground, total, layers)
         work = Work(run.cache, run.plan, level, ground, entry, total, layers, run.depths, mask, run.threads)
         coarse = None if below is None else below.changes[number]
         change, tile_most, tile_squares, figures = _entry(run, work, number, tiles, coarse)
@@ -174,7 +174,8 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
         # The finest level leaves nothing to a finer one.
         changes.append(change if level.number else None)
         if below is not None:
-            below.changes[number] = coarse = None  # memory
+            below.changes[number] = None
+        del change, coarse, mask, work  # memory: the next entry needs as much
     run.added += added
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if below is not None and not level.is_whole:
@@ -182,6 +183,19 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
             parent = level.parent(tile)
             most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
     return State(level, changes, total, layers, most, squares, unsure)
+
+
+def _mask(
+    run: Shaping, entry: Entry, level: Level, ground: LevelGround, total: np.ndarray, layers: dict[str, np.ndarray]
+) -> np.ndarray | None:
+    """How much of an entry is wanted at a level, float32 [rows, columns], given what those before it have made."""
+    if entry.mask is None:
+        return None
+    names = sorted({rule.of for rule in entry.mask.rules})
+    pair = ({name: found[name] for name in names if name in found} for found in (ground.layers, layers))
+    heights = partial(_heights, ground, total)
+    read = values_of(names, level, heights, ground.missing, joined(*pair, run.depths), run.threads)
+    return whole_mask(entry.mask, run.images.get(entry.mask.image), level, heights, read)
 
 
 def _is_let(level: Level, mask: np.ndarray | None) -> np.ndarray:
@@ -196,14 +210,14 @@ def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarr
     return ground.heights[window] + total[window]
 
 
-def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: np.ndarray | None):
-    """The change of an entry at a level, [1 + layers, rows, columns]; what it has added in each tile: most and sum of
-    squares by sample; and the figures."""
+def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequence[np.ndarray] | None):
+    """The change of an entry at a level, 1 + its layers, each [rows, columns]; what it has added in each tile: most and
+    sum of squares by sample; and the figures."""
     level, entry = work.level, work.entry
     how = run.plan.how(entry, level)
     before, start = run.cache.made[entry.effect], time.perf_counter()
     most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
-    up = None if coarse is None else np.stack([finer(array, level.shape) for array in coarse])
+    up = None if coarse is None else [finer(array, level.shape) for array in coarse]
     if how == UPSAMPLED:
         return up, most, squares, None
     if how == TILES:
@@ -217,13 +231,14 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: np.n
             if delta is None:
                 continue
             window = level.window(tile, BAND, BAND)
-            change[(slice(None), *window)] += delta * level.weights(tile)
+            for part, added in zip(change, delta, strict=True):
+                part[window] += added * level.weights(tile)
             most[tile], squares[tile] = _sizes(delta[0], work.mask, window, level.window(tile))
     else:
         cost = run.plan.cost(entry, level, None)
         told = run.progress(cost, level, entry)
         told(0.0)
-        change, made = apply_whole(work, up, told), range(level.tile_count)
+        change, made = apply_whole(work, None if up is None else np.stack(up), told), range(level.tile_count)
         run.done += cost
         whole = slice(0, level.rows), slice(0, level.columns)
         delta = change[0] if up is None else change[0] - up[0]
@@ -248,17 +263,22 @@ def _sizes(delta: np.ndarray, mask: np.ndarray | None, window, core) -> tuple[fl
 
 
 def _put_on(
-    entry: Entry, change: np.ndarray, mask: np.ndarray | None, ground: LevelGround, layers: dict[str, np.ndarray]
+    entry: Entry,
+    change: Sequence[np.ndarray],
+    mask: np.ndarray | None,
+    ground: LevelGround,
+    layers: dict[str, np.ndarray],
 ) -> np.ndarray:
-    """The heights that an entry adds; its layers are put into `layers`."""
+    """The heights that an entry adds; its layers are put into `layers`. Nothing is copied that need not be: at a fine
+    level an array takes hundreds of megabytes."""
     shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
-    heights = shown.heights if shown.heights is not change[0] else shown.heights.copy()
+    heights = shown.heights
     if ground.missing is not None:
-        heights[ground.missing] = 0.0
+        heights = np.where(ground.missing, np.float32(0.0), heights)
     for layer in entry.declaration.layers:
         array = shown.layers[layer.name]
         add = layer.per_metre and layer.name in layers
-        layers[layer.name] = layers[layer.name] + array if add else array.copy()
+        layers[layer.name] = layers[layer.name] + array if add else array
     return heights
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 from ..field import store as stores
 from ..importing.build_store import finished_before
 from ..importing.store_job import StoreJob, Tell, serve, wait_for
+from .kernels_needed import prepare
 from .shape_store import open_source, run_shape, shape_digest
 from .stack import Stack, stack_content, stack_from
 from .tiles import Wanted
 
 __all__ = ["ShapeJob", "child_main", "shape_store"]
 
+GENTLE = 10  # by which a gentle job is nicer than what asks for it
 _enough = threading.Event()
 
 
@@ -22,7 +24,7 @@ class ShapeJob(StoreJob):
     """A stack applied to the store `source`, into the store `store`, in a child process.
 
     wanted: the tiles of each level, as `tiles_seen` finds them (tiles.py); None for all. tiles: as of `run_shape`.
-    Raises TerrainError at once for what cannot be.
+    gentle: at a low priority. Raises TerrainError at once for what cannot be.
     """
 
     def __init__(
@@ -32,17 +34,18 @@ class ShapeJob(StoreJob):
         store: str | os.PathLike,
         wanted: Wanted | None = None,
         tiles: str | os.PathLike | None = None,
+        gentle: bool = False,
     ):
         stack = stack_from(stack_content(stack))
         stores.check_target(store)
-        heights = open_source(source, Path(store))
+        heights = open_source(source, Path(store), stack)
         stores.remove_abandoned(Path(store))
         asked = None if wanted is None else [sorted(level.items()) for level in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}
         super().__init__(
             "cbt_terrain.land.shape_process",
             store,
-            request | {"tiles": None if tiles is None else str(Path(tiles).absolute())},
+            request | {"tiles": None if tiles is None else str(Path(tiles).absolute()), "gentle": gentle},
             what=_what(str(source)),
             report=finished_before(store, shape_digest(heights, stack, wanted)),
         )
@@ -77,7 +80,10 @@ def child_main() -> None:
 
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
+    if request["gentle"] and hasattr(os, "nice"):
+        os.nice(GENTLE)
     wanted = request["wanted"] and [dict(map(tuple, tiles)) for tiles in request["wanted"]]
     stack = stack_from(request["stack"])
+    prepare(stack, on_progress)
     more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
     return run_shape(request["source"], stack, request["store"], wanted, on_progress, **more)

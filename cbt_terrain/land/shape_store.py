@@ -21,7 +21,7 @@ from ..run import launch
 from .level_work import METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
-from .stack import Stack, stack_content, stack_from
+from .stack import Stack, check_by_products, stack_content, stack_from
 from .stack_layers import joined, key_with
 from .tile_cache import TileCache
 from .tiles import Wanted, all_tiles, levels_of
@@ -53,7 +53,7 @@ def run_shape(
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # numbers as those of the process that asked
     store.check_target(path)
-    heights = open_source(source, path)
+    heights = open_source(source, path, stack)
     digest = shape_digest(heights, stack, wanted)
     report = finished_before(path, digest)
     if report is not None:
@@ -85,11 +85,13 @@ def run_shape(
     return report
 
 
-def open_source(source: str | os.PathLike, path: Path) -> HeightField:
-    """The store to be shaped. Raises TerrainError, also where it is the one that is to be written."""
+def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightField:
+    """The store to be shaped. Raises TerrainError, also where it is the one that is to be written, or lacks what the
+    stack's masks read."""
     heights = store.open_store(source)
     if os.path.realpath(source) == os.path.realpath(path):
         raise TerrainError(f"The store {path} would be shaped into itself: choose another folder to write.")
+    check_by_products(stack, heights.layers)
     heights.check_samples()
     return heights
 

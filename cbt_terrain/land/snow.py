@@ -202,12 +202,17 @@ SNOW = LandEffect(
     parameters=(
         Parameter("line", 600.0, -1000.0, 9000.0, "m", "Height where rain turns to snow"),
         Parameter("fall", 3.0, 0.0, 50.0, "m", "Snow that falls on open ground far above the line"),
-        Parameter("wind", 225.0, 0.0, 360.0, "deg", "Where the wind comes from, clockwise from north"),
+        Parameter("wind", 225.0, 0.0, 360.0, "degrees", "Where the wind comes from, clockwise from north"),
         Parameter("aspect", 2.0, 0.0, 10.0, "K", "How much warmer a slope is in the noon sun"),
         Parameter(
-            "latitude", 46.0, -90.0, 90.0, "deg", "Where the noon sun stands: in the south, and negative in the north"
+            "latitude",
+            46.0,
+            -90.0,
+            90.0,
+            "degrees",
+            "Where the noon sun stands: in the south, in the north where negative",
         ),
-        Parameter("slides", 42.0, 20.0, 60.0, "deg", "Slope on which snow slides"),
+        Parameter("slides", 42.0, 20.0, 60.0, "degrees", "Slope on which snow slides"),
         Parameter("thickness", 1.0, 0.0, 1.0, "", "Part of the depth that raises the ground: 0 is a layer only"),
     ),
     layers=(

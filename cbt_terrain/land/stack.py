@@ -17,7 +17,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from ..field.store_arrays import open_regular
 from .catalogue import LAND_EFFECTS
 from .land_effect import LandEffect
 from .mask import GroundRule, Mask
+from .mask_reads import BY_PRODUCTS
 
 VERSION = 1
 MOST_BYTES = 1 << 20
@@ -80,10 +81,28 @@ class Stack:
         """Hex digest of all that decides what the stack makes of a raster: of images, their files as they are now."""
         content = []
         for entry in self.active:
-            mask = entry.mask and (entry.mask, _file_mark(entry.mask.image))
+            mask = entry.mask and (entry.mask, _file_mark(entry.mask.image), *entry.mask.versions)
             values = sorted(entry.values.items())
             content.append((entry.effect, entry.declaration.version, values, entry.seed, mask))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
+
+
+def check_by_products(stack: Stack, source: Iterable[str]) -> None:
+    """Raise TerrainError where a mask asks for a by-product that neither an effect before it leaves nor `source`, the
+    names of the layers of what is shaped, has."""
+    there = set(source)
+    for number, entry in enumerate(stack.entries, 1):
+        if entry not in stack.active:
+            continue
+        for rule in entry.mask.rules if entry.mask is not None else ():
+            if rule.of in BY_PRODUCTS and rule.of not in there:
+                found = ", ".join(name for name in BY_PRODUCTS if name in there) or "none"
+                raise TerrainError(
+                    f"The mask of entry {number} of the stack, {entry.name or entry.effect}, has a rule about "
+                    f"{rule.of}, which is not there; expected what effects before it leave ({found}): put one that "
+                    f"leaves {rule.of} above it."
+                )
+        there |= {layer.name for layer in entry.declaration.layers}
 
 
 def _file_mark(image: str) -> tuple:

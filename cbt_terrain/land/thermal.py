@@ -167,13 +167,13 @@ THERMAL = LandEffect(
     example=example,
     parameters=(
         Parameter("depth", 30.0, 0.0, 500.0, "m", "The most rock that breaks off"),
-        Parameter("scree_angle", 34.0, 20.0, 45.0, "°", "The angle at which scree lies"),
+        Parameter("scree_angle", 34.0, 20.0, 45.0, "degrees", "The angle at which scree lies"),
         Parameter("uneven", 0.07, 0.0, 1.0, "", "How much that angle differs from place to place, a part of it"),
-        Parameter("soft_angle", 38.0, 20.0, 85.0, "°", "The angle at which the softest bed breaks"),
-        Parameter("hard_angle", 70.0, 20.0, 85.0, "°", "The angle at which the hardest bed breaks"),
+        Parameter("soft_angle", 38.0, 20.0, 85.0, "degrees", "The angle at which the softest bed breaks"),
+        Parameter("hard_angle", 70.0, 20.0, 85.0, "degrees", "The angle at which the hardest bed breaks"),
         Parameter("bed", 60.0, 1.0, 1000.0, "m", "How thick a bed is"),
-        Parameter("dip", 2.5, 0.0, 45.0, "°", "How steeply the beds fall"),
-        Parameter("dip_to", 60.0, 0.0, 360.0, "°", "Whereto the beds fall, clockwise from north"),
+        Parameter("dip", 2.5, 0.0, 45.0, "degrees", "How steeply the beds fall"),
+        Parameter("dip_to", 60.0, 0.0, 360.0, "degrees", "Whereto the beds fall, clockwise from north"),
     ),
     layers=(
         Layer("scree", "m", "Scree on the rock"),

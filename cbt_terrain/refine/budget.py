@@ -16,6 +16,11 @@ from ..run import launch
 from ..run.buffers import Buffers, bind, shared
 from .step_search import MAX_STEP, Found, lowest
 
+# Where a mesh as asked has less than this part of the leaves that it may have, a step finer it fits, too.
+NEAR = 0.5
+# So many times the leaves that there may be are not counted any more.
+FAR_OVER = 64
+
 
 def limit_of(step: int) -> float:
     """What squares of what is asked are multiplied by; infinity beyond MAX_STEP."""
@@ -27,7 +32,9 @@ class Budget:
 
     def __init__(self, lattice: Lattice, buffers: Buffers, threads: int):
         self._lattice, self._buffers, self._threads = lattice, buffers, threads
-        self._limits = shared(np.array([limit_of(step) for step in range(MAX_STEP + 2)]), wp.float64)
+        self._limits, self._finer = (
+            shared(np.array([limit_of(step - before) for step in range(MAX_STEP + 2)]), wp.float64) for before in (0, 1)
+        )
         self._marks = np.zeros(0)  # places, in squares along the quadtree, evenly by what the last pass has measured
         self._structs: list[Count] = []
         self._recorded: dict = {}
@@ -42,19 +49,46 @@ class Budget:
 
         return lowest(partial(self._splits, domain, asked, max_depth), most - roots, start, low)
 
-    def _splits(self, domain: Domain, asked: Asked, max_depth: int, finest: int, coarsest: int, most: int, thinned):
+    def ramp_start(self, domain: Domain, asked: Asked, max_depth: int, most: int, step: int, leaves: int) -> float:
+        """The factor on what is asked from which points rise on the mesh of `step`, the finest that keeps to a budget.
+
+        It lies between that of the step and of the next coarser one, as the budget lies between the leaves of the step
+        before and of this one. So it is continuous where the step changes: there is no jump.
+        """
+        last, roots = math.sqrt(limit_of(step)), 2 * self._lattice.squares
+        if step > MAX_STEP or (step == 0 and leaves < NEAR * most):
+            return last
+        marks = self._marks
+        _, found = self._splits(domain, asked, max_depth, step, step, FAR_OVER * most, None, self._finer)
+        self._marks = marks
+        finer = int(found[0]) + roots if len(found) else FAR_OVER * most
+        part = (finer - most) / (finer - leaves) if finer > most else 0.0
+        return last * 2.0 ** (part / STEPS_PER_OCTAVE)
+
+    def _splits(
+        self,
+        domain: Domain,
+        asked: Asked,
+        max_depth: int,
+        finest: int,
+        coarsest: int,
+        most: int,
+        thinned: tuple[int, int] | None,
+        limits: wp.array | None = None,
+    ):
         """The first step from `finest` to `coarsest` with at most `most` triangles that are split, and how many there
         are at each step from it on; `coarsest` + 1 and none if there is no such step.
 
         thinned: from which step on to finer ones a sample is counted, and after how many steps half as many cells of it
-        are left; all that is an estimate then. None: everything is counted.
+        are left; all that is an estimate then. None: everything is counted. limits: of the steps, if other ones than
+        those of `limit_of`.
         """
         cell_bits, steps = max_depth + max_depth % 2, len(self._limits)
         cuts = self._cuts(cell_bits, most)
         slices, spacing = len(cuts) - 1, most // 64 + 1
         get, numpy = self._buffers.get, self._buffers.numpy
         arrays = {
-            "limits": self._limits,
+            "limits": self._limits if limits is None else limits,
             "stack": get("count_stack", slices * CELLS, Cell),
             "last_steps": get("count_last_steps", slices * steps, wp.int64),
             "from_step": get("count_from_step", slices, wp.int32),

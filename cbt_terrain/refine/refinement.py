@@ -100,20 +100,23 @@ class Refinement:
 
         Returns the leaves and the factor by which the budget coarsened what was asked (1: not at all). Both are
         functions of the arguments alone. Fewer leaves than two a root square cannot be had. `limited`: somebody has
-        asked for so few leaves, so they may well be too few; it only says what is tried first. `rises_until`: the mesh
-        may be off by so many times what is asked.
+        asked for so few leaves, so they may well be too few; without `rises_until` it only says what is tried first.
+        `rises_until`: points rise until this ratio, so the mesh may be off by so many times what is asked. Then the
+        factor is the one from which they rise.
         """
         self._need_tree(max(max_depth, MIN_DEPTH))
         most, walks = max(max_leaves, 2 * self.lattice.squares), None
         hides = has_rings(asked)
         for relaxed in RELAXED[limited] if hides else (math.inf,):
             if hides:
-                off = relaxed * rises_until
+                off = relaxed * (rises_until * math.sqrt(limit_of(1)) if rises_until > 1 else 1.0)
                 fill(self.field, domain, asked, max_depth, off, self.buffers, self.threads)
             walks, counts = self._limited(domain, asked, max_depth, most, limited, relaxed)
             if walks is not None:
                 break
-        leaves = self._leaves(walks, counts)
+        leaves, factor = self._leaves(walks, counts), math.sqrt(asked.limit)
+        if rises_until > 1 and limited:
+            factor = self._budget.ramp_start(domain, asked, max_depth, most, self._found.step, leaves.total)
         if self._last:
             leaves.after, leaves.taken = self._last.after, self._listed()
             self._last.after = None
@@ -122,7 +125,7 @@ class Refinement:
         leaves.changed = self._mark(walks, counts)
         if self._last:
             self._last.leaves = leaves
-        return leaves, math.sqrt(asked.limit)
+        return leaves, factor
 
     def _limited(self, domain: Domain, asked: Asked, max_depth: int, most: int, limited: bool, relaxed: float):
         """The finest walk with at most `most` leaves; (None, None) if what is asked has to be coarsened by more than

@@ -50,13 +50,12 @@ def answer() -> int | None:
     return number
 
 
-def pass_on(number: int) -> bool:
-    """Have the host program hear a signal whose own handler `listening` has replaced: Blender then ends a render, and
-    nothing else. Returns whether there is such a handler. For the main thread."""
-    native = _natives.get(number)
+def end_host_work() -> None:
+    """Have the host program hear the SIGINT whose handler `listening` has replaced: Blender's ends a render, and at its
+    second call Blender. Without such a handler nothing happens."""
+    native = _natives.pop(signal.SIGINT, None)
     if native:
-        ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(number)
-    return bool(native)
+        ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(signal.SIGINT)
 
 
 @contextmanager
@@ -118,7 +117,7 @@ def _replace(number: int):
     before = signal.signal(number, lambda *_: None)
     if before is None:  # Blender's own, which Python does not know
         _natives[number] = native
-        return lambda: (_natives.pop(number), setsig(number, native))
+        return lambda: (_natives.pop(number, None), setsig(number, native))
     return lambda: signal.signal(number, before)
 
 

@@ -5,7 +5,8 @@ Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 
 that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
 of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
 child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already. Those of
-effects, of a detail, of a scatter and of what ground hides are made ready when a scene first asks for them.
+effects, of a detail, of points that rise, of a scatter and of what ground hides are made ready when a scene first asks
+for them.
 """
 
 import importlib
@@ -20,7 +21,7 @@ from types import ModuleType
 
 import warp as wp
 
-from ...kernels import accuracy, budget, detail, effects, field, land, mesh, refine, scatter
+from ...kernels import accuracy, budget, detail, effects, field, land, mesh, morph, query, refine, scatter
 from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
@@ -169,8 +170,9 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Those that are compiled when a scene first asks: effects, land, a detail, a scatter, what ground hides."""
-    rooms = effects, land, detail, scatter
+    """Those that are compiled when a scene first asks for them: effects, land, a detail, points that rise, queries, a
+    scatter, what ground hides."""
+    rooms = effects, land, detail, morph, query, scatter
     return [*(module for room in rooms for module in _modules_of(room)), horizon_map]
 
 

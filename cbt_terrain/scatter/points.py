@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scatter that stands still: each frame's points are a function of the declaration, the terrain and the views alone.
 
-A point has a rank r in 0 .. 1, and is there where a view wants more: its density, times what is left of it at that
-distance. So points come and go one by one; none moves. It grows from nothing as more is wanted.
+A point has a rank r in 0 .. 1, and is whole where a view wants as much: its density, times what is left of it at that
+distance. Where a little less is wanted it is there and grows from nothing. So points come and go one by one; none
+moves.
 """
 
 import math

@@ -22,11 +22,12 @@ class Scatter:
 
     `spacing`: at full density there is one on `spacing` x `spacing` metres of the terrain's own space. `full_until`:
     metres of the world from the eye up to which density is full; further away it falls with the square of the distance,
-    so that as many points a pixel are seen. 0: full everywhere. `where`: density by rules, those of a splat layer.
-    `layers`, `on`: splat layers of the terrain, and the number of the one whose part of the ground counts too, -1:
-    none. `size`: of points that are full-grown; it varies by `variation` of itself either way. `align`: 0 upright, 1
-    along the normal. `margin_deg`, `margin_m`: how far outside the frame points still are, degrees and metres of the
-    world: what stands there may reach or shine into it. `seed` gives other points.
+    so that as many points a pixel are seen; 0: full everywhere. A quarter more points are there, which grow. `where`:
+    density by rules, those of a splat layer. `layers`, `on`: splat layers of the terrain, and the number of the one
+    whose part of the ground counts too, -1: none. `size`: of points that are full-grown; it varies by `variation` of
+    itself either way. `align`: 0 upright, 1 along the normal. `margin_deg`, `margin_m`: how far outside the frame
+    points still are, degrees and metres of the world: what stands there may reach or shine into it. `seed` gives other
+    points.
     """
 
     spacing: float = 10.0

@@ -13,6 +13,7 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.field.layout import Depth
 from ...kernels.scatter import squares as kernels
+from ...kernels.scatter.points import GROWING
 from ...kernels.scatter.seen import Views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
@@ -68,8 +69,9 @@ def squares_wanted(
         inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.look, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
         most, least = wanted.T
-        # Ranks r = (rank + 1/2) / POINTS that are below what is wanted, and what rounding could add.
-        ranks = np.minimum(np.ceil(most * (POINTS * (1 + 1e-9)) - 0.5), POINTS).astype(np.int64)
+        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding could add.
+        there = most * (float(GROWING) * (1 + 1e-9))
+        ranks = np.minimum(np.ceil(there * POINTS - 0.5), POINTS).astype(np.int64)
         cut = ranks > 0
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)

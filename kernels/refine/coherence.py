@@ -20,7 +20,7 @@ from .pixels import (
     PERSPECTIVE,
     Asked,
     LocalView,
-    stand_of,
+    steady_stand_of,
     veil_of,
 )
 
@@ -163,7 +163,7 @@ def carried(asked: Asked, motion: Motion, kept: Subtree, known: wp.int32):
     if holds == 1:
         stands = CLEAR
         if (known & IN_FRAME) == 0:
-            stands = stand_of(asked.view, kept.low, kept.high)
+            stands = steady_stand_of(asked.view, kept.low, kept.high)
         holds = wp.where(stands == kept.stands, 1, 0)
     if holds == 1 and veil_in(asked, kept.low, kept.high, kept.stands, known) != kept.veil:
         holds = 0

@@ -9,7 +9,7 @@ from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, veil_in
 from .diamond import smaller
 from .emit import stands_alone
-from .pixels import CROSSED, Asked, coarsest, stand_of
+from .pixels import CROSSED, Asked, coarsest, steady_stand_of
 from .steps import size_of
 from .walk_state import Cursor, Keeper, Square, Walk, Written
 
@@ -134,7 +134,7 @@ def open_subtree(asked: Asked, w: Walk, q: Square, c: Cursor, m: Measured, band:
     few = m.own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
     few = few or w.max_depth - c.depth <= LAST_LEVELS
     if few and w.keeper[k].end == NOWHERE and w.keeper[k].count < w.room:
-        stands = stand_of(asked.view, m.diamond.low, m.diamond.high)
+        stands = steady_stand_of(asked.view, m.diamond.low, m.diamond.high)
         veil = veil_in(asked, m.diamond.low, m.diamond.high, stands, band.known)
         if veil != 0 and stands_alone(w, q, c):
             w.keeper[k].end = q.base + c.cell + size_of(w, c.depth)

@@ -39,9 +39,11 @@ class LocalView:
     cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
+    fade: wp.float64  # 0: at once; else as far as the outer planes it rises as (1 + fade * part)^4 does
     hidden2: wp.float64  # ... of what nearer ground hides
     rings: Rings
     planes: planes_type  # positive towards the frustum
+    outer: planes_type  # the same, further outside
 
 
 @wp.struct
@@ -91,6 +93,18 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
             break
         if least_of(view.planes[p], low, high) < zero:
             stand = CROSSED
+    return stand
+
+
+@wp.func
+def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """As `stand_of`; CROSSED also where pixels get coarser by parts."""
+    stand = stand_of(view, low, high)
+    if stand != CLEAR and view.fade > wp.float64(0.0):
+        stand = CROSSED
+        for p in range(view.plane_count):
+            if most_of(view.outer[p], low, high) <= wp.float64(0.0):
+                stand = OUTSIDE
     return stand
 
 
@@ -164,6 +178,22 @@ def veil_of(
 
 
 @wp.func
+def faded2(view: LocalView, inner: wp.float64, outer: wp.float64) -> wp.float64:
+    """Squared factor by which pixels are coarser at `inner`, negative, from a plane and at `outer` from its outer one.
+
+    It falls as either rises, also in rounded arithmetic.
+    """
+    coarser2 = view.off_screen2
+    if outer > wp.float64(0.0):
+        one = wp.float64(1.0)
+        factor = one + view.fade / (one - outer / inner)
+        factor2 = factor * factor
+        factor4 = factor2 * factor2
+        coarser2 = smaller(factor4 * factor4, coarser2)
+    return coarser2
+
+
+@wp.func
 def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32) -> wp.float64:
     """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum and
     where nearer ground hides it."""
@@ -171,9 +201,12 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
     coarser2 = wp.float64(1.0)
     if (known & IN_FRAME) == 0:
         for p in range(view.plane_count):
-            if most_of(view.planes[p], d.low, d.high) < zero:
-                coarser2 = view.off_screen2
-                break
+            inner = most_of(view.planes[p], d.low, d.high)
+            if inner < zero:
+                if view.fade == zero:
+                    coarser2 = view.off_screen2
+                    break
+                coarser2 = larger(faded2(view, inner, most_of(view.outer[p], d.low, d.high)), coarser2)
     if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
         if (known & HIDDEN) != 0 or is_hidden(view.rings, slopes, d.low - view.eye, d.high - view.eye):
             coarser2 = view.hidden2
@@ -188,10 +221,13 @@ def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond,
     inside = wp.int32(IN_FRAME)
     if (known & IN_FRAME) == 0:
         for p in range(view.plane_count):
-            if least_of(view.planes[p], d.low, d.high) < zero:
-                coarser2 = view.off_screen2
+            least = least_of(view.planes[p], d.low, d.high)
+            if least < zero:
                 inside = 0
-                break
+                if view.fade == zero:
+                    coarser2 = view.off_screen2
+                    break
+                coarser2 = larger(faded2(view, least, least_of(view.outer[p], d.low, d.high)), coarser2)
     veil = veil_of(view, slopes, d.low, d.high, known)
     if veil != BARE:
         coarser2 = larger(coarser2, view.hidden2)

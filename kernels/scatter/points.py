@@ -19,7 +19,8 @@ wp.set_module_options({"enable_backward": False})
 UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16: points of the tile are so many of its sides
 PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14: the tile has so many points
 RANKS = wp.constant(wp.int64(16384))
-PART = wp.constant(wp.float64(0.25))  # of a rank: over how much more density a point grows
+# Points are there up to so many times what is wanted; those up to what is wanted are whole.
+GROWING = wp.constant(wp.float64(1.25))
 TURNS = wp.constant(1024)  # directions that points are turned to
 
 
@@ -173,9 +174,10 @@ def choose(
     kept: Kept,
     chosen: Chosen,
 ):
-    """List those of runs whose rank is below what is wanted at their places.
+    """List those of runs whose rank is below what is wanted at their places, or a quarter more.
 
-    A point is whole where a quarter more is wanted than its rank, or all, and begins with nothing.
+    A point begins with nothing and is whole where its rank is wanted. The quarter is the same for all ranks, so that
+    the last ones do not appear at once where density becomes full.
     """
     first = views.views[0]
     for t in range(begin, end):
@@ -185,13 +187,13 @@ def choose(
             at = run.at + k
             rank = pattern.order[run.first + k]
             r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK
-            density = wp.float64(kept.density[at])
+            density = GROWING * wp.float64(kept.density[at])
             if density > r:
                 p = kept.positions[at]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
                 want = density * wanted_at(views, first, p3, run.clear)
                 if want > r:
-                    s = wp.min((want - r) / wp.min(PART * r, wp.float64(1.0) - r), wp.float64(1.0))
+                    s = wp.min((want - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
                     chosen.which[n] = at
                     chosen.rank[n] = rank
                     chosen.grown[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))

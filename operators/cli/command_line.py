@@ -206,6 +206,15 @@ def build_parser() -> argparse.ArgumentParser:
     )
 
     _add_farm(subparsers, parse_formats, argument(parse_frames))
+    verb = _verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
+    verb.add_argument("--store", type=path, required=True, metavar="DIR")
+    columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
+    verb.add_argument("--points", type=path, required=True, metavar="FILE.csv", help=columns)
+    verb.add_argument("--out", type=path, metavar="FILE.csv", help="its columns and what was found (stdout)")
+    verb.add_argument(
+        "--profile", action="store_true", help="along the line through the points, wherever it crosses the raster's"
+    )
+
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 

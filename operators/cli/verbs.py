@@ -273,6 +273,12 @@ def run_shape(arguments) -> None:
     print(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
 
 
+def run_query(arguments) -> None:
+    from . import query_command
+
+    query_command.run(arguments.store, arguments.points, arguments.out, arguments.profile)
+
+
 def run_accuracy(arguments) -> None:
     from ..blender import need_bpy
     from ..report import accuracy_subject

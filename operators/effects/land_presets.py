@@ -9,10 +9,11 @@ from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.stack import read_stack, write_stack
-from ..scene import land_stack, session
+from ..scene import land_stack
+from ..scene.land_entries import PRESETS
 from ..scene.land_properties import BY_OBJECT
+from ..scene.polls import on_terrain
 
-PRESETS = "adaptive_terrain/land"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
 SUFFIX = ".json"
 
@@ -28,7 +29,7 @@ class ApplyLandPreset(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def execute(self, context):
         try:
@@ -52,7 +53,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def execute(self, context):
         """As Blender's own, which knows Python and XML files only."""

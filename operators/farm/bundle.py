@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...cbt_terrain.errors import TerrainError
 from ..output.exporting import write_files
 
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
 GUARD, FLAMENCO = "guard.py", "adaptive_terrain_render.js"
-MOST_NAME = 64  # characters
+MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class Job:
 
 def write_bundle(job: Job, folder: Path) -> None:
     """Write the bundle's files; raises TerrainError where that cannot be."""
+    if len(range_text(job.frames)) > MOST_TEXT:
+        raise TerrainError("The frames are in too many pieces for one job; expected ranges: make a job of each part.")
     guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
     files = {TEMPLATE: template(job, guard), VALUES: _values(job), ASSETS: _assets(job)}

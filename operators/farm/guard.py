@@ -12,6 +12,8 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
+import zipfile
 
 import bpy
 
@@ -26,6 +28,11 @@ def fail(message):
 
 def install(zip_path, folder):
     """The worker's preferences come along: they say which graphics cards Cycles uses."""
+    try:
+        with zipfile.ZipFile(zip_path) as archive:
+            check_version(tomllib.loads(archive.read("blender_manifest.toml").decode())["version"])
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        fail(f"{zip_path} is not the extension's zip ({error})")
     preferences = os.path.join(bpy.utils.user_resource("CONFIG"), "userpref.blend")
     environment = {**os.environ, USER_FOLDER: folder}
     for name in ("BLENDER_USER_CONFIG", "BLENDER_USER_SCRIPTS", "BLENDER_USER_EXTENSIONS", "BLENDER_USER_DATAFILES"):
@@ -34,20 +41,20 @@ def install(zip_path, folder):
     os.makedirs(os.path.join(folder, "config"), exist_ok=True)
     if os.path.isfile(preferences):
         shutil.copy(preferences, os.path.join(folder, "config"))
-    blender = bpy.app.binary_path
-    command = [blender, "--command", "extension", "install-file", "-r", "user_default", "--enable", zip_path]
-    if subprocess.run(command, env=environment).returncode:
+    how = ["extension", "install-file", "-r", "user_default", "--enable"]
+    if subprocess.run([bpy.app.binary_path, "--command", *how, zip_path], env=environment).returncode:
         fail(f"the extension's zip cannot be installed: {zip_path}")
     print(f"openjd_env: {USER_FOLDER}={folder}", flush=True)
-    check = [blender, "-b", "--python-exit-code", "1", "--python", os.path.abspath(__file__)]
-    sys.exit(subprocess.run(check, env=environment).returncode)
 
 
 def check_extension():
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         fail("the extension Adaptive Terrain is not enabled in this Blender, terrains would be stale")
     there = [m for name, m in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
-    found = next((m.__version__ for m in there if hasattr(m, "__version__")), "unknown")
+    check_version(next((m.__version__ for m in there if hasattr(m, "__version__")), "unknown"))
+
+
+def check_version(found):
     if VERSION and found != VERSION:
         fail(f"Adaptive Terrain {found} is here, the job was made with {VERSION}")
     print(f"Adaptive Terrain {found}, Blender {bpy.app.version_string}", flush=True)
@@ -66,5 +73,6 @@ def check_file():
 arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
 if arguments and arguments[0]:
     install(arguments[0], os.path.join(arguments[1], "blender"))
-check_extension()
-check_file()
+else:
+    check_extension()
+    check_file()

@@ -11,6 +11,7 @@ from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land.export import check_export, export_raster
 from ..scene import imported, land_request, session, shape_land
 from ..scene.land_request import land_of
+from ..scene.polls import on_terrain
 
 BAKED = "_baked"
 
@@ -18,7 +19,7 @@ BAKED = "_baked"
 class _LandOperator:
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain(cls, context) and context.mode == "OBJECT"
 
     def execute(self, context):
         try:

@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.partial_files import private_folder
 from ..scene import session, stale_renders
 from ..scene.pauses import paused
@@ -55,6 +56,7 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
                 bpy.ops.render.render(write_still=True)
             except RuntimeError as error:
                 raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
+        stopping.check()
         files = sorted(partial.iterdir()) if partial.is_dir() else []
         for file in files:
             os.replace(file, out / file.name)

@@ -5,7 +5,9 @@ import bpy
 from bpy_extras.object_utils import AddObjectHelper, object_data_add
 
 from ...cbt_terrain.field.island import DEFAULT_SEED
+from ...cbt_terrain.field.lands import LANDS
 from . import session
+from .land_entries import PRESETS
 from .properties import ISLAND, land_items, land_of
 
 
@@ -17,6 +19,15 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     land: bpy.props.EnumProperty(name="Land", items=land_items(), default=ISLAND)
+    shape: bpy.props.BoolProperty(
+        name="Shape",
+        description="Put the effects on heights that suit the land into its stack: rivers, scree, snow. They are in "
+        "metres, so that the land has its own size then",
+    )  # fmt: skip
+    own_size: bpy.props.BoolProperty(
+        name="Own Size",
+        description="As wide as the land is itself, 8 to 33 km; viewports are moved so that they see it",
+    )
     size: bpy.props.FloatProperty(
         name="Size",
         description="Metres from one side of the land to the other; small by default, as all that Blender adds",
@@ -24,13 +35,33 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
     )  # fmt: skip
     seed: bpy.props.IntProperty(name="Seed", description="Another seed is another land", default=DEFAULT_SEED, min=0)
 
+    def draw(self, _context):
+        layout, land = self.layout, LANDS[self.land.lower()]
+        layout.use_property_split = True
+        layout.prop(self, "land")
+        layout.prop(self, "seed")
+        for name, free in (("shape", land.preset), ("own_size", not self._is_shaped(land)),
+                           ("size", not self.own_size and not self._is_shaped(land))):  # fmt: skip
+            row = layout.row()
+            row.enabled = bool(free)
+            row.prop(self, name)
+        for name in ("align", "location", "rotation"):
+            layout.prop(self, name)
+
+    def _is_shaped(self, land) -> bool:
+        return self.shape and bool(land.preset)
+
     def execute(self, context):
         obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
         settings = obj.adaptive_terrain
         settings.enabled = True
         settings.source, settings.seed = self.land, self.seed
-        settings.use_extent, settings.extent = True, (self.size, self.size)
-        settings.height_scale = self.size / land_of(settings).side  # the land keeps its shape
+        land = land_of(settings)
+        size = land.side if self.own_size or self._is_shaped(land) else self.size
+        settings.use_extent, settings.extent = True, (size, size)
+        settings.height_scale = size / land.side  # the land keeps its shape
+        if self._is_shaped(land):
+            bpy.ops.adaptive_terrain.land_preset(filepath=bpy.utils.preset_find(land.preset, PRESETS, ext=".json"))
         # With a window the import runs beside it and the mesh appears when it is done; without, now.
         try:
             bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")

@@ -8,10 +8,11 @@ from ...cbt_terrain.effects.kernels_needed import kernels_of
 from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.land.kernels_needed import kernels_of as kernels_of_stack
 from ...cbt_terrain.run.warmup import other_modules
 from .request import Request
 
-DETAIL, HIDING, SCATTER = "kernels.detail.", "horizon_map", "kernels.scatter."
+DETAIL, MORPH, HIDING, SCATTER = "kernels.detail.", "kernels.morph.", "horizon_map", "kernels.scatter."
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
@@ -21,9 +22,11 @@ def kernels_for(request: Request) -> list[ModuleType]:
         asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
     for item in request.scatters.asked:
         asked += [read for read, _ in item.scatter.reads()]
-    found = kernels_of(plan(asked))
+    found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
     for module in other_modules():
         if DETAIL in module.__name__ and request.ground is not None:
+            found.append(module)
+        elif MORPH in module.__name__ and request.criterion.rises_until > 1:
             found.append(module)
         elif SCATTER in module.__name__ and request.scatters.asked:
             found.append(module)

@@ -5,6 +5,8 @@ import bpy
 
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 
+PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's presets
+
 
 def add_entry(land, effect: str):
     """A new entry at the end of a stack, with a name that no other has and chance of its own."""

@@ -4,8 +4,9 @@
 import bpy
 
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
-from . import session
 from .land_entries import add_entry, copy_group, free_name
+from .land_properties import RULES
+from .polls import on_terrain
 
 MOST_ENTRIES = 32
 
@@ -23,7 +24,7 @@ class _StackOperator:
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def execute(self, context):
         land = context.object.adaptive_terrain.land
@@ -109,6 +110,23 @@ class MoveLandEffect(_EntryOperator, bpy.types.Operator):
         return True
 
 
+class AddLandRule(_EntryOperator, bpy.types.Operator):
+    """Let the mask depend on one quantity more"""
+
+    bl_idname = "adaptive_terrain.land_rule_add"
+    bl_label = "Add Rule"
+
+    of: bpy.props.EnumProperty(
+        name="Quantity",
+        items=[(of, *(group.__annotations__["use"].keywords[key] for key in ("name", "description")))
+               for of, group in RULES.items()],
+    )  # fmt: skip
+
+    def _change(self, land) -> bool:
+        getattr(land.entries[land.active].mask, self.of).use = True
+        return True
+
+
 def _place_last(land) -> None:
     """The last entry goes below the chosen one, and is the chosen one."""
     last = len(land.entries) - 1
@@ -117,5 +135,5 @@ def _place_last(land) -> None:
     land.active = to
 
 
-CLASSES = (AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect)
+CLASSES = (AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect, AddLandRule)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

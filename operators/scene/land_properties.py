@@ -19,19 +19,21 @@ from ...cbt_terrain.effects import splat_rules as rules
 from ...cbt_terrain.effects.effect import Parameter
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land.land_effect import LandEffect
+from ...cbt_terrain.land.mask import HEIGHT, SLOPE
 from .detail_properties import changed
-from .layer_properties import BANDS, AspectSettings
+from .layer_properties import BANDS, AspectSettings, band
 
 EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
 EVERYWHERE_FINE, SEEN = "WHOLE", "SEEN"
-DEGREES = {"degrees", "deg", "°"}
+DEGREES = "degrees"
 # The unit of a declaration -> what Blender calls it; others stand in the label.
 UNITS = {
     "m": {"unit": "LENGTH"},
     "m2": {"unit": "AREA"},
     "m3": {"unit": "VOLUME"},
     "m/s": {"unit": "VELOCITY"},
-} | dict.fromkeys(DEGREES, {"subtype": "ANGLE"})
+    DEGREES: {"subtype": "ANGLE"},
+}
 MOST_SEED = 2**31 - 1
 # Nothing here is animated: other numbers are another land, which takes its time.
 STILL = {"update": changed, "options": set()}
@@ -45,7 +47,7 @@ def number_of(parameter: Parameter, group) -> float:
         return min(max(value, int(parameter.least)), int(parameter.most))
     if np.float32(value) == np.float32(_kept(parameter, parameter.default)) or not math.isfinite(value):
         return parameter.default
-    value = math.degrees(value) if parameter.unit in DEGREES else value
+    value = math.degrees(value) if parameter.unit == DEGREES else value
     return min(max(float(f"{value:.7g}"), parameter.least), parameter.most)
 
 
@@ -55,7 +57,7 @@ def set_number(parameter: Parameter, group, value: float) -> None:
 
 
 def _kept(parameter: Parameter, value: float) -> float:
-    return math.radians(value) if parameter.unit in DEGREES else value
+    return math.radians(value) if parameter.unit == DEGREES else value
 
 
 def _property(parameter: Parameter):
@@ -83,13 +85,30 @@ def _settings_of(effect: LandEffect) -> type:
 GROUPS = {name: _settings_of(effect) for name, effect in LAND_EFFECTS.items()}
 
 
+# What rules of masks are about -> its group, in the order of the menu.
+RULES = {
+    HEIGHT: BANDS[rules.HEIGHT],
+    SLOPE: BANDS[rules.SLOPE],
+    "mean_curvature": BANDS[rules.CURVATURE],
+    "profile_curvature": band("Profile Curvature", "1 / m: above 0 where it steepens downhill", 0, 10, 0.01, (-10, 10)),
+    "plan_curvature": band("Plan Curvature", "of contours, 1 / m: above 0 on ridges", 0, 10, 0.01, (-10, 10)),
+    "flow": BANDS[rules.FLOW],
+    "wetness": BANDS[rules.WETNESS],
+    **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
+    "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
+    "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
+    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e9, 1, (0, 1e9)),
+}
+
+
 class LandMask(bpy.types.PropertyGroup):
     """Where an effect acts, and how much."""
 
     kind: EnumProperty(
         name="Mask",
         items=[(EVERYWHERE, "Everywhere", "The effect acts on the whole terrain"),
-               (BY_RULE, "Rule", "It acts where height, slope and aspect of the source are within limits"),
+               (BY_RULE, "Rule", "It acts where the ground that it finds is within limits: of height, slope, aspect, "
+                "curvature, flow, or of what effects above it have left"),
                (BY_IMAGE, "Image", "It acts where a painted image over the terrain is bright"),
                (BY_OBJECT, "Object", "It acts below and above an object: inside its shadow on the plan")],
         **STILL,
@@ -107,9 +126,11 @@ class LandMask(bpy.types.PropertyGroup):
         name="Object", description="A mesh seen from above",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, **STILL,
     )  # fmt: skip
-    height: PointerProperty(type=BANDS[rules.HEIGHT])
-    slope: PointerProperty(type=BANDS[rules.SLOPE])
     aspect: PointerProperty(type=AspectSettings)
+
+
+for _name, _group in RULES.items():
+    LandMask.__annotations__[_name] = PointerProperty(type=_group)
 
 
 class LandEntry(bpy.types.PropertyGroup):
@@ -140,4 +161,5 @@ class LandSettings(bpy.types.PropertyGroup):
     active: IntProperty(name="Active", options=set())
 
 
-CLASSES = (*GROUPS.values(), LandMask, LandEntry, LandSettings)
+OWN_RULES = [group for group in RULES.values() if group not in BANDS.values()]
+CLASSES = (*GROUPS.values(), *OWN_RULES, LandMask, LandEntry, LandSettings)

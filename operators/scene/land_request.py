@@ -8,10 +8,12 @@ share it. Nothing here touches Blender but `land_of`.
 
 import functools
 import hashlib
+import os
 import re
 import shutil
 import threading
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import bpy
@@ -25,14 +27,17 @@ from ...cbt_terrain.land.shape_process import shape_store
 from ...cbt_terrain.land.stack import Stack
 from ...cbt_terrain.run import launch
 from . import land_stack, land_tiles
+from .land_properties import SEEN
 
 MASKS = "masks"
-MOST_SHAPED = 8  # steps of Undo that take no time
-_NAME = re.compile("[0-9a-f]{16}")
+MOST_BYTES = 8 << 30  # of the shaped stores of a source, which spare steps of Undo their time
+OF_VIEWS = "_views"  # ends the names of stores that are fine only where some views looked
+_NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
 MOST_PREVIEWS = 4  # a preview holds about 12 MB
 _previews: dict[str, Preview] = {}  # by `Land.folder`, the last one last
 made = {"previews": 0, "stores": 0}  # how often land was made, for whoever wants to know what a scene costs
 _shaping = threading.Lock()
+_in_use: dict[int, str] = {}  # the land that each terrain of the open file has asked for last, by its session_uid
 
 
 @dataclass(frozen=True)
@@ -53,12 +58,32 @@ class Land:
         return Path(self.folder).parent / stores.TILES
 
     @property
+    def of_views_alone(self) -> "Land":
+        """The same where only what some views see is fine, which has a store of its own."""
+        return replace(self, folder=self.folder.removesuffix(OF_VIEWS) + OF_VIEWS)
+
+    @property
+    def of_views(self) -> bool:
+        return is_of_views(self.folder)
+
+    @property
+    def shown(self) -> str:
+        """Folder of the store that a viewport shows, "" where a preview has to do."""
+        both = (self, self.of_views_alone)
+        return next((land.folder for land in both if land.is_shaped), "")
+
+    @property
     def is_shaped(self) -> bool:
         """Whether the store is there, and of this version."""
         try:
             return bool(_key_of(self.folder, (Path(self.folder) / stores.JSON_NAME).stat().st_mtime_ns))
         except (OSError, TerrainError):
             return False
+
+
+def is_of_views(folder: str) -> bool:
+    """Whether a store is fine only where some views looked."""
+    return folder.endswith(OF_VIEWS)
 
 
 def folder_beside(source: str) -> Path:
@@ -79,9 +104,23 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
     if not stack.active:
         return None
-    content = f"{_source_key(source)} {stack.key()} {settings.land.where}".encode()
-    name = hashlib.blake2b(content, digest_size=8).hexdigest()
-    return Land(source, str(folder / name), waits, stack)
+    name = hashlib.blake2b(f"{_source_key(source)} {stack.key()}".encode(), digest_size=8).hexdigest()
+    land = Land(source, str(folder / name), waits, stack)
+    _note_use(obj.session_uid, land)
+    return land.of_views_alone if settings.land.where == SEEN else land
+
+
+def _note_use(uid: int, land: Land) -> None:
+    if _in_use.get(uid) != land.folder:
+        _in_use[uid] = land.folder
+        for folder in (land.folder, land.of_views_alone.folder):
+            with suppress(OSError):
+                os.utime(folder)  # it was used just now: see `remove_old`
+
+
+def is_in_use(folder: Path) -> bool:
+    """Whether a terrain of the open file shows the land in a folder, or is about to."""
+    return str(folder).removesuffix(OF_VIEWS) in _in_use.values()
 
 
 def _source_key(store: str) -> str:
@@ -131,17 +170,34 @@ def previewed(land: Land, open_field) -> Preview:
     return found
 
 
+def shaped_stores(source: str) -> list[tuple[Path, int]]:
+    """The shaped stores of a source with their bytes, the one that was not used for longest first."""
+    found = []
+    with suppress(OSError):
+        for folder in folder_beside(source).iterdir():
+            if _NAME.fullmatch(folder.name) and (folder / stores.JSON_NAME).exists():
+                found.append((folder.stat().st_mtime, folder, bytes_in(folder)))
+    return [(folder, size) for _, folder, size in sorted(found)]
+
+
+def bytes_in(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def remove_old(land: Land) -> None:
-    """Keep no more than MOST_SHAPED shaped stores of a source: those that were made last, and that of `land`. What is
-    removed can be shaped again."""
-    beside = Path(land.folder).parent
-    shaped = [
-        folder for folder in beside.iterdir() if _NAME.fullmatch(folder.name) and (folder / stores.JSON_NAME).exists()
-    ]
-    shaped.sort(key=lambda folder: (str(folder) == land.folder, (folder / stores.JSON_NAME).stat().st_mtime_ns))
-    for folder in shaped[:-MOST_SHAPED]:
-        shutil.rmtree(folder, ignore_errors=True)
-        land_tiles.forget(str(folder))
+    """Keep no more than MOST_BYTES of the shaped stores of a source: those that were used last. What is in use stays,
+    and so does `land`; what is removed can be shaped again."""
+    kept = shaped_stores(land.source)
+    total = sum(size for _, size in kept)
+    for folder, size in kept:
+        if total > MOST_BYTES and not is_in_use(folder) and str(folder) != land.folder:
+            remove(folder)
+            total -= size
+
+
+def remove(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    land_tiles.forget(str(folder))
 
 
 def _images_of(stack: Stack) -> dict[str, np.ndarray]:
@@ -157,3 +213,4 @@ def preview_of(land: Land) -> Preview | None:
 
 def forget() -> None:
     _previews.clear()
+    _in_use.clear()

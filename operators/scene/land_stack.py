@@ -8,12 +8,12 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
-from ...cbt_terrain.land.mask import ASPECT, HEIGHT, SLOPE, GroundRule, Mask
+from ...cbt_terrain.land.mask import ASPECT, SLOPE, GroundRule, Mask
 from ...cbt_terrain.land.stack import Entry, Stack
 from . import land_masks
 from .imported import imported_of
 from .land_entries import add_entry
-from .land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, number_of, set_number
+from .land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
 
 
 def unknown(effect: str) -> str:
@@ -82,9 +82,10 @@ def _extent_of(terrain) -> tuple[float, float]:
 
 def _rules(mask) -> tuple[GroundRule, ...]:
     found = []
-    for of, band, turn in ((HEIGHT, mask.height, float), (SLOPE, mask.slope, math.degrees)):
+    for of in RULES:
+        band = getattr(mask, of)
         if band.use:
-            limits = band.bl_rna.properties["low"]
+            limits, turn = band.bl_rna.properties["low"], math.degrees if of == SLOPE else float
             low = -math.inf if band.low <= limits.hard_min else turn(band.low)
             high = math.inf if band.high >= limits.hard_max else turn(band.high)
             found.append(GroundRule(of, low, high, turn(band.edge)))
@@ -148,7 +149,6 @@ def _fill_mask(mask, given: Mask) -> list[str]:
         if given.rules:
             left_out.append("its mask has an image and rules; the rules are left out")
         return left_out
-    bands = {HEIGHT: (mask.height, float), SLOPE: (mask.slope, math.radians)}
     for number, rule in enumerate(given.rules):
         if any(rule.of == other.of for other in given.rules[:number]):
             left_out.append(f"its mask has two rules about {rule.of}; the first counts")
@@ -159,7 +159,7 @@ def _fill_mask(mask, given: Mask) -> list[str]:
             aspect.use, aspect.direction = True, math.radians(rule.direction % 360.0)
             aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge
         else:
-            band, turn = bands[rule.of]
+            band, turn = getattr(mask, rule.of), math.radians if rule.of == SLOPE else float
             limits = band.bl_rna.properties["low"]
             band.use, band.edge = True, turn(rule.edge)
             band.low = limits.hard_min if math.isinf(rule.low) else turn(rule.low)

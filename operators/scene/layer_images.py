@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Images as splat layers and decals read them: what is made of their pixels, kept until an image changes."""
 
+import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 import bpy
@@ -10,6 +12,7 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.effects.splat_rules import Painted
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.png_file import png_damage
 
 T = TypeVar("T")
 # By the names of images and what is made of them: what they were made from, and that.
@@ -27,11 +30,12 @@ def _painted(_image, pixels: np.ndarray) -> Painted:
 
 def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
     """What `make` makes of an image and its pixels, float32 [rows, columns, channels], row 0 at the lower edge; kept
-    until the image changes. Raises TerrainError for one without pixels."""
+    until the image changes. Raises TerrainError for one without pixels, or whose file is cut off."""
     image = image.original
     mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
     kept = _read.get((image.name_full, kind))
     if kept is None or kept[0] != mark:
+        _check_whole(image, whose)
         columns, rows = image.size
         if not image.channels or not rows * columns:
             raise TerrainError(
@@ -43,6 +47,24 @@ def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray
         kept = mark, make(image, pixels.reshape(rows, columns, image.channels))
         _read[image.name_full, kind] = kept
     return kept[1]
+
+
+def _check_whole(image, whose: str) -> None:
+    """Blender shows what it can read of a PNG that was cut off, and black for the rest."""
+    if image.is_dirty or image.source != "FILE":
+        return  # painted: the file has nothing to say
+    path = Path(bpy.path.abspath(image.filepath_raw, library=image.library))
+    try:
+        packed = image.packed_file
+        with path.open("rb") if packed is None else io.BytesIO(packed.data) as file:
+            damage = png_damage(file)
+    except OSError:
+        return  # what was read once may be gone by now
+    if damage:
+        raise TerrainError(
+            f"The image {image.name!r} {whose} is damaged ({damage}): expected a whole PNG; get the file again, and "
+            "reload the image."
+        )
 
 
 @persistent

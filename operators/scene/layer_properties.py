@@ -22,12 +22,12 @@ from .ground_properties import GroundDetail
 from .layer_images import painted_of
 
 
-def _band(label: str, about: str, low: float, high: float, edge: float, ends: tuple[float, float], **options) -> type:
+def band(label: str, about: str, low: float, high: float, edge: float, ends: tuple[float, float], **options) -> type:
     """A group with a switch and the limits of one quantity; a limit at the end of the range, `ends`, is open."""
     least, most = ends
     options = {"update": changed, "precision": 3} | options
     limits = {
-        "use": BoolProperty(name=label, description=f"The layer depends on this: {about}", update=changed),
+        "use": BoolProperty(name=label, description=f"It depends on this: {about}", update=changed),
         "low": FloatProperty(name="From", description=about, default=low, min=least, max=most, **options),
         "high": FloatProperty(name="To", description=about, default=high, min=least, max=most, **options),
         "edge": FloatProperty(
@@ -43,15 +43,15 @@ def _band(label: str, about: str, low: float, high: float, edge: float, ends: tu
 _HALF_TURN = math.pi / 2
 # Kind of rule -> its group. The order is that of the panel.
 BANDS = {
-    rules.RELIEF: _band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
-    rules.HEIGHT: _band("Height", "height", -1e5, 1e5, 50.0, (-1e5, 1e5), unit="LENGTH"),
-    rules.SLOPE: _band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
-    rules.CURVATURE: _band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
+    rules.RELIEF: band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
+    rules.HEIGHT: band("Height", "height", -1e5, 1e5, 50.0, (-1e5, 1e5), unit="LENGTH"),
+    rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
+    rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: _band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15)),
-    rules.WETNESS: _band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
+    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15)),
+    rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
-        name: _band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
+        name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
         for name, label, what in (
             ("wear", "Wear", "rock that erosion has removed"),
             ("sediment", "Sediment", "what rivers have laid down"),
@@ -60,7 +60,7 @@ BANDS = {
             ("water_depth", "Water Depth", "water"),
         )
     },
-    rules.NOISE: _band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
+    rules.NOISE: band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
 }  # fmt: skip
 
 

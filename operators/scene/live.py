@@ -19,7 +19,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
-from . import previews, session
+from . import land_jobs, previews, resting_land, session
 from .kernels_asked import kernels_for
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
@@ -74,8 +74,11 @@ def _turn() -> float:
             return BUSY_S
         job, _job = _job, None
         _finish(job)
-    if not _dirty and not _windows_changed():
+    idle = not _dirty and not _windows_changed()
+    if idle:
         _job = _refinement()
+    _dirty |= _rest(idle and _job is None)
+    if idle:
         return IDLE_S if _job is None else BUSY_S
     _dirty = False  # before the properties are read, so that no change after that is missed
     _job = _next_job()
@@ -83,6 +86,17 @@ def _turn() -> float:
         return IDLE_S
     _dirty = True  # another terrain may wait
     return BUSY_S
+
+
+def _rest(idle: bool) -> bool:
+    """Whether land has been made finer meanwhile."""
+    if not resting_land.concerned():
+        return False
+    before = land_jobs.all_progress()
+    made = resting_land.turn(_shown(), idle)
+    if land_jobs.all_progress() != before:
+        redraw_panels()
+    return made
 
 
 def _windows_changed() -> bool:
@@ -105,7 +119,7 @@ def stage() -> str:
 def _next_job() -> Job | None:
     """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
     global _follows_viewport, _started
-    shown = [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
+    shown = _shown()
     _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
     for depsgraph, obj in shown:
         record = session.record_of(obj)
@@ -125,6 +139,11 @@ def _next_job() -> Job | None:
             record.live_key, _started = request.key(), time.monotonic()
             return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
+
+
+def _shown() -> list[tuple]:
+    """Dependency graph and object of the terrains in windows."""
+    return [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
 
 
 def _is_prepared(record: session.Record, request: Request) -> bool:
@@ -251,4 +270,5 @@ def unregister() -> None:
         _draw_handle = None
     _worker.shutdown(wait=True)
     _worker, _job, _dirty = None, None, False
+    resting_land.stop()
     _unrefined.clear()

@@ -143,10 +143,12 @@ def gather(
     if land is not None and views and mode == RENDER and settings.land.where == SEEN:
         scale = settings.vertical_scale, settings.vertical_offset
         land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
-    elif land is not None and frozen and mode != RENDER and not land.is_shaped:
-        land = None  # the triangles are those of the raster, and a preview has another
-    elif land is not None and land.is_shaped:
-        store, land = land.folder, None
+    elif land is not None and (mode != RENDER or land.is_shaped):
+        shown = land.folder if mode == RENDER else land.shown
+        if shown:
+            store, land = shown, None
+        elif frozen:
+            land = None  # the triangles are those of the raster, and a preview has another
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide
         criterion = replace(criterion, hidden_factor=1.0)

@@ -128,6 +128,11 @@ def record_of(obj) -> Record:
     return _records.setdefault(obj.session_uid, Record())
 
 
+def records() -> list[tuple[int, Record]]:
+    """What is known, by session_uid."""
+    return list(_records.items())
+
+
 def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
     """Refine the terrain `obj` for its camera and write its mesh where it changed; returns the engine's Update.
 

@@ -12,25 +12,15 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.shape_process import ShapeJob
 from ...cbt_terrain.run import warmup
 from . import land_tiles, live, session
+from .land_jobs import Work, running, stop_all
 from .land_properties import SEEN
 from .land_request import Land, land_of, made, raster_of, remove_old, wanted_tiles
 from .land_tiles import Seen
+from .polls import on_terrain
 from .shot import frames_of, look_through
 
 POLL_S = 0.1
 TURN_S = 0.05  # so long frames are looked at before the window has its turn
-_jobs: dict[int, ShapeJob | None] = {}  # by the object's session_uid; None while frames are looked at
-_progress: dict[int, tuple[float, str]] = {}
-
-
-def progress_of(obj) -> tuple[float, str] | None:
-    """Fraction done (0 .. 1) and what is being done, or None when the object's land is not being shaped."""
-    return _progress.get(obj.session_uid)
-
-
-def all_progress() -> list[tuple[float, str]]:
-    """The same of all that are being shaped."""
-    return list(_progress.values())
 
 
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
@@ -73,8 +63,7 @@ class ShapeLand(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        obj = context.object
-        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+        return on_terrain(cls, context) and context.object.session_uid not in running
 
     def invoke(self, context, event):
         obj = context.object
@@ -85,13 +74,15 @@ class ShapeLand(bpy.types.Operator):
         except TerrainError as error:
             return self._failed(obj, str(error))
         self.looking = _views(obj, context.scene)
-        _jobs[self.uid], _progress[self.uid] = None, (0.0, "Looking at frames")
+        self.work = running[self.uid] = Work()
         session.record_of(obj).status.error = ""
         self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
+        if self.looking is not None and event.type == "ESC":
+            self.work.stop()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         live.redraw_panels()
@@ -101,13 +92,11 @@ class ShapeLand(bpy.types.Operator):
             return {"CANCELLED"}
         if self.looking is not None:
             return self._look(context, obj)
-        job = _jobs[self.uid]
-        progress = job.poll()
-        _progress[self.uid] = progress.fraction, progress.message
+        progress = self.work.poll()
         if not progress.done or warmup.preparing():  # what follows may update the mesh
             return {"PASS_THROUGH"}
         self._end(context)
-        if job.cancelled:
+        if self.work.job.cancelled:
             self.report({"INFO"}, progress.error)
             return {"CANCELLED"}
         if progress.error:
@@ -120,23 +109,27 @@ class ShapeLand(bpy.types.Operator):
         """Look at some more frames; after the last the child process begins."""
         end = time.monotonic() + TURN_S
         try:
-            while time.monotonic() < end:
+            while time.monotonic() < end and not self.work.stopped:
                 found = next(self.looking)
                 if isinstance(found, list):
                     self.looking.close()
                     self.looking = None
                     self._start(obj, context.evaluated_depsgraph_get(), found)
                     break
-                _progress[self.uid] = found, "Looking at frames"
+                self.work.fraction = found
         except TerrainError as error:
             self._end(context)
             return self._failed(obj, str(error))
+        if self.work.stopped:
+            self._end(context)
+            self.report({"INFO"}, "Shaping was cancelled before it began")
+            return {"CANCELLED"}
         return {"PASS_THROUGH"}
 
     def _start(self, obj, depsgraph, views: list[View]) -> None:
         self.land = land = wanted_land(obj, depsgraph, views)
         self.wanted = land_tiles.with_known(land.folder, wanted_tiles(land, session.open_field))
-        _jobs[self.uid] = ShapeJob(land.source, land.stack, land.folder, self.wanted, tiles=land.tiles)
+        self.work.job = ShapeJob(land.source, land.stack, land.folder, self.wanted, tiles=land.tiles)
         made["stores"] += 1
 
     def execute(self, context):
@@ -151,15 +144,14 @@ class ShapeLand(bpy.types.Operator):
 
     def cancel(self, context):
         """Another file is loaded, or Blender quits."""
-        if _jobs[self.uid] is not None:
-            _jobs[self.uid].cancel()
+        self.work.stop()
         self._end(context)
 
     def _end(self, context):
         if self.looking is not None:
             self.looking.close()  # the scene is at its frame again
         context.window_manager.event_timer_remove(self.timer)
-        del _jobs[self.uid], _progress[self.uid]
+        running.pop(self.uid, None)
         live.redraw_panels()
 
     def _failed(self, obj, message: str):
@@ -179,31 +171,35 @@ class ShapeLand(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class _JobOperator:
-    @classmethod
-    def poll(cls, context):
-        return context.object is not None and _jobs.get(context.object.session_uid) is not None
-
-
-class CancelShaping(_JobOperator, bpy.types.Operator):
-    """Stop shaping; what was there stays, and what is done so far is not done again"""
+class CancelShaping(bpy.types.Operator):
+    """Stop shaping; what was there stays, and what is done so far is not done again. What a view makes finer while it
+    rests is left until the stack is another"""
 
     bl_idname = "adaptive_terrain.shape_cancel"
     bl_label = "Cancel"
 
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.session_uid in running
+
     def execute(self, context):
-        _jobs[context.object.session_uid].cancel()
+        running[context.object.session_uid].stop()
         return {"FINISHED"}
 
 
-class FinishShaping(_JobOperator, bpy.types.Operator):
+class FinishShaping(bpy.types.Operator):
     """Be content with the levels that are done: coarser, but the whole"""
 
     bl_idname = "adaptive_terrain.shape_finish"
     bl_label = "Finish Early"
 
+    @classmethod
+    def poll(cls, context):
+        work = running.get(context.object.session_uid) if context.object is not None else None
+        return work is not None and work.job is not None
+
     def execute(self, context):
-        _jobs[context.object.session_uid].finish_early()
+        running[context.object.session_uid].job.finish_early()
         return {"FINISHED"}
 
 
@@ -216,9 +212,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    for job in filter(None, _jobs.values()):
-        job.cancel()
-    _jobs.clear()
-    _progress.clear()
+    stop_all()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -14,13 +14,13 @@ from ...cbt_terrain.land.land_effect import Layer
 from ..text.numbers import length_text, plain
 from . import land_request, session
 from .imported import imported_of
-from .land_properties import EVERYWHERE, SEEN
+from .land_properties import EVERYWHERE
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 SMALL_M = 500.0
 NOTES = {
     SOURCE: "Not shown: hidden, frozen, or without Live Update",
-    PREVIEW: "Shape Now makes the rest; a render waits for it",
+    PREVIEW: "Gets finer where you look when it rests; a render has all of it",
 }
 
 
@@ -76,7 +76,7 @@ def state_of(obj) -> State:
     if not numbers:
         return State()
     state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
-    state = replace(state, seen=obj.adaptive_terrain.land.where == SEEN)
+    state = replace(state, seen=land_request.is_of_views(store_of(obj)))
     longer = max(found.extent_m) if found is not None else SMALL_M
     if longer < SMALL_M:  # as the Add menu's own
         state = replace(state, note=f"Effects are in metres, and the terrain has {length_text(longer)}: set its Size")

@@ -45,8 +45,7 @@ def meet(scene, reasons: list[str]) -> None:
         return
     why = " ".join(reasons)
     if _raising:
-        if not _caught:
-            stopping.pass_on(signal.SIGINT)
+        stopping.end_host_work()
         _caught.append(f"Frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}")
         return
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):

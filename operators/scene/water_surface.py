@@ -13,6 +13,7 @@ from ...cbt_terrain.run import launch
 from ..mesh.writer import write_mesh
 from . import session
 from .land_request import land_of, raster_of
+from .polls import on_terrain
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
 MATERIAL = "Terrain Water"
@@ -32,7 +33,7 @@ class AddWaterSurface(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain(cls, context) and context.mode == "OBJECT"
 
     def execute(self, context):
         terrain = context.object

@@ -9,16 +9,15 @@ from bl_ui.utils import PresetPanel
 
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ..effects.land_presets import PRESET_PANEL, PRESETS
-from ..scene import land_stack, session, shape_land, shaped_land
-from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE
+from ..scene import land_jobs, land_stack, session, shaped_land
+from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
 from ..text.effect_lines import readers_text
 from ..text.numbers import length_text, plain
-from .panel_parts import TerrainSubpanel, figures, fixed_lines
+from .panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
 
 NAME_WIDTH = 0.7  # of a row of the list
 ABOUT_LINES, NOTE_LINES = 3, 2
-BANDS = (("height", ("low", "high", "edge")), ("slope", ("low", "high", "edge")),
-         ("aspect", ("direction", "within", "edge")))  # fmt: skip
+ALWAYS = ("height", "slope")  # the rules that are shown though they are switched off
 
 
 class LandList(bpy.types.UIList):
@@ -101,7 +100,7 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
 
 def _draw_shaping(row, obj, state) -> None:
     """One row: the button, or how far it is with what ends it."""
-    progress = shape_land.progress_of(obj)
+    progress = land_jobs.progress_of(obj)
     if progress is None:
         row.enabled = state.wanted
         text = "Shape Now" if state.wanted else "Shaped" if state.active else "Nothing to Shape"
@@ -155,20 +154,13 @@ def _draw_mask(column, mask) -> None:
     elif mask.kind == BY_OBJECT:
         column.prop(mask, "object")
     elif mask.kind == BY_RULE:
-        for name, numbers in BANDS:
-            _draw_band(column, getattr(mask, name), numbers)
+        for of in RULES:
+            if of in ALWAYS or getattr(mask, of).use:
+                draw_band(column, getattr(mask, of), LIMITS)
+        draw_band(column, mask.aspect, ("direction", "within", "edge"))
+        column.operator_menu_enum("adaptive_terrain.land_rule_add", "of", icon="ADD")
     if mask.kind != "NONE":
         column.prop(mask, "factor")
-
-
-def _draw_band(column, band, names: tuple[str, ...]) -> None:
-    """A switch, and below it, in one row, the numbers of what is switched on."""
-    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
-    if band.use:
-        numbers = column.row(align=True)
-        numbers.use_property_split = False
-        for name in names:
-            numbers.prop(band, name, text="")
 
 
 class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
@@ -195,7 +187,7 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
     """The shaped land for other programs, or as a store that needs no stack."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
-    bl_label = "Water and Export"
+    bl_label = "Water, Export, Cache"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -204,6 +196,7 @@ class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
         column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
+        column.operator("adaptive_terrain.land_clear", icon="TRASH")
 
 
 CLASSES = (*(LandList, LandPresets, AddLandMenu, LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel),)

@@ -6,7 +6,7 @@ from bl_ui.utils import PresetPanel
 
 from ..effects.splat_layers import PRESET_PANEL, PRESETS
 from ..scene.layer_properties import BANDS
-from .panel_parts import TerrainSubpanel, draw_ground
+from .panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
 
 
 class LayerList(bpy.types.UIList):
@@ -75,23 +75,13 @@ def draw_rules(column, layer) -> None:
     """What a layer alone depends on."""
     column.prop(layer, "strength")
     for kind in BANDS:
-        _draw_band(column, getattr(layer, kind), ("low", "high", "edge"))
-    _draw_band(column, layer.aspect, ("direction", "within", "edge"))
+        draw_band(column, getattr(layer, kind), LIMITS)
+    draw_band(column, layer.aspect, ("direction", "within", "edge"))
     column.prop(layer, "image")
     column.separator()
     column.prop(layer, "noise_size")
     column.prop(layer, "ragged")
     column.prop(layer, "seed")
-
-
-def _draw_band(column, band, names: tuple[str, ...]) -> None:
-    """A switch, and below it, in one row, the numbers of what is switched on."""
-    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
-    if band.use:
-        numbers = column.row(align=True)
-        numbers.use_property_split = False
-        for name in names:
-            numbers.prop(band, name, text="")
 
 
 CLASSES = (LayerList, LayerPresets, LayersPanel)

@@ -4,6 +4,7 @@
 from ..scene import session
 
 LINE_LENGTH = 36
+LIMITS = ("low", "high", "edge")  # the numbers of a band, for draw_band
 
 
 class TerrainSubpanel:
@@ -28,6 +29,16 @@ def switched(column, settings, switch: str, name: str) -> None:
     column.prop(settings, switch)
     if getattr(settings, switch):
         column.prop(settings, name)
+
+
+def draw_band(column, band, names: tuple[str, ...]) -> None:
+    """A switch, and below it, in one row, the numbers of what is switched on."""
+    column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
+    if band.use:
+        numbers = column.row(align=True)
+        numbers.use_property_split = False
+        for name in names:
+            numbers.prop(band, name, text="")
 
 
 def draw_ground(column, ground) -> None:

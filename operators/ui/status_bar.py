@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from ..effects import bake_maps
-from ..scene import import_terrain, live, pack_store, shape_land
+from ..scene import import_terrain, land_jobs, live, pack_store
 
 TURN_S = 0.1
 WIDTH = 14  # in the interface's units, so that the bar does not move with its text
@@ -22,7 +22,7 @@ def work() -> tuple[float | None, str] | None:
         return fraction, "Preparing kernels (first use)"
     for fraction, message in import_terrain.all_progress():
         return fraction, f"Importing: {message}"
-    for fraction, message in shape_land.all_progress():
+    for fraction, message in land_jobs.all_progress():
         return fraction, f"Shaping: {message}"
     fraction = pack_store.progress()
     if fraction is not None:

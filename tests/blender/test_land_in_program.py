@@ -8,7 +8,7 @@ from pathlib import Path
 from program_window import SCREEN, read_screen, wait_for, window
 from real_program import SCRIPTS
 
-MOMENTS = ("preview", "shaping", "shaped")
+MOMENTS = ("preview", "shaping", "shaped", "finer")
 
 
 def test_land_is_shaped_beside_the_window(program, tmp_path):
@@ -34,4 +34,6 @@ def test_land_is_shaped_beside_the_window(program, tmp_path):
     assert said["tiles_shaped"][0] == said["tiles_shaped"][1] > 1, "without views to choose by, all are built"
     assert said["stores_for_undo"] == 0, "what was shaped before is found again"
     assert said["hidden_cost"] == [0, 0] and said["shown_cost"] == [1, 0]
-    print({name: said[name] for name in ("slider_s", "longest_turn_s", "longest_turn_shaping_s", "shaped_s")})
+    assert said["slider_ends_it"] and 0 < said["tiles_of_views"][0] < said["tiles_of_views"][1]
+    times = ("slider_s", "longest_turn_s", "longest_turn_shaping_s", "shaped_s", "longest_turn_resting_s", "finer_s")
+    print({name: said[name] for name in times})

@@ -1,21 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The walk against a forced-split reference that knows nothing of curves and nesting, and the criterion's bounds."""
 
-import math
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import from_tree_id
-from diamond_entries import error_index
 from edited_tree import EditedTree
-from fields import errors_of, extent, random_view, ranges_of, rough
+from fields import extent, random_view, rough
 from reference_bisection import forced_split_leaves
+from reference_criterion import correction, reference_pixels
 
 SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
 
@@ -25,47 +23,6 @@ def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
     lattice, tree = terrain.field.lattice, EditedTree.of(terrain.tree)
     spare = (1 << lattice.square_bits) - lattice.squares
     return [tuple(from_tree_id(lattice, tree.decode(k))) for k in range(tree.leaf_count - spare)]
-
-
-def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
-    """Error and heights of the diamond split at sample coordinates (x, y)."""
-    low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in ranges_of(field))
-    return float(errors_of(field)[error_index(field.lattice, depth, int(x), int(y))]), low, high
-
-
-def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:
-    """Pixels of screen-space error at a diamond, written anew from its definition, in plain arithmetic."""
-    lattice = field.lattice
-    error, low, high = stored(field, x, y, depth)
-    error = min(error + rounded, 4 * error)
-    s = 2.0 ** (lattice.levels - (depth - 1) // 2 - 1)
-    reach = 3 * s if depth % 2 else 2 * s
-    eye = -np.linalg.solve(view.world_to_camera[:3, :3], view.world_to_camera[:3, 3])
-    centre = np.array([(x - (lattice.width - 1) / 2) * lattice.step_x, (y - (lattice.height - 1) / 2) * lattice.step_y])
-    corners = np.array(
-        [
-            [centre[0] + a * reach * lattice.step_x, centre[1] + b * reach * lattice.step_y, z]
-            for a in (-1, 1)
-            for b in (-1, 1)
-            for z in (low, high)
-        ]
-    )
-    up = view.world_to_camera[:3, 2]
-    if view.kind == ORTHOGRAPHIC:
-        return view.pixels_per_unit * error * max(np.linalg.norm(up[:2]), 0.5)
-    nearest = np.clip(eye, corners.min(axis=0), corners.max(axis=0))
-    distance = max(np.linalg.norm(nearest - eye), view.clip[0] / 2)
-    if view.kind != PERSPECTIVE:
-        return view.pixels_per_unit * error / distance
-    secant = math.sqrt(1 + sum(max(map(abs, ends)) ** 2 for ends in view.bounds()))
-    depth_m = max(0.0, -(corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]).max())
-    return view.pixels_per_unit * error * slant_of(view) / max(depth_m, distance / secant)
-
-
-def slant_of(view: View) -> float:
-    """What a metre of height across the view is at most, 1 m deep in the frame; never less than half of it counts."""
-    corners = [(x, y, -1.0) for x in view.bounds()[0] for y in view.bounds()[1]]
-    return max(0.5, *(np.linalg.norm(np.cross(corner, view.world_to_camera[:3, 2])) for corner in corners))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -83,15 +40,10 @@ def test_leaves_equal_forced_splits(seed):
         # the reference's units: 2^exponent a side of a root square
         exponent = lattice.levels + 1
         per_sample = 2.0 ** (exponent - lattice.levels)
-        # an error e seen from distance d can look as long as e / (d - e) in a plane, as asin(e / d) in a panorama
-        correction = 1.0
-        if view.kind == PERSPECTIVE:
-            correction = 1 + asked / (view.pixels_per_unit * slant_of(view))
-        elif view.kind != ORTHOGRAPHIC:
-            radians = asked * view.radians_per_pixel
-            correction = radians / math.sin(min(radians, math.pi / 2))
 
-        def wants(x, y, d, view=view, asked=asked, times=correction, per_sample=per_sample, rounded=rounded):
+        times = correction(view, asked)
+
+        def wants(x, y, d, view=view, asked=asked, times=times, per_sample=per_sample, rounded=rounded):
             return reference_pixels(field, view, x / per_sample, y / per_sample, d, rounded) * times > asked
 
         expected = forced_split_leaves(lattice.columns, lattice.rows, depth, wants, exponent)

@@ -63,8 +63,8 @@ def test_the_points_are_those_of_every_place_that_is_asked(field, views, placeme
     ids, rank, plan = places_by_hand(field, SCATTER)
     there = np.column_stack([plan, heights_by_hand(field, plan, 0.7, 5.0)])
     want, clearance = wanted_by_hand(SCATTER, there, views, placement)
-    sure = (clearance > 1e-2) & (np.abs(want - rank) > 1e-6)
-    assert np.array_equal(np.setdiff1d(points.id, ids[~sure]), np.sort(ids[sure & (want > rank)]))
+    sure = (clearance > 1e-2) & (np.abs(1.25 * want - rank) > 1e-6)
+    assert np.array_equal(np.setdiff1d(points.id, ids[~sure]), np.sort(ids[sure & (1.25 * want > rank)]))
     number = np.searchsorted(ids, points.id)
     assert np.abs(points.positions - there[number]).max() < 0.02  # lattice units are 2.4 mm
     whole = sure[number]
@@ -125,16 +125,17 @@ def test_points_stand_on_the_surface_that_the_terrain_has(field):
 
 
 def test_density_follows_rules_layers_and_paint(field):
-    """As many points as the mean of the density says; none where it is 0."""
+    """As many whole points as the mean of the density says, a quarter more that grow; none where it is 0."""
     image = np.zeros((8, 8), np.float32)
     image[:, 4:] = 1.0
-    base = Scatter(spacing=2.0)
+    base = Scatter(spacing=2.0, variation=0.0)
     everywhere = len(scatter_points(field, base))
     half = scatter_points(field, replace(base, where=Layer("East", (painted(image),))))
     assert half.positions[:, 0].min() > -0.07 * 1000
     assert len(half) == pytest.approx(everywhere / 2, rel=0.03)
     thin = scatter_points(field, replace(base, where=Layer("Thin", strength=0.3)))
-    assert len(thin) == pytest.approx(0.3 * everywhere, rel=0.01)
+    assert len(thin) == pytest.approx(0.375 * everywhere, rel=0.01)
+    assert (thin.size == 1.0).sum() == pytest.approx(0.3 * everywhere, rel=0.05)
     grass = Layer("Grass"), Layer("Rock", (Rule("slope", low=0.35),), on_top=True)
     on = [scatter_points(field, replace(base, layers=grass, on=k)) for k in (0, 1)]
     assert len(np.intersect1d(on[0].id, on[1].id)) < 0.02 * everywhere
@@ -154,7 +155,7 @@ def test_turns_take_upright_to_the_mix_with_the_normal(field):
 
 
 def test_seeds_and_variants_differ(field):
-    one, other = (scatter_points(field, Scatter(spacing=5.0, variation=0.5, seed=seed)) for seed in (1, 2))
+    one, other = (scatter_points(field, Scatter(spacing=8.0, variation=0.5, seed=seed)) for seed in (1, 2))
     assert 0.5 < one.size.min() < 0.52 and 1.48 < one.size.max() < 1.5
     assert np.unique(one.variant).size > 0.99 * len(one) and one.variant.min() >= 0
     share = np.bincount(one.variant % 3) / len(one)

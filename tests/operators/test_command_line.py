@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -255,6 +256,25 @@ def test_what_a_command_asks_replaces_animated_settings(scene, add_terrain, tmp_
         assert [info["interpolation"] for info in infos] == interpolations
 
 
+@pytest.mark.parametrize("source", ["scene", "store"])
+def test_smooth_transitions_may_be_asked_for_and_refused(source, export, scene, add_terrain, tmp_path, capsys):
+    """A scene has them on in its render settings, a store has none."""
+    import bpy
+
+    def morph(*more) -> float:
+        if source == "store":
+            _, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "4", *more)
+            return read_npz(folder / "terrain_0002.npz")["info"]["asked"]["morph"]
+        argv = ["export", "--scene", str(tmp_path / "a.blend"), "--frames", "1", "--format", "npz", *more]
+        assert command_line.main([*argv, "--out", str(tmp_path)]) == 0, capsys.readouterr().err
+        return read_npz(tmp_path / "Hills_0001.npz")["info"]["asked"]["morph"]
+
+    if source == "scene":
+        add_terrain("Hills").adaptive_terrain.render.error_px = 4.0
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert [morph(), morph("--morph"), morph("--no-morph")] == [SMOOTH if source == "scene" else 1.0, SMOOTH, 1.0]
+
+
 def test_an_exported_scene_finds_its_pictures(scene, add_terrain, tmp_path, capsys):
     """Relative to the folder in which it ends up, whatever the one in which it is written."""
     import bpy
@@ -418,6 +438,18 @@ def test_progress_shows_the_time_left(capsys, monkeypatch):
     said = capsys.readouterr()
     assert said.out == "frame 6\n"
     assert " 60%  1:00 min left" in said.err and said.err.endswith("\r\x1b[K")
+
+
+def test_a_farm_is_told_in_lines(capsys):
+    bar = Progress(3, "export", show="openjd")
+    bar.to(1)
+    bar.to(1.001)
+    bar.say("frame 6")
+    bar.to(3)
+    bar.close()
+    said = capsys.readouterr()
+    told = ["openjd_progress: 0", "openjd_progress: 33", "openjd_status: frame 6", "openjd_progress: 100"]
+    assert said.out.splitlines() == told and said.err == ""
 
 
 def test_no_bar_where_no_terminal_is(capsys):

@@ -135,6 +135,12 @@ def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
     assert [step.name for step in job_of(tmp_path / "out", values).steps][2:] == ["Render", "Verify"]
 
 
+def test_frames_in_too_many_pieces_are_refused(shot, tmp_path, capsys):
+    frames = ",".join(str(n * n) for n in range(1, 400))
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out", "--frames", frames) == 1
+    assert "too many pieces" in capsys.readouterr().err
+
+
 def test_a_terrain_without_store_and_height_map_has_no_job(shot, tmp_path, capsys):
     (shot.parent / "dunes.npy").unlink()
     assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 1

@@ -2,21 +2,40 @@
 """The stack that shapes the land, in Blender: its settings, its list, its presets, and what a scene pays for it."""
 
 import json
+import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field import lands
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land.mask import LIMITS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.scene import land_masks, land_properties, land_request, land_stack, session, shaped_land
+from adaptive_terrain.operators.scene import (
+    import_terrain,
+    land_cache,
+    land_jobs,
+    land_masks,
+    land_properties,
+    land_request,
+    land_stack,
+    session,
+    shape_land,
+    shaped_land,
+)
+from adaptive_terrain.operators.scene.kernels_asked import kernels_for
 from adaptive_terrain.operators.scene.land_entries import free_name
+from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+from modal_runs import running, to_the_end
+from rasters import write_raster
 
 
 @pytest.fixture
@@ -71,7 +90,7 @@ def test_lengths_and_angles_have_their_units():
         item = land_properties.GROUPS[name].__annotations__[parameter.name].keywords
         if parameter.unit == "m":
             assert item["unit"] == "LENGTH", (name, parameter.name)
-        elif parameter.unit in land_properties.DEGREES:
+        elif parameter.unit == land_properties.DEGREES:
             assert item["subtype"] == "ANGLE" and item["max"] <= 2 * np.pi + 1e-6, (name, parameter.name)
         elif parameter.unit:
             said = "unit" in item or parameter.unit == parameter.name or f"({parameter.unit})" in item["name"]
@@ -303,14 +322,52 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
 
 
-def test_no_more_than_some_shaped_stores_are_kept(terrain, monkeypatch):
-    monkeypatch.setattr(land_request, "MOST_SHAPED", 2)
-    entry = add("thermal")
-    for depth in (10.0, 20.0, 40.0):
-        entry.thermal.depth = depth
-        bpy.ops.adaptive_terrain.shape()
+def other_stores(store: str, *names: str) -> list[str]:
+    """Copies of a shaped store, as of other settings; the first was not used for longest, `store` for longer."""
+    found = [shutil.copytree(store, Path(store).with_name(name)) for name in names]
+    for age, folder in enumerate((*reversed(found), store), 1):
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    return list(map(str, found))
+
+
+def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_terrain, monkeypatch):
+    """The one that was not used for longest first; never what another terrain of the scene shows."""
+
+    def there() -> set[str]:
+        return {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+
+    other = add_terrain("Other")
+    other.adaptive_terrain.store = terrain.adaptive_terrain.store
+    bpy.context.view_layer.objects.active = other
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(other)
+    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_request.OF_VIEWS)
+    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_request.bytes_in(Path(first))))
+    bpy.context.view_layer.objects.active = terrain
+    add("thermal", depth=10.0)
+    bpy.ops.adaptive_terrain.shape()
+    own = shaped_land.store_of(terrain)
+    assert there() == {shown, second, own}
+    terrain.adaptive_terrain.land.entries[0].thermal.depth = 30.0
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == shown, "both terrains share it"
+    monkeypatch.setattr(land_request, "MOST_BYTES", 0)
+    land_request.remove_old(land_request.Land(terrain.adaptive_terrain.store, second, False, None))
+    assert there() == {shown, second}
+
+
+def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(terrain)
+    [other] = other_stores(shown, "0" * 16)
     beside = land_request.folder_beside(terrain.adaptive_terrain.store)
-    assert sum((folder / "store.json").exists() for folder in beside.iterdir()) == 2
+    said = land_cache.lines(terrain.adaptive_terrain.store)
+    assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert Path(shown).exists() and not Path(other).exists() and not (beside / "tiles").exists()
+    session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Shaped"
 
 
@@ -475,3 +532,114 @@ def test_a_damaged_shaped_store_is_made_again(terrain):
     assert shaped_land.state_of(terrain).shown == "Preview"
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
+    """Each rule of the menu is one of the stack, with its limits in the stack's units, and comes back from a file."""
+    entry = add("thermal")
+    entry.mask.kind = "RULE"
+    for of in land_properties.RULES:
+        assert bpy.ops.adaptive_terrain.land_rule_add(of=of) == {"FINISHED"}
+        getattr(entry.mask, of).low = 0.25
+    rules = stack_now(terrain, tmp_path).entries[0].mask.rules
+    assert {rule.of for rule in rules} == set(LIMITS) - {"aspect"}
+    for rule in rules:
+        assert rule.low == pytest.approx(np.degrees(0.25) if rule.of == "slope" else 0.25)
+    kept = land_stack.preset_of(terrain.adaptive_terrain.land)
+    entry.mask.kind = "NONE"
+    assert land_stack.fill(terrain.adaptive_terrain.land, kept) == []
+    assert stack_now(terrain, tmp_path).entries[0].mask.rules == rules
+    only = terrain.adaptive_terrain.land.entries[0].mask
+    for of in land_properties.RULES:
+        getattr(only, of).use = of == "sediment"
+    with pytest.raises(session.TerrainError, match="about sediment, which is not there"):
+        session.update_object(terrain)
+    add("rivers")
+    assert bpy.ops.adaptive_terrain.land_move(by=-1) == {"FINISHED"}
+    session.update_object(terrain)
+
+
+def test_a_linked_terrain_says_why_its_land_cannot_be_changed(terrain, tmp_path):
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {terrain})
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.objects = [name for name in there.objects if name == terrain.name]
+    [linked] = here.objects
+    bpy.context.scene.collection.objects.link(linked)
+    bpy.context.view_layer.objects.active = linked
+    for name in ("land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
+        with pytest.raises(RuntimeError, match="is linked from a library, or overrides one, and is left alone: make"):
+            getattr(bpy.ops.adaptive_terrain, name)()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
+    """Blender itself reads such a file, partly black."""
+    file = tmp_path / "mask.png"
+    write_raster(file, np.random.default_rng(0).integers(1, 255, (90, 70)).astype(np.uint8))
+    whole = file.read_bytes()
+    entry = add("relief")
+    for content, said in (
+        (whole[: len(whole) // 2], r"is damaged \(it ends inside a chunk\): expected a whole PNG; get the file"),
+        (whole[:-12], r"is damaged \(it ends before its last chunk\)"),
+        (whole[:200] + b"?" + whole[201:], r"is damaged \(its chunk IDAT differs from its checksum\)"),
+    ):
+        file.write_bytes(content)
+        image = bpy.data.images.load(str(file))
+        if packed:
+            image.pack()
+            file.unlink()
+        entry.mask.kind, entry.mask.image = "IMAGE", image
+        with pytest.raises(session.TerrainError, match=said):
+            session.update_object(terrain)
+    file.write_bytes(whole)
+    entry.mask.image = bpy.data.images.load(str(file))
+    session.update_object(terrain)
+
+
+@pytest.mark.parametrize("land", ["CANYON", "DUNES"])
+def test_a_built_in_land_is_added_as_it_is_with_the_stack_that_suits_it(scene, monkeypatch, tmp_path, land):
+    """Of dunes there is none, and they get the size that was asked for."""
+    given = lands.LANDS[land.lower()]
+    monkeypatch.setattr(import_terrain, "user_folder", lambda: str(tmp_path))
+    assert bpy.ops.mesh.adaptive_terrain_add(land=land, shape=True, size=40.0) == {"FINISHED"}
+    settings = bpy.context.object.adaptive_terrain
+    if not given.preset:
+        assert tuple(settings.extent) == (40.0, 40.0) and not settings.land.entries
+        return
+    assert settings.extent[0] == given.side and settings.height_scale == 1.0
+    [file] = (f for folder in bpy.utils.preset_paths("adaptive_terrain/land") for f in Path(folder).glob("desert.json"))
+    expected = [entry["effect"] for entry in json.loads(file.read_text())["entries"]]
+    assert [entry.effect for entry in settings.land.entries] == expected
+    assert shaped_land.state_of(bpy.context.object).shown == "Preview", "the rest when it is asked for"
+
+
+@pytest.mark.parametrize("by", ["ESC", "cross"])
+def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
+    """The scene is at its frame again, and nothing was shaped."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    scene.frame_set(7)
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert scene.frame_current != 7 and land_jobs.progress_of(terrain)[1] == "Looking at frames"
+    if by == "ESC":
+        assert operator.modal(operator.context, SimpleNamespace(type="ESC")) == {"PASS_THROUGH"}
+    else:
+        assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert scene.frame_current == 7 and not land_jobs.running and land_request.made["stores"] == 0
+
+
+def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
+    add("thermal")
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert any(module.__name__.endswith("land.thermal") for module in kernels_for(request))
+    bpy.ops.adaptive_terrain.shape()
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert not any(".land." in module.__name__ for module in kernels_for(request)), "what is shaped needs none"

@@ -8,8 +8,10 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.field.island import SIDE
 from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
@@ -274,6 +276,21 @@ def test_viewport_and_render_have_defaults_of_their_own(scene):
     bpy.ops.mesh.adaptive_terrain_add(size=30.0)
     settings = bpy.context.object.adaptive_terrain
     assert (settings.viewport.error_px, settings.render.error_px) == (2.0, 1.0)
+    assert (settings.viewport.smooth_transitions, settings.render.smooth_transitions) == (False, True)
+
+
+def test_smooth_transitions_are_those_of_the_detail_and_another_request(scene, add_terrain):
+    terrain = add_terrain()
+    depsgraph, asked = bpy.context.evaluated_depsgraph_get(), set()
+    for mode, detail in (("VIEWPORT", terrain.adaptive_terrain.viewport), ("RENDER", terrain.adaptive_terrain.render)):
+        detail.error_px = 3.0
+        for smooth in (False, True):
+            detail.smooth_transitions = smooth
+            depsgraph.update()
+            request = gather(terrain, depsgraph, mode)
+            assert request.criterion.morph == (SMOOTH if smooth else 1.0)
+            asked.add((smooth, request.key(), request.digest("")))
+    assert len({key for _, key, _ in asked}) == len({digest for _, _, digest in asked}) == 2
 
 
 def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):

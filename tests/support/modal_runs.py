@@ -8,12 +8,12 @@ from unittest.mock import Mock
 NAMES = ("work", "finish", "clean_up", "_new_job", "_end", "_finish", "_failed", "modal", "cancel", "invoke")
 
 
-def running(operator_class, obj):
+def running(operator_class, obj, names=NAMES):
     """The operator, begun on the object."""
     import bpy
 
     operator = SimpleNamespace(report=Mock())
-    for name in NAMES:
+    for name in names:
         setattr(operator, name, getattr(operator_class, name).__get__(operator))
     operator.context = SimpleNamespace(
         window_manager=Mock(),

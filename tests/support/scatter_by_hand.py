@@ -54,5 +54,5 @@ def wanted_by_hand(scatter, points, views, placement):
 
 
 def grown_by_hand(want, rank):
-    part = np.clip((want - rank) / np.minimum(0.25 * rank, 1 - rank), 0, 1)
+    part = np.clip((1.25 * want - rank) / (0.25 * rank), 0, 1)
     return part * part * (3 - 2 * part)

@@ -27,9 +27,11 @@ def module(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-session, shaped_land, land_request, shape_land = (
-    module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_request", "shape_land")
+session, shaped_land, land_request, land_jobs, resting_land = (
+    module(f"operators.scene.{name}")
+    for name in ("session", "shaped_land", "land_request", "land_jobs", "resting_land")
 )
+resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
 
@@ -116,6 +118,7 @@ def steps():
     yield from a_slider_never_blocks()
     yield from shaping_runs_beside_the_window()
     yield from undo_and_hide()
+    yield from it_gets_finer_while_it_rests()
     (folder / "done.json").write_text(json.dumps(result))
 
 
@@ -158,9 +161,9 @@ def shaping_runs_beside_the_window():
     yield from until(lambda: len(session.record_of(terrain()).status.request.land.stack.entries) == 3)
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
     yield 0.3
-    result["progress"] = shape_land.progress_of(terrain()) is not None
+    result["progress"] = land_jobs.progress_of(terrain()) is not None
     run(bpy.ops.adaptive_terrain.shape_cancel)
-    yield from until(lambda: shape_land.progress_of(terrain()) is None)
+    yield from until(lambda: land_jobs.progress_of(terrain()) is None)
     result["after_cancel"] = shown()
     start = time.monotonic()
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
@@ -195,6 +198,25 @@ def undo_and_hide():
     result["shown_cost"] = [land_request.made[name] - before[name] for name in before]
 
 
+def it_gets_finer_while_it_rests():
+    """Only what the viewport shows; the window goes on meanwhile, and a slider ends it."""
+    resting_land.REST_S = 2.0
+    view = parts()[1].spaces.active.region_3d
+    view.view_distance, view.view_location = 0.06 * SIDE, (0.1 * SIDE, 0.1 * SIDE, 0.02 * SIDE)
+    run(bpy.ops.adaptive_terrain.land_add, effect="droplets")
+    yield from until(lambda: any(work.job is not None for work in land_jobs.running.values()))
+    [work] = land_jobs.running.values()
+    terrain().adaptive_terrain.land.entries[-1].on = False
+    terrain().adaptive_terrain.land.entries[0].rivers.years = 140e3
+    yield from until(lambda: work.job.poll().done)
+    result["slider_ends_it"] = work.job.cancelled
+    start = time.monotonic()
+    result["longest_turn_resting_s"] = yield from turns(lambda: shown() == "Shaped")
+    result["finer_s"], result["tiles_of_views"] = time.monotonic() - start, shaped_land.state_of(terrain()).tiles
+    yield 1.0
+    yield from picture("finer")
+
+
 running = steps()
 
 
@@ -205,7 +227,7 @@ def turn():
         return None
     except Exception as error:
         traceback.print_exc()
-        for moment in ("preview", "shaping", "shaped"):  # nobody needs to wait for them any more
+        for moment in ("preview", "shaping", "shaped", "finer"):  # nobody needs to wait for them any more
             (folder / moment).touch()
         (folder / "done.json").write_text(json.dumps(result | {"error": repr(error)}))
         return None

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether a PNG is whole: some readers take one that was cut off, and give black for what is missing."""
+
+import struct
+import zlib
+from typing import BinaryIO
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+END = b"IEND"
+PIECE = 1 << 20
+
+
+def png_damage(file: BinaryIO) -> str:
+    """What is wrong with a file that begins as a PNG: "" if nothing is, or if it is no PNG at all."""
+    if file.read(len(SIGNATURE)) != SIGNATURE:
+        return ""
+    while True:
+        head = file.read(8)
+        if len(head) < 8:
+            return "it ends before its last chunk"
+        left, kind = struct.unpack(">I4s", head)
+        check = zlib.crc32(kind)
+        while left:
+            piece = file.read(min(left, PIECE))
+            if not piece:
+                return "it ends inside a chunk"
+            check, left = zlib.crc32(piece, check), left - len(piece)
+        if file.read(4) != struct.pack(">I", check):
+            return f"its chunk {kind.decode('ascii', 'replace')} differs from its checksum"
+        if kind == END:
+            return ""

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What rules of masks read beside height, slope and aspect: attributes of the ground that an effect finds, at a level.
+
+These are the effects of effects/ whose one number a place follows from heights alone, at the spacing of the level, and
+the by-products of effects earlier in the stack, or of the source.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from ..effects.catalogue import EFFECTS
+from ..effects.effect import Asked, Effect, Places
+from ..effects.evaluate import values_at
+from ..effects.layers import NAMES as BY_PRODUCTS
+from ..field.heightfield import HeightField
+from ..field.lattice import fit
+from .tile_cache import content_key
+from .tiles import Level, Window
+
+BAND_ROWS = 256
+SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness")
+ATTRIBUTES: dict[str, Effect] = {name: EFFECTS[name] for name in (*SHAPES, *BY_PRODUCTS)}
+
+
+def values_of(
+    names: Iterable[str],
+    level: Level,
+    heights: Callable[[Window], np.ndarray],
+    missing: np.ndarray | None,
+    layers: Mapping[str, np.ndarray],
+    threads: int,
+) -> dict[str, np.ndarray]:
+    """Those of `names` that are in ATTRIBUTES, float32 [rows, columns] of a level.
+
+    heights(window) gives float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
+    """
+    found = {name: layers[name] for name in names if name in BY_PRODUCTS}
+    asked = [Asked(name, ()) for name in names if name in SHAPES]
+    if asked:
+        ground = np.ascontiguousarray(heights((slice(0, level.rows), slice(0, level.columns))))
+        found |= _evaluated(asked, _field(level, ground, missing), level, threads)
+    return found
+
+
+def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> HeightField:
+    """A level as a height field for effects: without errors and ranges, which no effect reads."""
+    none = np.empty(0, np.uint8)
+    return HeightField(
+        samples=heights,
+        lattice=fit(level.columns, level.rows, level.step_x, level.step_y),
+        error=none,
+        exponents=[],
+        ranges=none,
+        range_base=0.0,
+        range_step=0.0,
+        min_height=float(heights.min()),
+        max_height=float(heights.max()),
+        steepest_x=0.0,
+        steepest_y=0.0,
+        key=content_key(heights, level.step_x, level.step_y, missing),
+        valid=None if missing is None else (~missing).view(np.uint8),
+    )
+
+
+def _evaluated(asked: list[Asked], field: HeightField, level: Level, threads: int) -> dict[str, np.ndarray]:
+    out = {item.name: np.empty(level.shape, np.float32) for item in asked}
+    west, south, _, _ = field.lattice.rectangle()
+    x = west + np.arange(level.columns) * level.step_x
+    for first in range(0, level.rows, BAND_ROWS):
+        rows = slice(first, min(first + BAND_ROWS, level.rows))
+        y = south + np.arange(rows.start, rows.stop) * level.step_y
+        places = np.stack([*np.meshgrid(x, y), field.samples[rows]], -1).astype(np.float32).reshape(-1, 3)
+        values = values_at(Places(field, places, np.zeros(len(places), np.float32), threads=threads), asked)
+        for name, whole in out.items():
+            whole[rows] = values[name].reshape(whole[rows].shape)
+    return out

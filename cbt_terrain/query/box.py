@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The least and the greatest height in a box of the plan."""
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ...kernels.query import boxes as kernels
+from ..errors import TerrainError
+from ..field.detail_bounds import highest
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import shared
+from .surface import blocks_of, packed
+
+
+def box_range(
+    field: HeightField,
+    west: float,
+    south: float,
+    east: float,
+    north: float,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int | None = None,
+) -> tuple[float, float]:
+    """Least and greatest height in the box between two meridians and two parallels, all metres; (nan, nan) without
+    ground. Raises TerrainError.
+
+    Of a bilinear surface exact: in a cell its extrema are at the corners of what the box has of it. A bicubic one lies
+    between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
+    terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).
+    """
+    numbers = [float(value) for value in (west, south, east, north)]
+    if not all(map(math.isfinite, numbers)) or west > east or south > north:
+        raise TerrainError(
+            f"The box goes from {west} to {east} m east and from {south} to {north} m north; expected finite numbers, "
+            "the smaller ones first."
+        )
+    surface, lattice = packed(field, vertical_scale, vertical_offset), field.lattice
+    low, high = _in_cells(numbers, lattice)
+    if (low > high).any():
+        return math.nan, math.nan
+    # Of a hole's border the cells before it know, whose last side it is.
+    before = low if field.valid is None else np.ceil(low) - 1
+    column, first = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
+    rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
+    found = np.empty((rows, 2))
+    threads = launch.default_threads() if threads is None else threads
+    inputs = [
+        surface,
+        blocks_of(field, surface),
+        column,
+        first,
+        *map(wp.float64, (*low, *high)),
+        shared(found, wp.vec2d),
+    ]
+    launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
+    least, greatest = float(found[:, 0].min()), float(found[:, 1].max())
+    if least > greatest:
+        return math.nan, math.nan
+    more = 0.0 if surface.bicubic else highest(field.parts) * abs(surface.scale)
+    return least - more, greatest + more
+
+
+def _in_cells(numbers: list[float], lattice) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box in cells from the raster's south-western corner, cut at the rim."""
+    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
+    low, high = ((np.array(pair) - corner) / steps for pair in (numbers[:2], numbers[2:]))
+    return np.maximum(low, 0.0), np.minimum(high, _cells(lattice))
+
+
+def _cells(lattice) -> tuple[int, int]:
+    return lattice.cells_x, lattice.cells_y

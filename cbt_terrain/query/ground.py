@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights, normals and slopes at places, and along a line."""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...kernels.query import ground as kernels
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import shared
+from .surface import packed, vectors
+
+COST = 3.0  # times dearer than a lookup
+MOST_PLACES = 50_000_000
+
+
+class Ground(NamedTuple):
+    """Of n places: `heights` float64 [n] metres, unit `normals` float64 [n, 3], `slopes` float64 [n] radians, `inside`
+    bool [n]. Where there is no ground, in holes and beyond the raster, `inside` is False and the others are NaN.
+
+    Normals and slopes are those of the mesh's vertices there: of a bilinear surface central differences, bilinear in
+    between.
+    """
+
+    heights: np.ndarray
+    normals: np.ndarray
+    slopes: np.ndarray
+    inside: np.ndarray
+
+
+class Profile(NamedTuple):
+    """Places of a line: `along` float64 [n] metres of the plan from its begin, `heights` float64 [n] metres, NaN where
+    there is no ground, `places` float64 [n, 2] metres."""
+
+    along: np.ndarray
+    heights: np.ndarray
+    places: np.ndarray
+
+
+def ground_at(
+    field: HeightField,
+    places: np.ndarray,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int | None = None,
+) -> Ground:
+    """The ground at places, float64 [n, 2], x and y in metres in the terrain's own space. Raises TerrainError.
+
+    A place on the border of a hole or on the rim is inside; so is one that float32 has rounded off the rim. O(1) each.
+    """
+    surface, places = packed(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
+    count = len(places)
+    found = Ground(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
+    kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
+    outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
+    inputs = [count, surface, shared(places, wp.vec2d), *outputs]
+    threads = launch.default_threads() if threads is None else threads
+    launch.spread(kernels.ground_at, count, inputs, step="query", threads=threads, cost=COST)
+    return found
+
+
+def profile(
+    field: HeightField,
+    line: np.ndarray,
+    spacing: float | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+) -> Profile:
+    """Heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
+
+    At its points and wherever it crosses a line of samples; between two of these a bilinear surface is a parabola. With
+    a spacing: every so many metres from its begin, and at its end.
+    """
+    line = vectors(line, 2, "points of the line")
+    if len(line) < 2:
+        raise TerrainError(f"The line has {len(line)} points; expected 2 at least.")
+    x, y = np.diff(line, axis=0).T
+    lengths = np.sqrt(x * x + y * y)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    along, places = _crossings(field, line, ends) if spacing is None else _evenly(line, ends, spacing)
+    return Profile(along, ground_at(field, places, vertical_scale, vertical_offset).heights, places)
+
+
+def _check_count(count: float) -> None:
+    if count > MOST_PLACES:
+        raise TerrainError(
+            f"The profile would have {count:,.0f} places, more than {MOST_PLACES:,}: make the line shorter or give a "
+            "larger spacing."
+        )
+
+
+def _evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places every `spacing` metres, and the last point."""
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise TerrainError(f"The spacing of the profile is {spacing} metres; expected a positive number.")
+    _check_count(ends[-1] / spacing)
+    along = np.arange(0.0, ends[-1], spacing)
+    along = np.append(along, ends[-1])
+    return along, np.stack([np.interp(along, ends, line[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a line, and where it crosses lines of samples."""
+    lattice = field.lattice
+    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
+    cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))
+    _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
+    along, places = [], []
+    for n, (a, b) in enumerate(zip(line, line[1:], strict=False)):
+        parts, own = [np.array([0.0])], [a[None]]
+        for axis in (0, 1):
+            low, high = sorted(cells[n : n + 2, axis])
+            numbers = np.arange(np.ceil(low), np.floor(high) + 1)
+            if a[axis] == b[axis] or not len(numbers):
+                continue
+            at = corner[axis] + numbers * steps[axis]
+            part = (at - a[axis]) / (b[axis] - a[axis])
+            where = a + part[:, None] * (b - a)
+            where[:, axis] = at  # to the last bit on the line of samples
+            inner = (part > 0.0) & (part < 1.0)
+            parts.append(part[inner])
+            own.append(where[inner])
+        part, where = np.concatenate(parts), np.concatenate(own)
+        order = np.argsort(part, kind="stable")
+        along.append(ends[n] + part[order] * (ends[n + 1] - ends[n]))
+        places.append(where[order])
+    return np.append(np.concatenate(along), ends[-1]), np.concatenate([*places, line[-1:]])

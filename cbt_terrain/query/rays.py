@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays against the surface: the first hit, and the nearest along a direction."""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...kernels.query import rays as kernels
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import shared
+from .surface import blocks_of, packed, vectors
+
+COST = 50.0  # times dearer than a lookup
+AT_ONCE = 1 << 18  # between two launches the work can be stopped
+
+
+class Hits(NamedTuple):
+    """Of n rays: `distance` float64 [n] metres, infinite without a hit; `points` float64 [n, 3] metres, NaN without."""
+
+    distance: np.ndarray
+    points: np.ndarray
+
+
+def pick(
+    field: HeightField,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int | None = None,
+) -> Hits:
+    """Where rays first meet the surface, from above or from below. Raises TerrainError.
+
+    origins, directions: float64 [n, 3] in the terrain's own space, metres; directions have any length but 0. A ray that
+    begins on the surface hits it there, one that touches it does, one through a hole does not. Exact to what float64
+    rounds: of a bilinear surface a root is solved for, of others it is enclosed (kernels/query/rays.py).
+    """
+    origins, directions = _rays(origins, directions)
+    surface = packed(field, vertical_scale, vertical_offset)
+    distance = np.empty(len(origins))
+    threads = launch.default_threads() if threads is None else threads
+    blocks = blocks_of(field, surface)
+    for first in range(0, len(origins), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        rays = [shared(array[some], wp.vec3d) for array in (origins, directions)]
+        inputs = [surface, blocks, *rays, shared(distance[some], wp.float64)]
+        launch.spread(kernels.pick, len(distance[some]), inputs, step="query", threads=threads, cost=COST)
+    return _hits(origins, directions, distance)
+
+
+def nearest(
+    field: HeightField,
+    points: np.ndarray,
+    directions: np.ndarray,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int | None = None,
+) -> Hits:
+    """The nearest hit on the lines through points, along their directions and against them; arguments as `pick`.
+
+    `distance` is negative where it lies against the direction.
+    """
+    points, directions = _rays(points, directions)
+    heights = vertical_scale, vertical_offset, threads
+    ahead = pick(field, points, directions, *heights).distance
+    behind = pick(field, points, -directions, *heights).distance
+    return _hits(points, directions, np.where(behind < ahead, -behind, ahead))
+
+
+def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Checked; directions of the length 1."""
+    origins, directions = vectors(origins, 3, "origins of rays"), vectors(directions, 3, "directions of rays")
+    if len(origins) != len(directions):
+        raise TerrainError(
+            f"There are {len(origins)} origins of rays and {len(directions)} directions; expected one each."
+        )
+    largest = np.abs(directions).max(axis=1, initial=0.0)
+    if not largest.all():
+        at = int(np.argmin(largest != 0.0))
+        raise TerrainError(f"Number {at} of the directions of rays is (0, 0, 0): it leads nowhere; give it a length.")
+    directions = directions / largest[:, None]  # squares neither overflow nor vanish
+    x, y, z = directions.T
+    return origins, directions / np.sqrt(x * x + y * y + z * z)[:, None]
+
+
+def _hits(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> Hits:
+    hit = np.isfinite(distance)[:, None]
+    with np.errstate(invalid="ignore"):
+        return Hits(distance, np.where(hit, origins + distance[:, None] * directions, np.nan))

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A height field as the kernels of queries read it, and the checks that all queries share."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.query import rays as ray_kernels
+from ...kernels.query import surface as kernels
+from ..errors import TerrainError
+from ..field import coats, codes
+from ..field.detail_bounds import highest
+from ..field.heightfield import PLANE_BITS, HeightField
+from ..run.buffers import flat, shared
+from ..terrain import box_of
+
+# Of the longer half side: what float32 rounds off a position on the rim.
+ROUNDED = 2.0 ** -(PLANE_BITS + 1)
+
+# Of the greatest height: more than float64 rounds off a sum of heights.
+ROUNDED_HEIGHT = 1e-12
+SPARE = 1e-3
+
+
+def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.Surface:
+    """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
+    vertical_scale, vertical_offset = float(vertical_scale), float(vertical_offset)
+    box_of(field, vertical_scale, vertical_offset)
+    lattice, s = field.lattice, kernels.Surface()
+    s.columns, s.rows = lattice.width, lattice.height
+    s.west, s.south, east, north = lattice.rectangle()
+    s.step_x, s.step_y = lattice.step_x, lattice.step_y
+    s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
+    s.rim_x, s.rim_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
+    s.scale, s.offset = vertical_scale, vertical_offset
+    s.bicubic = int(field.interpolation == "bicubic")
+    s.samples = codes.packed(field.samples, field.steps)
+    s.coats = coats.packed(field.detail, field.finest_edge, lattice)
+    s.holed = int(field.valid is not None)
+    s.valid = flat(field.valid if s.holed else np.ones(1, np.uint8), wp.uint8)
+    return s
+
+
+def blocks_of(field: HeightField, surface: kernels.Surface) -> ray_kernels.Blocks:
+    """The ranges of heights by which rays skip; memory is shared, nothing is read."""
+    lattice, b = field.lattice, ray_kernels.Blocks()
+    b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
+    b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
+    b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
+    b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
+    # ... and what float64 rounds of these
+    b.more = highest(field.parts) * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
+    first, pages = lattice.range_layout()
+    b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
+    b.ranges = flat(field.ranges, wp.uint16)
+    b.cells, b.bends = first[-2], lattice.node_count
+    b.cell_pages, b.bend_group = pages[-1], lattice.groups + 1
+    b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
+    b.detail_bend = sum(part.ways[0].bend for part in field.parts)
+    return b
+
+
+def vectors(values, width: int, name: str, unit: str = "metres") -> np.ndarray:
+    """float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
+    try:
+        found = np.ascontiguousarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] {unit}.") from None
+    if found.ndim == 1 and found.size in (0, width):
+        found = found.reshape(-1, width)
+    if found.ndim != 2 or found.shape[1] != width:
+        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] {unit}.")
+    finite = np.isfinite(found)
+    if not finite.all():
+        at = int(np.argmin(finite.all(axis=1)))
+        said = ", ".join(f"{value:g}" for value in found[at])
+        raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite {unit}: correct or leave it out.")
+    return found

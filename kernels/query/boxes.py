@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Least and greatest heights of a box."""
+
+import warp as wp
+
+from ..field.layout import tile_index
+from ..mesh.displace import height
+from .rays import Blocks, range_at
+from .surface import Surface, is_ground
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def saddle_at(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
+    """Metres of the bilinear surface; at a sample exactly its height."""
+    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+    north = at + wp.int64(surface.columns)
+    one = wp.int64(1)
+    rest = wp.float64(1.0) - s
+    low = height(surface.samples, at) * rest + height(surface.samples, at + one) * s
+    high = height(surface.samples, north) * rest + height(surface.samples, north + one) * s
+    return (low * (wp.float64(1.0) - t) + high * t) * surface.scale + surface.offset
+
+
+@wp.kernel
+def row_ranges(
+    offset: int,
+    surface: Surface,
+    blocks: Blocks,
+    first_column: int,
+    first_row: int,
+    west: wp.float64,
+    south: wp.float64,
+    east: wp.float64,
+    north: wp.float64,
+    found: wp.array(dtype=wp.vec2d),
+):
+    """Lowest and highest metres in row `first_row + offset + tid` of cells between two columns and rows (in cells)."""
+    n = offset + wp.tid()
+    j = first_row + n
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    t0 = wp.clamp(south - wp.float64(j), zero, one)
+    t1 = wp.clamp(north - wp.float64(j), zero, one)
+    low = wp.float64(wp.inf)
+    high = -wp.float64(wp.inf)
+    i = first_column
+    while i < surface.columns - 1 and wp.float64(i) <= east:
+        if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
+            if surface.bicubic == 1:
+                a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+                low = wp.min(low, a)
+                high = wp.max(high, b)
+            else:
+                s0 = wp.clamp(west - wp.float64(i), zero, one)
+                s1 = wp.clamp(east - wp.float64(i), zero, one)
+                a = saddle_at(surface, i, j, s0, t0)
+                b = saddle_at(surface, i, j, s1, t0)
+                c = saddle_at(surface, i, j, s0, t1)
+                d = saddle_at(surface, i, j, s1, t1)
+                low = wp.min(low, wp.min(wp.min(a, b), wp.min(c, d)))
+                high = wp.max(high, wp.max(wp.max(a, b), wp.max(c, d)))
+        i += 1
+    found[n] = wp.vec2d(low, high)

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights and normals at places of the plan."""
+
+import warp as wp
+
+from ..effects.jet import arc_tangent
+from ..field.codes import prefetch_sample
+from .surface import Surface, cell_of, is_ground, shaded_in
+
+wp.set_module_options({"enable_backward": False})
+
+AHEAD = wp.constant(16)
+NOTHING = wp.constant(wp.float64(wp.nan))
+
+
+@wp.func
+def onto_rim(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
+    """A place that is no more than `slack` beyond the rim, on it."""
+    most = wp.float64(cells)
+    found = u
+    if u < wp.float64(0.0) and u >= -slack:
+        found = wp.float64(0.0)
+    if u > most and u <= most + slack:
+        found = most
+    return found
+
+
+@wp.func
+def fetch_about(surface: Surface, p: wp.vec2d):
+    """Bring the samples about a place into the cache; nothing is read, so any place will do."""
+    i = wp.int64((p[0] - surface.west) * surface.per_x)
+    j = wp.int64((p[1] - surface.south) * surface.per_y)
+    row = wp.int64(surface.columns)
+    at = j * row + i
+    prefetch_sample(surface.samples, at)
+    prefetch_sample(surface.samples, at + row)
+    prefetch_sample(surface.samples, at - row)
+    prefetch_sample(surface.samples, at + row + row)
+
+
+@wp.kernel
+def ground_at(
+    offset: int,
+    count: int,
+    surface: Surface,
+    places: wp.array(dtype=wp.vec2d),
+    heights: wp.array(dtype=wp.float64),
+    normals: wp.array(dtype=wp.vec3d),
+    slopes: wp.array(dtype=wp.float64),
+    inside: wp.array(dtype=wp.bool),
+):
+    """Height, unit normal and slope (radians) at place `offset + tid`; not numbers where there is no ground."""
+    n = offset + wp.tid()
+    one = wp.float64(1.0)
+    fetch_about(surface, places[wp.min(n + AHEAD, count - 1)])
+    p = places[n]
+    u = onto_rim((p[0] - surface.west) / surface.step_x, surface.columns - 1, surface.rim_x)
+    v = onto_rim((p[1] - surface.south) / surface.step_y, surface.rows - 1, surface.rim_y)
+    zero = wp.float64(0.0)
+    found = u >= zero and v >= zero and u <= wp.float64(surface.columns - 1) and v <= wp.float64(surface.rows - 1)
+    height = NOTHING
+    normal = wp.vec3d(NOTHING, NOTHING, NOTHING)
+    slope = NOTHING
+    if found:
+        i = cell_of(u, surface.columns - 1)
+        j = cell_of(v, surface.rows - 1)
+        s = u - wp.float64(i)
+        t = v - wp.float64(j)
+        found = is_ground(surface, i, j, s == zero, t == zero)
+        if found:
+            g = shaded_in(surface, i, j, s, t)
+            height = g[0] * surface.scale + surface.offset
+            nx = -g[1] * surface.scale
+            ny = -g[2] * surface.scale
+            steep2 = nx * nx + ny * ny
+            nz = one / wp.sqrt(steep2 + one)
+            normal = wp.vec3d(nx * nz, ny * nz, nz)
+            slope = arc_tangent(wp.sqrt(steep2))
+    heights[n] = height
+    normals[n] = normal
+    slopes[n] = slope
+    inside[n] = found

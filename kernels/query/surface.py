@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface that is asked: a height field's own at full resolution, as the displacement samples it."""
+
+import warp as wp
+
+from ..bicubic.surface import in_patch
+from ..field.codes import Samples
+from ..field.detail import Coats, detail_at
+from ..mesh.displace import height, in_cell
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Surface:
+    """Metres are height * scale + offset; memory is shared with the height field (cbt_terrain/query/surface.py)."""
+
+    columns: wp.int32  # samples in a row
+    rows: wp.int32
+    west: wp.float64  # metres
+    south: wp.float64
+    step_x: wp.float64  # metres between samples
+    step_y: wp.float64
+    per_x: wp.float64  # samples a metre
+    per_y: wp.float64
+    rim_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
+    rim_y: wp.float64
+    scale: wp.float64
+    offset: wp.float64
+    bicubic: wp.int32  # 1, or 0: bilinear
+    samples: Samples
+    coats: Coats
+    holed: wp.int32  # 1: some samples are missing
+    valid: wp.array(dtype=wp.uint8)  # of each sample, 0 where it is missing; one entry without holes
+
+
+@wp.func
+def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
+    """The cell that holds a place u cells from the raster's rim; the last one holds its far side."""
+    return wp.clamp(wp.int32(wp.floor(u)), 0, cells - 1)
+
+
+@wp.func
+def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
+    """Whether cell (i, j) is in the raster and has all its four samples."""
+    found = i >= 0 and j >= 0 and i < surface.columns - 1 and j < surface.rows - 1
+    if found:
+        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+        north = at + wp.int64(surface.columns)
+        one = wp.int64(1)
+        south_least = wp.min(surface.valid[at], surface.valid[at + one])
+        found = wp.min(south_least, wp.min(surface.valid[north], surface.valid[north + one])) > wp.uint8(0)
+    return found
+
+
+@wp.func
+def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
+    """Whether there is ground at a place in cell (i, j), on its western or southern side too if that is said.
+
+    What lies on a side belongs to both cells, so the border of a hole is ground.
+    """
+    found = surface.holed == 0
+    if not found:
+        found = whole(surface, i, j)
+        if not found and on_west:
+            found = whole(surface, i - 1, j)
+        if not found and on_south:
+            found = whole(surface, i, j - 1)
+        if not found and on_west and on_south:
+            found = whole(surface, i - 1, j - 1)
+    return found
+
+
+@wp.func
+def in_inner_cell(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """The same bits as `in_cell` of a cell that is not on the rim: each of its twelve samples is read once."""
+    row = wp.int64(surface.columns)
+    at = wp.int64(j) * row + wp.int64(i)
+    one = wp.int64(1)
+    half = wp.float64(0.5)
+    whole = wp.float64(1.0)
+    a = height(surface.samples, at)
+    b = height(surface.samples, at + one)
+    c = height(surface.samples, at + row)
+    d = height(surface.samples, at + row + one)
+    a_y = (c - height(surface.samples, at - row)) * half
+    b_y = (d - height(surface.samples, at - row + one)) * half
+    a_x = (b - height(surface.samples, at - one)) * half
+    b_x = (height(surface.samples, at + one + one) - a) * half
+    at += row
+    c_x = (d - height(surface.samples, at - one)) * half
+    d_x = (height(surface.samples, at + one + one) - c) * half
+    at += row
+    c_y = (height(surface.samples, at) - a) * half
+    d_y = (height(surface.samples, at + one) - b) * half
+    south = wp.vec3d(a, a_x, a_y) * ((whole - s) * (whole - t)) + wp.vec3d(b, b_x, b_y) * (s * (whole - t))
+    north = wp.vec3d(c, c_x, c_y) * ((whole - s) * t) + wp.vec3d(d, d_x, d_y) * (s * t)
+    return south + north
+
+
+@wp.func
+def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Height and the bilinear patch's own gradient (metres a cell)."""
+    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
+    h = height(surface.samples, at)
+    east = height(surface.samples, at + wp.int64(1)) - h
+    at += wp.int64(surface.columns)
+    corner = height(surface.samples, at)
+    north = corner - h
+    twist = height(surface.samples, at + wp.int64(1)) - corner - east
+    return wp.vec3d(h + east * s + (north + twist * s) * t, east + twist * t, north + twist * s)
+
+
+@wp.func
+def metric(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
+    """Height and gradient g (metres a cell) as metres a metre, that of the detail added."""
+    found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
+    if surface.coats.count > 0:
+        x = surface.west + (wp.float64(i) + s) * surface.step_x
+        y = surface.south + (wp.float64(j) + t) * surface.step_y
+        found += detail_at(surface.coats, x, y)
+    return found
+
+
+@wp.func
+def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Height and its gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
+    g = wp.vec3d()
+    if surface.bicubic == 1:
+        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    else:
+        g = in_saddle(surface, i, j, s, t)
+    return metric(surface, i, j, s, t, g)
+
+
+@wp.func
+def shaded_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """As `jet_in`, with the gradient by which the mesh is shaded: of a bilinear surface it has no steps."""
+    g = wp.vec3d()
+    if surface.bicubic == 1:
+        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    elif i > 0 and j > 0 and i < surface.columns - 2 and j < surface.rows - 2:
+        g = in_inner_cell(surface, i, j, s, t)
+    else:
+        g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
+    return metric(surface, i, j, s, t, g)

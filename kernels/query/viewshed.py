@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which samples an eye sees: a line of sight for each."""
+
+import warp as wp
+
+from .rays import NOWHERE, Blocks, first_hit, ray_of
+from .surface import Surface, is_ground, jet_in
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def in_sight(
+    offset: int,
+    first: int,
+    surface: Surface,
+    blocks: Blocks,
+    eye: wp.vec3d,
+    target: wp.float64,
+    radius2: wp.float64,
+    slack: wp.float64,
+    seen: wp.array(dtype=wp.bool),
+):
+    """Sample `first + offset + tid`: whether nothing rises above the line from `target` metres over it to the eye."""
+    n = first + offset + wp.tid()
+    row = n / surface.columns
+    column = n - row * surface.columns
+    i = wp.min(column, surface.columns - 2)
+    j = wp.min(row, surface.rows - 2)
+    s = wp.float64(column - i)
+    t = wp.float64(row - j)
+    p = wp.vec3d(
+        surface.west + wp.float64(column) * surface.step_x,
+        surface.south + wp.float64(row) * surface.step_y,
+        wp.float64(0.0),
+    )
+    x = eye[0] - p[0]
+    y = eye[1] - p[1]
+    found = x * x + y * y <= radius2
+    if found:
+        found = is_ground(surface, i, j, column == i, row == j)
+    if found:
+        g = jet_in(surface, i, j, s, t)
+        p[2] = g[0] * surface.scale + surface.offset + target
+        sight = eye - p
+        far = wp.length(sight)
+        if far > wp.float64(0.0):
+            ray = ray_of(surface, p, sight / far)
+            found = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
+    seen[n] = found

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether an operator can act on the active object, and why not."""
+
+from . import session
+
+LEFT_ALONE = (
+    "The terrain or its mesh is linked from a library, or overrides one, and is left alone: make it local "
+    "(Object > Relations > Make Local)"
+)
+
+
+def on_terrain(operator: type, context) -> bool:
+    """Whether the active object is a terrain that may be changed. The tooltip of a button says why a linked one is
+    not."""
+    obj = context.object
+    if obj is None or obj.type != "MESH" or not obj.adaptive_terrain.enabled:
+        return False
+    if not session.is_terrain(obj):
+        operator.poll_message_set(LEFT_ALONE)
+        return False
+    return True

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rules of masks about attributes: what they read at a level, of tiles, of by-products, and what is refused."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.effects.routing import route
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask, whole_mask
+from adaptive_terrain.cbt_terrain.land.mask_reads import ATTRIBUTES, SHAPES, values_of
+from adaptive_terrain.cbt_terrain.land.preview import preview
+from adaptive_terrain.cbt_terrain.land.shape import shape
+from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, check_by_products, stack_content, stack_from
+from adaptive_terrain.cbt_terrain.land.tiles import Level, all_tiles
+from land_effects import bumpy
+
+LEVEL = Level(1, 331, 201, 10.0, 20.0)
+
+
+@pytest.fixture(autouse=True)
+def _own(own_effects):
+    pass
+
+
+def read(heights, *names, missing=None, threads=1):
+    return values_of(names, LEVEL, heights.__getitem__, missing, {}, threads)
+
+
+def test_curvatures_of_a_bowl_and_a_ridge():
+    """z = x^2 / 2a + y^2 / 2b has the second derivatives 1 / a and 1 / b; its lowest place curves by minus their mean,
+    where the ground is level, and a ridge along x by 1 / b in plan, where it falls to the east."""
+    y, x = np.mgrid[0:331, 0:201].astype(np.float64)
+    x, y = (x - 100) * 10.0, (y - 165) * 20.0
+    bowl = (x**2 / 8000.0 + y**2 / 20000.0).astype(np.float32)
+    found = read(bowl, "mean_curvature")["mean_curvature"]
+    assert found.shape == LEVEL.shape
+    assert found[165, 100] == pytest.approx(-(1 / 4000.0 + 1 / 10000.0) / 2, rel=1e-3)
+    ridge = (-0.5 * x - y**2 / 20000.0).astype(np.float32)
+    plan = read(ridge, "plan_curvature", "profile_curvature")
+    assert plan["plan_curvature"][165, 60] == pytest.approx((1 / 10000.0) / 0.5, rel=1e-3)
+    assert abs(plan["profile_curvature"][165, 60]) < 1e-6
+
+
+def test_flow_is_in_square_metres_and_its_edge_in_powers_of_ten():
+    """Against the routing of the level's own samples; half at the limit, all and nothing half a power away."""
+    heights = bumpy(331, 201, 3)
+    flow = read(heights, "flow", threads=2)["flow"]
+    drainage = route(heights, 10.0, 20.0)
+    filled = drainage.filled()
+    areas = drainage.areas(filled)
+    drainage.level_lakes(filled, areas)
+    assert np.allclose(flow, areas.reshape(331, 201) * 200.0, rtol=1e-3)
+    assert flow.tobytes() == read(heights, "flow")["flow"].tobytes()
+    found = whole_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, LEVEL, None, {"flow": flow})
+    assert (found[flow <= 1e3] == 0).all() and (found[flow >= 1e5] == 1).all()
+    exact = np.array([[1e3, 1e4, 1e5, 5500.0]], np.float32)
+    level = Level(0, 1, 4, 1.0, 1.0)
+    found = whole_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, level, None, {"flow": exact})
+    assert found[0] == pytest.approx([0.0, 0.5, 1.0, 0.25**2 * 2.5], abs=1e-6)
+    found = whole_mask(Mask("", (GroundRule("flow", high=1e4),)), None, level, None, {"flow": exact})
+    assert found[0] == pytest.approx([1.0, 0.5, 0.0, 1.0], abs=1e-6)
+
+
+def test_water_leaves_at_holes():
+    heights, missing = bumpy(331, 201, 3), np.zeros(LEVEL.shape, bool)
+    missing[100:130, 80:100] = True
+    flow, whole = (read(heights, "flow", missing=m)["flow"] for m in (missing, None))
+    assert flow[~missing].min() > 0 and not np.allclose(flow, whole)
+
+
+def test_what_scree_covers_is_masked_at_every_level():
+    """The hill is added where the effect before it has left scree, as the scree of the same level says; the preview
+    agrees with the level that the rest begins with."""
+    heights = bumpy(300, 420) * 4.0
+    land = from_array(heights, 8.0, 11.0)
+    hill = {"height": 50.0, "radius": 1e6, "east": 1500.0, "north": 1500.0}
+    scree, rule = Entry("thermal"), GroundRule("scree", low=1.0, edge=1.0)
+    alone = shape(land, Stack((scree,)), all_tiles(land.lattice))
+    both = shape(land, Stack((scree, Entry("hill", hill, mask=Mask("", (rule,))))), all_tiles(land.lattice))
+    added, depth = both.change - alone.change, alone.layers["scree"]
+    assert (depth > 1.5).mean() > 0.02 and (depth < 0.5).mean() > 0.5
+    assert (added[depth < 0.49] == 0).all() and (added[depth > 1.51] > 49.0).all()
+    small = from_array(heights[:200, :250], 8.0, 11.0)
+    stack = Stack((scree, Entry("hill", hill, mask=Mask("", (rule,)))))
+    whole, seen = shape(small, stack, all_tiles(small.lattice)), preview(small, stack)
+    assert abs(seen.field.heights() - small.heights() - whole.change).max() < 1e-3
+
+
+def test_depths_of_the_source_count_with_those_of_the_stack():
+    land = from_array(np.zeros((120, 150), np.float32), 10.0)
+    land.layers = {"snow": np.tile(np.linspace(0, 2, 150, dtype=np.float32), (120, 1))}
+    hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("snow", low=1.0),)))
+    added = shape(land, Stack((hill,)), all_tiles(land.lattice)).change
+    assert (added[:, :74] == 0).all() and (added[:, 76:] > 99.0).all()
+
+
+@pytest.mark.parametrize("shaped", [False, True])
+def test_a_by_product_that_is_not_there_is_told_of(shaped):
+    land = from_array(bumpy(60, 80), 10.0)
+    mask = Mask("", (GroundRule("sediment", low=0.5),))
+    stack = Stack((Entry("thermal"), Entry("hill", mask=mask), Entry("rivers")))
+    said = "The mask of entry 2 of the stack, hill, has a rule about sediment, which is not there; expected what"
+    with pytest.raises(TerrainError, match=said):
+        check_by_products(stack, ()) if shaped else preview(land, stack)
+    check_by_products(stack, ("sediment",))
+    check_by_products(Stack((Entry("rivers"), *stack.entries)), ())
+    with pytest.raises(TerrainError, match="which is not there"):
+        check_by_products(Stack((Entry("rivers", on=False), *stack.entries)), ())
+
+
+def test_every_attribute_can_be_asked_for_in_a_file():
+    for name in ATTRIBUTES:
+        content = {"version": 1, "entries": [{"effect": "hill", "mask": {"rules": [{"of": name, "low": 1}]}}]}
+        stack = stack_from(content)
+        assert stack_content(stack)["entries"][0]["mask"]["rules"] == [{"of": name, "low": 1.0}]
+    assert all(ATTRIBUTES[name].width == 1 and not ATTRIBUTES[name].parameters for name in ATTRIBUTES)
+    found = read(bumpy(331, 201), *SHAPES)
+    assert set(found) == set(SHAPES) and all(np.isfinite(values).all() for values in found.values())
+    with pytest.raises(TerrainError, match="a rule about 'colour'; expected one of: height, slope, aspect, mean_curva"):
+        stack_from({"version": 1, "entries": [{"effect": "hill", "mask": {"rules": [{"of": "colour"}]}}]})

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command `query`: points of a CSV file in, heights out, in the coordinates of the raster itself."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+import rasterio
+from adaptive_terrain.operators.cli import command_line
+from rasterio.transform import Affine, from_origin
+from rasters import hills, imported, write_raster
+
+PLACED = {
+    "metres": {"crs": "EPSG:32616", "transform": from_origin(500_000, 4_000_000, 10, 20)},
+    "feet": {"crs": "EPSG:2263", "transform": from_origin(900_000, 200_000, 50, 50)},
+    "degrees": {"crs": "EPSG:4326", "transform": from_origin(7.5, 46.5, 1 / 1200, 1 / 1200)},
+    "south first": {"crs": "EPSG:32616", "transform": Affine(10, 0, 500_000, 0, 10, 4_000_000)},
+}
+
+
+@pytest.fixture
+def query(tmp_path, capsys):
+    """Run `query` on lines of CSV; returns the exit code, rows as dicts and what was said."""
+
+    def run(lines, *more, store="store"):
+        (tmp_path / "points.csv").write_text("\n".join(lines), encoding="utf-8")
+        argv = ["query", "--store", tmp_path / store, "--points", tmp_path / "points.csv", *more]
+        code, said = command_line.main([str(a) for a in argv]), capsys.readouterr()
+        out = tmp_path / "out.csv"
+        text = out.read_text(encoding="utf-8") if out.exists() else said.out
+        return code, list(csv.DictReader(text.splitlines())), said
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["feet", "degrees", "south first"])
+def test_coordinates_are_those_of_the_raster(name, query, tmp_path):
+    heights = hills(31, 22)
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED[name]))
+    with rasterio.open(tmp_path / "a.tif") as file:
+        cells = [(row, column) for row in (0, 9, 21) for column in (0, 17, 30)]
+        points = [file.xy(row, column) for row, column in cells]
+    code, rows, said = query(["name,x,y", *(f"p{n},{x!r},{y!r}" for n, (x, y) in enumerate(points)), "far,0,0"])
+    assert code == 0 and f"10 places, x and y in {PLACED[name]['crs']}; 1 have no ground" in said.err
+    assert [row["name"] for row in rows] == [*(f"p{n}" for n in range(9)), "far"]
+    found = [float(row["height_m"]) for row in rows[:-1]]
+    assert np.abs(np.array(found) - [heights[cell] for cell in cells]).max() < 1e-3
+    assert rows[-1]["height_m"] == rows[-1]["slope_deg"] == rows[-1]["normal_z"] == ""
+
+
+def test_slopes_and_normals_of_a_plane(query, tmp_path):
+    plane = np.tile(np.arange(12, dtype=np.float32) * np.float32(10 / math.sqrt(3)), (9, 1))
+    imported(tmp_path, write_raster(tmp_path / "a.tif", plane), extent=(110.0, 80.0))
+    code, (row,), said = query(["\ufeff x , y", "", "3.5,-1e1"])
+    assert code == 0 and "in metres from the terrain's middle; 0 have no ground" in said.err
+    assert float(row["slope_deg"]) == pytest.approx(30, abs=1e-5)
+    assert float(row["normal_x"]) == pytest.approx(-0.5, abs=1e-6) and float(row["normal_y"]) == 0
+
+
+def test_an_extent_in_metres_and_a_rotated_raster_leave_the_coordinate_system(query, tmp_path):
+    source = write_raster(tmp_path / "a.tif", hills(31, 22), **PLACED["degrees"])
+    imported(tmp_path, source, extent=(300.0, 210.0))
+    assert "in metres from the terrain's middle" in query(["x,y", "0,0"])[2].err
+    turned = PLACED["metres"] | {"transform": Affine(8, 12, 1000, 6, -16, 2000)}
+    imported(tmp_path, write_raster(tmp_path / "a.tif", hills(31, 22), **turned))
+    assert "in metres from the terrain's middle; 0 have" in query(["x,y", "0,0"])[2].err
+
+
+def test_a_profile_into_a_file(query, tmp_path):
+    heights = hills(31, 22)
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED["metres"]))
+    y = 4_000_000 - 20 * 4.5  # the middle of row 4
+    code, rows, said = query(["x,y", f"500005,{y}", f"500305,{y}"], "--profile", "--out", tmp_path / "out.csv")
+    assert (code, said.err) == (0, "") and said.out.startswith("31 places, x and y in EPSG:32616; 0 have")
+    assert [float(row["along_m"]) for row in rows] == pytest.approx(10.0 * np.arange(31))
+    assert [float(row["height_m"]) for row in rows] == pytest.approx(heights[4], abs=1e-3)
+    assert float(rows[-1]["x"]) == 500305 and list(rows[0]) == ["along_m", "x", "y", "height_m"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([], "is nothing; expected the names of columns, x and y among them"),
+        (["lon,lat", "1,2"], "is lon, lat; expected the names"),
+        (["x,y", "1,2", "3,north"], "Point 2 of"),
+        (["x,y", "1,nan"], "is 1, nan; expected 2 values"),
+        (["x,y", "1,2,3"], "expected 2 values"),
+        (["x,y", '1,"2'], "cannot be read (unexpected end of data)"),
+    ],
+)
+def test_bad_points_are_refused(query, tmp_path, lines, said):
+    imported(tmp_path, write_raster(tmp_path / "a.tif", hills(9, 8)))
+    code, _, found = query(lines)
+    assert code == 1 and said in found.err and found.out == "" and found.err.count("\n") == 1
+
+
+def test_other_bad_input_is_refused(query, tmp_path):
+    imported(tmp_path, write_raster(tmp_path / "a.tif", hills(9, 8)))
+    assert "There is no terrain store at" in query(["x,y", "0,0"], store="none")[2].err
+    assert "The line has 1 points" in query(["x,y", "0,0"], "--profile")[2].err
+    assert "cannot be written" in query(["x,y", "0,0"], "--out", tmp_path / "none" / "out.csv")[2].err
+    (tmp_path / "other.csv").write_bytes(b"x,y\n\xff,1\n")
+    for name in ("none.csv", "other.csv"):
+        assert "cannot be read" in query([], "--points", tmp_path / name)[2].err

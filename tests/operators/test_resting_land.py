@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Land that gets finer while nothing changes: when it begins, what it makes, and what ends it."""
+
+import shutil
+import time
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.operators.scene import land_jobs, land_request, live, resting_land, session, shaped_land
+
+
+@pytest.fixture(scope="module")
+def wide_store(tmp_path_factory):
+    """700 x 1,000 samples, 10 and 8 m apart: three levels."""
+    path = tmp_path_factory.mktemp("wide") / "hills"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (700, 1000), np.float32)
+    y, x = np.mgrid[0:700, 0:1000]
+    samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
+    draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
+    return path
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, wide_store, tmp_path, monkeypatch):
+    """A terrain in a window, with a stack whose preview is shown, and a camera over one of its corners."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    obj = add_terrain()
+    obj.adaptive_terrain.store = str(tmp_path / "wide")
+    land_request.forget()
+    bpy.ops.adaptive_terrain.land_add(effect="relief")
+    scene.camera.location, scene.camera.rotation_euler = (-3000.0, -2000.0, 460.0), (0.0, 0.0, 0.0)
+    shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
+    context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
+    app = SimpleNamespace(is_job_running=lambda kind: False)
+    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=bpy.types, app=app, data=bpy.data))
+    monkeypatch.setattr(resting_land, "REST_S", 0.05)
+    monkeypatch.setattr(resting_land, "LOOK_S", 0.0)
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    until(obj, "Preview")
+    yield obj
+    resting_land.stop()
+    assert not land_jobs.running
+
+
+def until(obj, shown: str) -> None:
+    turns(lambda: shaped_land.state_of(obj).shown == shown)
+
+
+def turns(reached, limit_s: float = 60.0) -> None:
+    end = time.monotonic() + limit_s
+    while not reached():
+        assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, land_jobs.all_progress())
+        live.tick()
+        time.sleep(0.005)
+
+
+def is_finished(obj) -> bool:
+    return not land_jobs.running and not resting_land.concerned()
+
+
+def test_what_the_view_needs_gets_finer_and_a_render_has_the_rest(terrain):
+    until(terrain, "Shaped")
+    turns(lambda: is_finished(terrain))
+    state, folder = shaped_land.state_of(terrain), shaped_land.store_of(terrain)
+    assert 0 < state.tiles[0] < state.tiles[1] and state.wanted, "Shape Now makes the others"
+    assert land_request.is_of_views(folder) and session.record_of(terrain).status.request.store == folder
+    change = open_store(folder).heights() - open_store(terrain.adaptive_terrain.store).heights()
+    fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 50:150], change[550:650, 800:900])]
+    assert fine[0] > 2.0 * fine[1], "below the camera"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    live.mark_dirty()
+    turns(lambda: not land_request.is_of_views(shaped_land.store_of(terrain)))
+    assert not shaped_land.state_of(terrain).wanted
+    more = open_store(shaped_land.store_of(terrain)).heights() - open_store(folder).heights()
+    seen, unseen = (np.abs(part).mean() for part in (more[100:200, 50:150], more[550:650, 800:900]))
+    assert seen < 0.2 * unseen
+
+
+def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
+    until(terrain, "Shaped")
+    built = shaped_land.state_of(terrain).tiles[0]
+    bpy.context.scene.camera.location = (3000.0, 2000.0, 460.0)
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(lambda: shaped_land.state_of(terrain).tiles[0] > built)
+    turns(lambda: is_finished(terrain))
+
+
+def test_another_slider_ends_it_and_begins_anew(terrain):
+    turns(lambda: any(work.job is not None for work in land_jobs.running.values()))
+    [work] = land_jobs.running.values()
+    terrain.adaptive_terrain.land.entries[0].relief.wave = 90.0
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(lambda: work.job.poll().done)
+    assert work.job.cancelled
+    until(terrain, "Shaped")
+    assert [entry.relief.wave for entry in terrain.adaptive_terrain.land.entries] == [90.0]
+
+
+def test_who_cancels_it_is_left_in_peace(terrain):
+    turns(lambda: land_jobs.running)
+    assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    for _ in range(40):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    terrain.adaptive_terrain.land.entries[0].relief.wave = 70.0
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    until(terrain, "Shaped")
+
+
+def test_without_live_update_nothing_is_begun(terrain):
+    terrain.adaptive_terrain.live = False
+    for _ in range(40):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"

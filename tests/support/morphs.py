@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where rising points have to be, by code that knows nothing of how they rise: means of whole meshes, and a recursion
+over every triangle of a small field."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from fields import mesh_heights
+from reference_criterion import correction, reference_pixels
+
+# Points that rise at once: as the criterion without a morph, but for what is outside the frame.
+AT_ONCE = 1.0 + 1e-9
+
+
+def weight(ratio, k: float):
+    """The smoothstep of (1 - 1 / ratio) / (1 - 1 / k)."""
+    u = np.clip((1 - 1 / np.maximum(ratio, 1.0)) / (1 - 1 / k), 0.0, 1.0)
+    return u * u * (3 - 2 * u)
+
+
+def mean_ratio(k: float, parts: int = 4000) -> float:
+    """Mean of the ratio by the weight, by the trapezoidal rule."""
+    ratio = np.linspace(1.0, k, parts + 1)
+    return float((np.diff(weight(ratio, k)) * (ratio[1:] + ratio[:-1]) / 2).sum())
+
+
+def mean_of_meshes(field: HeightField, criterion: Criterion, views, plane, parts: int, **placed) -> np.ndarray:
+    """float64 [n]: at points [n, 2] the mean of the heights of `parts` meshes, from the finest to k times its error."""
+    k, terrain, mean = criterion.morph, Terrain(field, 1), np.zeros(len(plane))
+    ends = np.linspace(0.0, 1.0, parts + 1)
+    shares = np.diff(ends * ends * (3 - 2 * ends))
+    for u, share in zip((ends[1:] + ends[:-1]) / 2, shares, strict=True):
+        factor = 1 / (1 - u * (1 - 1 / k)) / mean_ratio(k)
+        asked = {name: getattr(criterion, name) * factor for name in ("error_px", "edge_px", "error_m")}
+        area = criterion.area_px * factor**2
+        coarser = Criterion(**{**vars(criterion), **asked, "area_px": area, "morph": AT_ONCE})
+        mean += share * mesh_heights(terrain.update(coarser, views, **placed).surface, plane)
+    return mean
+
+
+def risen_heights(field: HeightField, view: View, error_px: float, k: float, rounded: float) -> dict:
+    """Heights, metres, of all split vertices above the raster's cells and of the corners, by sample (column, row)."""
+    lattice, heights = field.lattice, field.samples.astype(np.float64)
+    side, ends = 1 << lattice.levels, {}
+    triangles = []
+    for x in range(0, lattice.columns * side, side):
+        for y in range(0, lattice.rows * side, side):
+            sw, se, nw, ne = (x, y), (x + side, y), (x, y + side), (x + side, y + side)
+            triangles += [(nw, sw, se), (se, ne, nw)]
+    z = {corner: heights[corner[1], corner[0]] for triangle in triangles for corner in triangle}
+    times = correction(view, error_px) * mean_ratio(k) / error_px
+    for depth in range(1, 2 * lattice.levels + 1):
+        for left, _, right in triangles:
+            x, y = middle = (left[0] + right[0]) // 2, (left[1] + right[1]) // 2
+            ends.setdefault(middle, (left, right))
+            if middle not in z:
+                surplus = heights[y, x] - (heights[left[1], left[0]] + heights[right[1], right[0]]) / 2
+                ratio = reference_pixels(field, view, x, y, depth, rounded) * times
+                z[middle] = (z[left] + z[right]) / 2 + weight(ratio, k) * surplus
+        halves = [(t, ((t[0][0] + t[2][0]) // 2, (t[0][1] + t[2][1]) // 2)) for t in triangles]
+        triangles = [half for (left, apex, right), m in halves for half in ((left, m, apex), (apex, m, right))]
+    return z

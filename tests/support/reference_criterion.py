@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much too coarse a diamond is, written anew from its definition, in plain arithmetic."""
+
+import math
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PERSPECTIVE, View
+from diamond_entries import error_index
+from fields import errors_of, ranges_of
+
+
+def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
+    """Error and heights of the diamond split at sample coordinates (x, y)."""
+    low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in ranges_of(field))
+    return float(errors_of(field)[error_index(field.lattice, depth, int(x), int(y))]), low, high
+
+
+def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:
+    """Pixels of screen-space error at a diamond, written anew from its definition, in plain arithmetic."""
+    lattice = field.lattice
+    error, low, high = stored(field, x, y, depth)
+    error = min(error + rounded, 4 * error)
+    s = 2.0 ** (lattice.levels - (depth - 1) // 2 - 1)
+    reach = 3 * s if depth % 2 else 2 * s
+    eye = -np.linalg.solve(view.world_to_camera[:3, :3], view.world_to_camera[:3, 3])
+    centre = np.array([(x - (lattice.width - 1) / 2) * lattice.step_x, (y - (lattice.height - 1) / 2) * lattice.step_y])
+    corners = np.array(
+        [
+            [centre[0] + a * reach * lattice.step_x, centre[1] + b * reach * lattice.step_y, z]
+            for a in (-1, 1)
+            for b in (-1, 1)
+            for z in (low, high)
+        ]
+    )
+    up = view.world_to_camera[:3, 2]
+    if view.kind == ORTHOGRAPHIC:
+        return view.pixels_per_unit * error * max(np.linalg.norm(up[:2]), 0.5)
+    nearest = np.clip(eye, corners.min(axis=0), corners.max(axis=0))
+    distance = max(np.linalg.norm(nearest - eye), view.clip[0] / 2)
+    if view.kind != PERSPECTIVE:
+        return view.pixels_per_unit * error / distance
+    secant = math.sqrt(1 + sum(max(map(abs, ends)) ** 2 for ends in view.bounds()))
+    depth_m = max(0.0, -(corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]).max())
+    return view.pixels_per_unit * error * slant_of(view) / max(depth_m, distance / secant)
+
+
+def slant_of(view: View) -> float:
+    """What a metre of height across the view is at most, 1 m deep in the frame; never less than half of it counts."""
+    corners = [(x, y, -1.0) for x in view.bounds()[0] for y in view.bounds()[1]]
+    return max(0.5, *(np.linalg.norm(np.cross(corner, view.world_to_camera[:3, 2])) for corner in corners))
+
+
+def correction(view: View, asked: float) -> float:
+    """An error e seen from distance d can look as long as e / (d - e) in a plane, as asin(e / d) in a panorama."""
+    if view.kind == PERSPECTIVE:
+        return 1 + asked / (view.pixels_per_unit * slant_of(view))
+    if view.kind == ORTHOGRAPHIC:
+        return 1.0
+    radians = asked * view.radians_per_pixel
+    return radians / math.sin(min(radians, math.pi / 2))

@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.text.page_blocks import Heading, Table, Text
 from PIL import Image
@@ -50,6 +51,7 @@ def main() -> int:
 
 def build(demo: Path, out: Path, frames: int) -> None:
     """The scene: the demo's island, its flight over so many frames, trees on its forest; saved as fly_over.blend."""
+    need_bpy("The fly-over")
     import bpy
     from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
     from adaptive_terrain.cbt_terrain.ask.criterion import Criterion

@@ -26,6 +26,8 @@ _FRONT_DOOR = {
     "nearest": "query.rays",  # ... along a direction, to either side
     "box_range": "query.box",  # its least and greatest height in a box
     "viewshed": "query.viewshed",  # which of its samples an eye sees
+    "Scatter": "scatter.scatter",  # what stands on it,
+    "scatter_points": "scatter.points",  # ... and where
 }
 
 

@@ -68,11 +68,14 @@ MEANING = {
     "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "
     "to the same bytes; one thread.",
     "land_droplets": "500 droplets a square kilometre over the island; one thread. us_droplet: microseconds for each.",
-    "scatter": "Points of a scatter on the rough field, one on 1.9 x 1.9 m up to 1,500 m from the camera, with nothing "
+    "scatter": "Points of a scatter on the rough field, one on 2.05 x 2.05 m up to 1,500 m from the camera, nothing "
     "known before, beside the same points by numpy's whole arrays. tested: candidates that were looked at.",
     "scatter_flight": "The same, of the next frame of the flight.",
     "hidden": "Triangles of the demo's flight at 1 px, 1920 x 1080, where hidden ground may be 8 times coarser, beside "
     "those of the same without; ms is an update's. map_ms: of it the map; low_ratio: 20 m above the ground.",
+    "morph_flight": "An update whose points rise to their places (a morph of 1.5), beside one without for the same "
+    "bound: in a flight over the rough 4097² field at a million triangles without; one thread.",
+    "morph_cut": "The same after a cut to another view.",
     "maps_normal": "A map of the built-in island's normals, 2,048 texels a side, from heights to a complete PNG file, "
     "beside numpy's differences of the same raster, squeezed alike, on one thread.",
     "shading_error": "Lambert's shading of the built-in island at 1 px, 960 x 540, by its baked normal map: rms from "

@@ -15,7 +15,7 @@ from ..cbt_terrain.scatter.tile import FINEST, POINTS, UNITS, tile
 from . import scenes
 from .measure import Row, alternate, stopwatch
 
-SCATTER = Scatter(spacing=1.9, full_until=1500.0)
+SCATTER = Scatter(spacing=2.05, full_until=1500.0)
 # Of points, that rounding may have on the other side of what is wanted.
 UNSURE = 1e-5
 

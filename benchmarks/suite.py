@@ -28,6 +28,7 @@ from . import (
     layer_rows,
     light_rows,
     maps_rows,
+    morph_rows,
     performance_page,
     query_rows,
     report,
@@ -141,6 +142,7 @@ def everything(
     yield water_rows.water_rows
     yield partial(scatter_rows.scatter_rows, rough)
     yield partial(hidden_row.hidden_row, folder)
+    yield partial(morph_rows.morph_rows, rough)
     yield partial(maps_rows.maps_row)
     yield detail_rows.detail_rows
     yield query_rows.query_rows

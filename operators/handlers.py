@@ -17,7 +17,7 @@ from ..cbt_terrain.run import stopping
 from .demand import kept
 from .mesh import freed_memory
 from .report import accuracy_report, measuring
-from .scene import live, pauses, resting_land, session, stale_renders
+from .scene import keep_ground, live, pauses, resting_land, session, stale_renders
 from .scene.request import RENDER, VIEWPORT
 
 # A terrain's mesh depends on no other, nor does what is read of it.
@@ -31,13 +31,18 @@ def _unless_paused(handler):
     @persistent
     @wraps(handler)
     def unless_paused(scene, depsgraph=None):
-        if depsgraph is not None and depsgraph.mode == VIEWPORT:
-            kept.note_update(depsgraph)  # also in a pause: nobody says it again
+        _note_update(depsgraph)
         if not pauses.paused_now():
             with stopping.held():
                 handler(scene, depsgraph)
 
     return unless_paused
+
+
+def _note_update(depsgraph) -> None:
+    """Also in a pause: nobody says it again."""
+    if depsgraph is not None and depsgraph.mode == VIEWPORT:
+        kept.note_update(depsgraph)
 
 
 def update_all(scene, depsgraph, mode: str) -> list[str]:
@@ -83,11 +88,38 @@ def _rendered_frame(scene) -> tuple[int, float] | None:
     return _rendered_frames.get(scene.session_uid) or _joined_frames.setdefault(scene.session_uid, now)
 
 
-@_unless_paused
+@persistent
+def on_before_frame(scene, _unused=None) -> None:
+    keep_ground.release(scene)
+
+
+@persistent
 def on_frame_change(scene, depsgraph) -> None:
+    """What is kept on the ground comes first, in a pause too: a terrain may be refined for a camera among it."""
+    _note_update(depsgraph)  # before another evaluation puts its own in place
+    with stopping.held():
+        failed = _settle(scene, depsgraph)
+        if not pauses.paused_now():
+            _update_terrains(scene, depsgraph, failed)
+
+
+def _settle(scene, depsgraph) -> list[str]:
+    """Returns why objects could not be moved to the ground that a render needs."""
+    waits = depsgraph.mode == RENDER or pauses.paused_now() or _mesh_is_needed_now()
+    try:
+        for note in keep_ground.settle(scene, depsgraph, depsgraph.mode, waits=waits, frame_changes=True):
+            print(f"Adaptive Terrain: {note}")
+    except Exception as error:
+        if not isinstance(error, TerrainError):
+            traceback.print_exc()
+        return [session.explain(error)]
+    return []
+
+
+def _update_terrains(scene, depsgraph, failed: list[str]) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
-            if failed := update_all(scene, depsgraph, RENDER):
+            if failed := list(dict.fromkeys(failed + update_all(scene, depsgraph, RENDER))):
                 stale_renders.meet(scene, failed)
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)
@@ -148,6 +180,7 @@ def on_undo(_scene, _unused=None) -> None:
 
 
 HANDLERS = {
+    "frame_change_pre": on_before_frame,
     "frame_change_post": on_frame_change,
     "render_pre": on_render_pre,
     "render_post": on_render_post,

@@ -8,6 +8,7 @@ import bpy
 from . import handlers
 from .effects import add_scatter, bake_maps, land_presets, splat_layers, terrain_material
 from .farm import submit_to_farm
+from .ground import add_collider, drop_to_ground, keep_above, pick_ground, profile_curve, viewshed
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .report import measure_accuracy, measuring, sweep_accuracy
@@ -16,6 +17,8 @@ from .scene import (
     frame_terrain,
     freeze_detail,
     import_terrain,
+    keep_ground,
+    keep_properties,
     land_cache,
     land_list,
     layer_images,
@@ -31,6 +34,8 @@ from .ui import effects_panel, overlay_panel, panels, scatter_panel, status_bar,
 
 MODULES = (
     properties,
+    keep_properties,
+    keep_ground,
     import_terrain,
     add_terrain,
     frame_terrain,
@@ -51,6 +56,12 @@ MODULES = (
     water_surface,
     export_terrain,
     submit_to_farm,
+    drop_to_ground,
+    keep_above,
+    pick_ground,
+    profile_curve,
+    viewshed,
+    add_collider,
     measuring,
     measure_accuracy,
     sweep_accuracy,

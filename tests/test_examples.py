@@ -6,6 +6,7 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
@@ -64,6 +65,13 @@ def check_07_queries(said, folder):
     low, high = (numbers(said, rf"has {pattern}")[0] for pattern in (r"([\d.-]+) to", r"[\d.-]+ to ([\d.]+) m"))
     assert low < high and numbers(said, r"climbs ([\d,]+) m")[0] > 100
     assert numbers(said, r"are ([\d.]+) m off the surface")[0] < 1e-3
+
+
+def check_08_scatter(said, folder):
+    assert all(count > 1000 for count in numbers(said, r"frame \d: ([\d,]+) points"))
+    assert numbers(said, r"moved ([\d.]+) m") == [0.0, 0.0] and max(numbers(said, r"came, ([\d.]+)%")) < 5
+    with np.load(folder / "points.npz") as file:
+        assert file["rotation"].shape == (len(file["id"]), 4)
 
 
 CHECKS = {name.removeprefix("check_"): check for name, check in globals().items() if name.startswith("check_")}

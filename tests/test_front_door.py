@@ -35,7 +35,8 @@ def test_names_come_when_they_are_asked_for_also_as_an_extension():
 
 def test_every_name_is_there_documented_and_listed():
     names = "Terrain", "View", "Criterion", "open_store", "import_source", "ImportSettings", "bake"
-    for name in (*names, "ground_at", "profile", "pick", "nearest", "box_range", "viewshed"):
+    queries = "ground_at", "profile", "pick", "nearest", "box_range", "viewshed"
+    for name in (*names, *queries, "Scatter", "scatter_points"):
         found = getattr(adaptive_terrain, name)
         assert found.__name__ == name and len(found.__doc__) > 60 and name in dir(adaptive_terrain)
     with pytest.raises(AttributeError, match="'adaptive_terrain' has no attribute 'Mountain'"):

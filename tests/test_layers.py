@@ -41,7 +41,8 @@ ROOMS = {
         *("importing", "land", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "demand", "scene", "effects", "output", "report", "farm", "ui", "handlers", "registration"),
+        *("text", "mesh", "demand", "scene", "effects", "output", "ground", "report", "farm", "ui"),
+        *("handlers", "registration"),
         *("blender", "demo", "cli"),
     ],
 }

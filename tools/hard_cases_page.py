@@ -96,6 +96,7 @@ CASES = {
     69: "A source 7 samples wide and 1,024 long",
     71: "What nearer ground hides",
     72: "What a scene reads: mutes, groups used twice, constant factors, drivers, computed names",
+    73: "Scatter over a flight: no point moves, none appears full-grown",
 }
 
 HEAD = """\

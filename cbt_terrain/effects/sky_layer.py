@@ -137,12 +137,18 @@ def preview_level(field: HeightField) -> int:
 
 
 def sweep(
-    heights: np.ndarray, steps: tuple[float, float], azimuth: np.ndarray, scale: float, threads: int, out: np.ndarray
+    heights: np.ndarray,
+    steps: tuple[float, float],
+    azimuth: np.ndarray,
+    scale: float,
+    threads: int,
+    out: np.ndarray,
+    first: tuple[int, int] = (0, 0),
 ) -> None:
     """Fill `out` (float32 [rows, columns]) with the slope of each sample's horizon, at least 0.
 
     heights: float32 [rows, columns], at least 2 each, metres, which count `scale` times; steps: metres of a cell.
-    azimuth: float64 [2], unit length.
+    azimuth: float64 [2], unit length. first: row and column of sample [0, 0] in a larger raster, whose lines are taken.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
@@ -152,8 +158,9 @@ def sweep(
     s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
     along, across = (north, east) if upright else (east, north)
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
+    s.phase = s.slope * first[0 if upright else 1] % 1.0
     reach = s.slope * (s.major - 1)
-    s.first = int(np.floor(min(-reach, 0.0)))
+    s.first = int(np.floor(min(-reach, 0.0) - s.phase))
     # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)

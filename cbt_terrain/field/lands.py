@@ -65,7 +65,7 @@ LANDS: dict[str, Land] = {
             "volcanic_island",
         ),
         _of_ranges(
-            "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "alpine"
+            "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "great_range"
         ),
         Land(
             "dunes",

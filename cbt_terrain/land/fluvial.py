@@ -27,6 +27,8 @@ CREEP = 0.4
 LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
+# Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
+SETTLING = 20
 
 
 @dataclass(eq=False)
@@ -59,7 +61,7 @@ class Bed:
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
-    """Let `years` pass; `number`: of this step, for the noise. The parameters are those of rivers.py.
+    """Let `years` pass; `number`: of this step's draw of the noise. The parameters are those of rivers.py.
 
     float64 [n], metres times samples of sediment that came to each sample: at those where water leaves, what has left;
     None without deposition.
@@ -71,7 +73,7 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
     if values["creep"] > 0.0:
         least = LEAST_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0)
-        _creep(bed, drainage, max(years * values["creep"], least))
+        bed.heights = diffuse(bed, bed.heights, max(years * values["creep"], least), drainage.base, bed.part)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
 
@@ -108,30 +110,51 @@ def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -
     return rate, filled
 
 
-def _creep(bed: Bed, drainage: Drainage, spread: float) -> None:
-    """Diffusion over `spread` m2, in as many explicit steps as are stable, or in an implicit one."""
+def diffuse(bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """`values` (float32 [n], used up) after diffusion over `spread` m2, in as many explicit steps as are stable, or in
+    an implicit one; `part` (float32 [n]) of it. Where `still` (uint8 [n], as all of the rim is) is 1 they stay."""
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
-    (rows, columns), other = bed.shape, bed.heights.copy()
+    (rows, columns), other = bed.shape, values.copy()
+    grid = grid_of(rows, columns, bed.step_x, bed.step_y)
     common = {"step": "rivers", "threads": bed.threads}
-    still = [flat(drainage.base, wp.uint8), flat(bed.part, wp.float32)]
+    where = [flat(still, wp.uint8), flat(part, wp.float32)]
     if passes > MOST_PASSES:
-        arrays = [*still, flat(other, wp.float32), flat(bed.heights, wp.float32)]
-        blocks, inputs = -(-columns // BLOCK), [BLOCK, drainage.grid, ns, *arrays]
+        arrays = [*where, flat(other, wp.float32), flat(values, wp.float32)]
+        blocks, inputs = -(-columns // BLOCK), [BLOCK, grid, ns, *arrays]
         launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
-        launch.spread(far_creep.creep_along_rows, rows, [drainage.grid, ew, *arrays], cost=columns, **common)
-        return
+        launch.spread(far_creep.creep_along_rows, rows, [grid, ew, *arrays], cost=columns, **common)
+        return values
     for _ in range(passes):
-        arrays = [*still, flat(bed.heights, wp.float32), flat(other, wp.float32)]
-        inputs = [drainage.grid, ew / passes, ns / passes, *arrays]
-        launch.spread(kernels.creep, rows - 2, inputs, cost=columns / 16, **common)
-        bed.heights, other = other, bed.heights
+        arrays = [*where, flat(values, wp.float32), flat(other, wp.float32)]
+        launch.spread(kernels.creep, rows - 2, [grid, ew / passes, ns / passes, *arrays], cost=columns / 16, **common)
+        values, other = other, values
+    return values
 
 
 def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
-    load = np.zeros(len(rate))
+    load, lake = np.zeros(len(rate)), (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
     arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
     arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]
     launch.once(kernels.lay_down, inputs, step="rivers")
+    _settle(bed, lake, raised)
     return load
+
+
+def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
+    """Level out what has been laid down where there is a `lake` (bool [n], none of the rim), until now and just now."""
+    at = np.flatnonzero(lake)
+    was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
+    rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
+    rock[at], old[at], new[at] = bed.heights[at] - was, was, was
+    ends = np.flatnonzero(np.diff(at // bed.shape[1], append=-1))
+    last = at[ends].astype(np.int32)
+    first = at[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
+    where = [bed.shape[1], flat(first, wp.int32), flat(last, wp.int32), flat(lake.view(np.uint8), wp.uint8)]
+    cost = len(at) / max(len(ends), 1) / 8
+    for _ in range(SETTLING if len(at) else 0):
+        arrays = [flat(a, wp.float32) for a in (rock, old, new)]
+        launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
+        old, new = new, old
+    bed.heights[at] += old[at] - was

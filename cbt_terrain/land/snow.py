@@ -55,7 +55,7 @@ def _fallen(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np
     size = heights.size
 
     def look(azimuth: np.ndarray, kernel, share: float, sums: np.ndarray) -> None:
-        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, found)
+        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, found, ground.first)
         inputs = [share, flat(found, wp.float32), flat(sums, wp.float32)]
         launch.spread(kernel, size, inputs, step="snow", threads=ground.threads, cost=0.2)
 
@@ -227,4 +227,5 @@ SNOW = LandEffect(
     converges="depth to 0.27, 0.16, 0.09 m rms from 513 to 2,049 samples of the island",
     cost_ns=640,
     source="Winstral et al. 2002 (shelter from wind); Timonen and Westerholm 2010 (horizons)",
+    version=2,
 )

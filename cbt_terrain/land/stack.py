@@ -10,7 +10,8 @@
                                      {"of": "aspect", "low": 0, "edge": 0.5, "direction": 0}]}}]}
 
 Parameters that are not named have their defaults; they are in the units of the effect's declaration (metres, years,
-degrees). An image is found from the folder of the stack's file. See mask.py for what the rules mean.
+degrees). An image is found from the folder of the stack's file. See mask.py for what the rules mean. A preset may say
+for land of which heights it was made, "heights": [0, 1470], metres: the panel fits it to another's (fitted.py).
 """
 
 import hashlib
@@ -32,7 +33,7 @@ VERSION = 1
 MOST_BYTES = 1 << 20
 MOST_ENTRIES, MOST_RULES = 64, 16
 MOST_SEED = 2**31 - 1
-_TOP = ("version", "entries")
+_TOP = ("version", "entries", "heights")
 _ENTRY = ("effect", "parameters", "seed", "on", "name", "mask")
 _MASK = ("image", "rules", "factor")
 _RULE = ("of", "low", "high", "edge", "direction")
@@ -61,9 +62,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Stack:
-    """`entries`: the first is applied first."""
+    """`entries`: the first is applied first. `heights`: of the land that it was made for, from its foot to its top,
+    metres; None: any."""
 
     entries: tuple[Entry, ...] = ()
+    heights: tuple[float, float] | None = None
 
     @property
     def active(self) -> tuple[Entry, ...]:
@@ -161,10 +164,22 @@ def stack_from(content: object, where: str = "The stack", folder: Path | None = 
         raise TerrainError(f"{where} has version {shown(repr(top.get('version')))}; expected {VERSION}.")
     entries = _list(where, "entries", top.get("entries"), MOST_ENTRIES)
     stack = Stack(
-        tuple(_entry(f"Entry {k} of {where[0].lower()}{where[1:]}", e, folder) for k, e in enumerate(entries, 1))
+        tuple(_entry(f"Entry {k} of {where[0].lower()}{where[1:]}", e, folder) for k, e in enumerate(entries, 1)),
+        _heights(where, top.get("heights")),
     )
     stack.check(where)
     return stack
+
+
+def _heights(where: str, content: object) -> tuple[float, float] | None:
+    if content is None:
+        return None
+    good = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
+    if not good or not -12000 <= content[0] <= content[1] - 1 <= 20000:
+        raise TerrainError(
+            f"{where} has heights {shown(repr(content))}; expected the land's foot and top in metres, as [0, 1500]."
+        )
+    return float(content[0]), float(content[1])
 
 
 def _entry(where: str, content: object, folder: Path | None) -> Entry:
@@ -230,7 +245,8 @@ def _number(where: str, content: dict, name: str, default: float | None) -> floa
 
 def stack_content(stack: Stack) -> dict:
     """What `stack_from` takes, with only what differs from the defaults."""
-    return {"version": VERSION, "entries": [_entry_content(entry) for entry in stack.entries]}
+    heights = {} if stack.heights is None else {"heights": list(stack.heights)}
+    return {"version": VERSION, **heights, "entries": [_entry_content(entry) for entry in stack.entries]}
 
 
 def _entry_content(entry: Entry) -> dict:
@@ -271,4 +287,4 @@ def _relative(stack: Stack, folder: Path) -> Stack:
         image = Path(entry.mask.image).relative_to(folder).as_posix()
         return replace(entry, mask=replace(entry.mask, image=image))
 
-    return Stack(tuple(map(near, stack.entries)))
+    return replace(stack, entries=tuple(map(near, stack.entries)))

@@ -36,7 +36,7 @@ def pick(
 
     origins, directions: float64 [n, 3] in the terrain's own space, metres; directions have any length but 0. A ray that
     begins on the surface hits it there, one that touches it does, one through a hole does not. Exact to what float64
-    rounds: of a bilinear surface a root is solved for, of others it is enclosed (kernels/query/rays.py).
+    rounds: of a bilinear surface a root is solved for, of others it is enclosed (kernels/query/crossing.py).
     """
     origins, directions = _rays(origins, directions)
     surface = packed(field, vertical_scale, vertical_offset)

@@ -4,6 +4,7 @@
 import numpy as np
 import warp as wp
 
+from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
 from ..errors import TerrainError
@@ -40,9 +41,9 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     return s
 
 
-def blocks_of(field: HeightField, surface: kernels.Surface) -> ray_kernels.Blocks:
+def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     """The ranges of heights by which rays skip; memory is shared, nothing is read."""
-    lattice, b = field.lattice, ray_kernels.Blocks()
+    lattice, b = field.lattice, crossing.Blocks()
     b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))

@@ -32,6 +32,7 @@ class Sweep:
     minor_stride: wp.int32
     backwards: wp.int32  # 1: the azimuth goes towards sample 0 of the major direction
     slope: wp.float64
+    phase: wp.float64  # samples by which lines are moved along the minor direction, 0 to 1
     metres: wp.float64  # from a point of a line to the next
     first: wp.int32  # number of the first line: where it is at the major sample 0
     lines: wp.int32
@@ -50,7 +51,7 @@ class Sweep:
         const int line = s.first + l;
         int corners = 0;
         for (int k = s.backwards ? 0 : n - 1; k >= 0 && k < n; k += on) {
-            const double at = line + s.slope * k;
+            const double at = line + s.phase + s.slope * k;
             now[k] = -1.0f;  // outside the raster
             if (!(at >= 0.0 && at <= m - 1)) continue;
             const int j = (int)at < m - 2 ? (int)at : m - 2;
@@ -69,7 +70,7 @@ class Sweep:
             hull[corners++] = k;
         }
         for (int k = 0; k < n && l && l >= item * LINES; k++) {  // samples between the line before and this one
-            const double at = line - 1 + s.slope * k;
+            const double at = line - 1 + s.phase + s.slope * k;
             const int j = (int)at + ((int)at < at);
             if (at <= -1.0 || j >= m) continue;
             const float a = before[k], b = now[k];

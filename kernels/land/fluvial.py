@@ -230,6 +230,55 @@ def lay_down(
     lay_down_samples(n, grid.width, deposition, to, order, area, part, rate, before, filled, load, h)
 
 
+@wp.func_native("""
+    const unsigned char* __restrict l = lake.data;
+    const float* __restrict r = rock.data;
+    const float* __restrict m = old.data;
+    float* __restrict out = laid.data;
+    const auto comes = [=](int i, int j) {
+        float v = r[j] + m[j], h = r[i] + m[i];
+        v = v - h;
+        v = v * 0.2f;
+        const float least = -0.2f * m[i], most = 0.2f * m[j];
+        v = v < least ? least : v;
+        v = v > most ? most : v;
+        return v * (float)(l[i] & l[j]);
+    };
+    #pragma clang loop vectorize(enable) interleave(enable)
+    for (int i = first; i < end; ++i) {
+        const float v = comes(i, i - width) + comes(i, i + width), u = comes(i, i - 1) + comes(i, i + 1);
+        out[i] = m[i] + (u + v);
+    }
+""")
+def settle_samples(
+    first: wp.int32,
+    end: wp.int32,
+    width: wp.int32,
+    lake: wp.array(dtype=wp.uint8),
+    rock: wp.array(dtype=wp.float32),
+    old: wp.array(dtype=wp.float32),
+    laid: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def settle(
+    offset: int,
+    width: int,
+    first: wp.array(dtype=wp.int32),
+    last: wp.array(dtype=wp.int32),
+    lake: wp.array(dtype=wp.uint8),
+    rock: wp.array(dtype=wp.float32),
+    old: wp.array(dtype=wp.float32),
+    laid: wp.array(dtype=wp.float32),
+):
+    """Samples `first` to `last` of part `offset + tid`, all of one row: a pass in which what is `laid` on `rock` under
+    water goes to lower neighbours: a fifth of the difference of heights, and no more than a fifth of what is there.
+    Outside of a `lake` `laid` stays as `old`, and nothing comes from there."""
+    part = offset + wp.tid()
+    settle_samples(first[part], last[part] + 1, width, lake, rock, old, laid)
+
+
 @wp.kernel
 def vary_rock(
     offset: int,

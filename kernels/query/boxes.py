@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.layout import tile_index
 from ..mesh.displace import height
-from .rays import Blocks, range_at
+from .crossing import Blocks, range_at
 from .surface import Surface, is_ground
 
 wp.set_module_options({"enable_backward": False})

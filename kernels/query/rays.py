@@ -4,83 +4,20 @@
 Blocks are the diamonds at the middles of squares of 2^k cells a side (k = 2, 4 ..), whose ranges of heights every store
 has; a ray climbs to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008,
 "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"; here with minima, as a ray may also
-come from below). In a cell, ray less bilinear surface is a parabola along the ray, whose root is solved for. Of a
-bicubic surface, and of one with detail, the ray goes on by steps that Taylor's formula allows: with the second
-derivative bounded by 2 G along the ray, height e and its slope e', nothing is met before e + e' d - G d^2 = 0 (as in
-Kalra and Barr 1989, "Guaranteed ray intersections with implicit surfaces"). Near a crossing these are Newton's.
-
-Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells is a crossing, so
-that no ray slips through. All arithmetic is float64.
+come from below). Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
+is a crossing, so that no ray slips through. crossing.py has what happens in a cell.
 """
 
 import warp as wp
 
-from ..field.codes import error_of, sample_at
 from ..field.layout import tile_index
-from ..unchecked import code_at, entry_at, number_at
-from .surface import Surface, cell_of, is_ground, jet_in
+from ..unchecked import entry_at, number_at
+from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, less, more, passed, range_at, side_of
+from .surface import Surface, cell_of, is_ground
 
 wp.set_module_options({"enable_backward": False})
 
-NOWHERE = wp.constant(wp.float64(wp.inf))
 STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; the least have 2^2 cells
-MOST_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
-CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that is shorter has arrived
-
-
-@wp.struct
-class Blocks:
-    """Ranges of heights, of blocks of 2^2, 2^4 .. 2^top cells a side and, of a bicubic surface, of cells."""
-
-    top: wp.int32  # 0: there are none
-    low_z: wp.float64  # of the whole surface, metres
-    high_z: wp.float64
-    spare: wp.float64  # ... and more than float64 rounds of them
-    base: wp.float64  # a height is base + q * step metres
-    step: wp.float64
-    more: wp.float64  # metres that detail rises above the ranges, or falls below them
-    first: wp.array(dtype=wp.int64)  # of each group of levels: its first entry
-    pages: wp.array(dtype=wp.int32)
-    ranges: wp.array(dtype=wp.uint16)
-    cells: wp.int64  # of a bicubic surface: the first entry of the raster's cells in the ranges
-    bends: wp.int64  # ... and in the errors
-    cell_pages: wp.int32
-    bend_group: wp.int32
-    table: wp.array(dtype=wp.float32)
-    error: wp.array(dtype=wp.uint8)
-    detail_bend: wp.float64  # second derivative of the detail, 1 / metre before scaling, at most
-
-
-@wp.struct
-class Ray:
-    """Points (u, v, z) + t * (du, dv, dz): cells, metres; t is metres."""
-
-    u: wp.float64
-    v: wp.float64
-    z: wp.float64
-    du: wp.float64
-    dv: wp.float64
-    dz: wp.float64
-
-
-@wp.func
-def less(a: wp.float64, b: wp.float64) -> wp.float64:
-    """The lesser of two numbers: one instruction, where Warp's own looks for NaN."""
-    return wp.where(a < b, a, b)
-
-
-@wp.func
-def more(a: wp.float64, b: wp.float64) -> wp.float64:
-    """The greater of two numbers."""
-    return wp.where(a > b, a, b)
-
-
-@wp.func
-def range_at(blocks: Blocks, at: wp.int64):
-    """Lowest and highest metres of an entry of the ranges."""
-    a = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
-    b = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
-    return less(a, b) - blocks.more, more(a, b) + blocks.more
 
 
 @wp.func
@@ -106,196 +43,83 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 
 
 @wp.func
-def side_of(e: wp.float64) -> wp.float64:
-    """1 above the surface, -1 below, 0 on it."""
-    side = wp.float64(0.0)
-    if e > wp.float64(0.0):
-        side = wp.float64(1.0)
-    if e < wp.float64(0.0):
-        side = wp.float64(-1.0)
-    return side
-
-
-@wp.func
-def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Smallest t > 0 with a t^2 + b t + c = 0 for c > 0; infinite without one."""
-    t = NOWHERE
-    d = b * b - wp.float64(4.0) * a * c
-    if d >= wp.float64(0.0):
-        root = wp.sqrt(d)
-        if b < wp.float64(0.0):
-            t = wp.float64(2.0) * c / (root - b)
-        elif a < wp.float64(0.0):
-            t = (b + root) / (wp.float64(-2.0) * a)
-    return t
-
-
-@wp.func
-def in_bilinear(
-    surface: Surface,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    slack: wp.float64,
-):
-    """Where (t) between first and last the ray comes to be `slack` beyond the surface; and its side at the end."""
+def entry_of(surface: Surface, blocks: Blocks, ray: Ray, end: wp.float64, known: wp.float64):
+    """The part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side there."""
     zero = wp.float64(0.0)
-    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-    h00 = wp.float64(sample_at(surface.samples, at))
-    h10 = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
-    at += wp.int64(surface.columns)
-    h01 = wp.float64(sample_at(surface.samples, at))
-    h11 = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
-    s = ray.u + first * ray.du - wp.float64(i)
-    r = ray.v + first * ray.dv - wp.float64(j)
-    low = h00 + (h10 - h00) * s
-    high = h01 + (h11 - h01) * s
-    per_s = (h10 - h00) * surface.scale
-    per_r = (h01 - h00) * surface.scale
-    twist = (h11 - h10 - h01 + h00) * surface.scale
-    a = -twist * ray.du * ray.dv
-    b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
-    c = ray.z + first * ray.dz - ((low + (high - low) * r) * surface.scale + surface.offset)
-    length = last - first
-    if side == zero:
-        side = side_of(c)
-    above = side * c + slack
-    hit = NOWHERE
-    if above <= zero:
-        hit = first
-    else:
-        root = first_root(side * a, side * b, above)
-        if root <= length:
-            hit = first + root
-        elif side * ((a * length + b) * length) + above <= zero:
-            hit = last
-    return hit, side
+    first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.columns - 1))
+    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.rows - 1))
+    # Where a ray comes in above or below everything its side is known, also where it is cut at a flat surface.
+    side = known
+    z = ray.z + first * ray.dz
+    if side == zero and not (z >= blocks.low_z and z <= blocks.high_z):
+        side = side_of(z - blocks.low_z)
+    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - blocks.spare, blocks.high_z + blocks.spare)
+    return first, last, side
 
 
 @wp.func
-def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
-    """Lowest and highest metres in cell (i, j)."""
-    low = wp.float64(0.0)
-    high = wp.float64(0.0)
-    if surface.bicubic == 1:
-        low, high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64):
+    """Where (t, `last` at most) the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
+    zero = wp.float64(0.0)
+    cells_x = surface.columns - 1
+    cells_y = surface.rows - 1
+    east = wp.where(ray.du > zero, 1, 0)
+    north = wp.where(ray.dv > zero, 1, 0)
+    x = i >> bits
+    y = j >> bits
+    line_x = wp.min((x + east) << bits, cells_x)
+    line_y = wp.min((y + north) << bits, cells_y)
+    to_x = NOWHERE
+    to_y = NOWHERE
+    if ray.du != zero:
+        to_x = (wp.float64(line_x) - ray.u) * ray.per_u
+    if ray.dv != zero:
+        to_y = (wp.float64(line_y) - ray.v) * ray.per_v
+    out = more(first, less(less(to_x, to_y), last))
+    line = line_x
+    if to_x <= to_y:
+        i = line_x + east - 1
+        j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y << bits, wp.min((y + 1) << bits, cells_y) - 1)
     else:
-        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-        north = at + wp.int64(surface.columns)
-        a = wp.float64(sample_at(surface.samples, at)) * surface.scale + surface.offset
-        b = wp.float64(sample_at(surface.samples, at + wp.int64(1))) * surface.scale + surface.offset
-        c = wp.float64(sample_at(surface.samples, north)) * surface.scale + surface.offset
-        d = wp.float64(sample_at(surface.samples, north + wp.int64(1))) * surface.scale + surface.offset
-        low = less(less(a, b), less(c, d)) - blocks.more
-        high = more(more(a, b), more(c, d)) + blocks.more
-    return low, high
+        line = line_y
+        j = line_y + north - 1
+        i = wp.clamp(wp.int32(wp.floor(ray.u + out * ray.du)), x << bits, wp.min((x + 1) << bits, cells_x) - 1)
+    return out, line, i, j
 
 
 @wp.func
-def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.int32) -> wp.float64:
-    """Half of the largest second derivative of the surface along the ray in cell (i, j), metres a square metre."""
-    across = ray.du * ray.du + ray.dv * ray.dv
-    bend = wp.float64(0.0)
-    if surface.bicubic == 1:
-        at = blocks.bends + tile_index(i, j, blocks.cell_pages)
-        # what is stored is a quarter of the norm of the second derivatives over cells
-        bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.bend_group, blocks.error, at)) * across
-    else:
-        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-        north = at + wp.int64(surface.columns)
-        south_rise = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
-        south_rise -= wp.float64(sample_at(surface.samples, at))
-        north_rise = wp.float64(sample_at(surface.samples, north + wp.int64(1)))
-        north_rise -= wp.float64(sample_at(surface.samples, north))
-        bend = wp.abs((north_rise - south_rise) * ray.du * ray.dv)
-    x = ray.du * surface.step_x
-    y = ray.dv * surface.step_y
-    return wp.abs(surface.scale) * (bend + wp.float64(0.5) * blocks.detail_bend * (x * x + y * y))
-
-
-@wp.func
-def in_curved(
+def met_in(
     surface: Surface,
     blocks: Blocks,
     ray: Ray,
+    bits: wp.int32,
     i: wp.int32,
     j: wp.int32,
     first: wp.float64,
     last: wp.float64,
     side: wp.float64,
+    known: wp.float64,
     slack: wp.float64,
 ):
-    """As `in_bilinear`, of a bicubic surface or one with detail."""
+    """Where (t) the ray meets the surface in the block of cell (i, j), its side at the end, and whether that is all:
+    else the block has to be looked into."""
     zero = wp.float64(0.0)
-    bend = bend_along(surface, blocks, ray, i, j)
     hit = NOWHERE
-    t = first
-    k = wp.int32(0)
-    while k < MOST_STEPS:
-        k += 1
-        s = ray.u + t * ray.du - wp.float64(i)
-        r = ray.v + t * ray.dv - wp.float64(j)
-        g = jet_in(surface, i, j, s, r)
-        e = ray.z + t * ray.dz - (g[0] * surface.scale + surface.offset)
-        climb = g[1] * surface.step_x * ray.du + g[2] * surface.step_y * ray.dv
-        slope = ray.dz - climb * surface.scale
-        if side == zero:
-            side = side_of(e)
-        above = side * e + slack
-        if above <= zero:
-            hit = t
-            break
-        if t >= last:
-            break
-        step = first_root(-bend, side * slope, above)
-        if not (step > CLOSE * (wp.abs(t) + last - first)):
-            if step >= zero:
-                hit = t
-            break
-        t = wp.min(t + step, last)
-    return hit, side
-
-
-@wp.func
-def clear_of(low: wp.float64, high: wp.float64, z0: wp.float64, z1: wp.float64, slack: wp.float64) -> wp.float64:
-    """The side of heights low .. high on which heights z0 .. z1 are, 1 above and -1 below; 0: on neither."""
-    side = wp.float64(0.0)
-    if less(z0, z1) > high + slack:
-        side = wp.float64(1.0)
-    if more(z0, z1) < low - slack:
-        side = wp.float64(-1.0)
-    return side
-
-
-@wp.func
-def in_one_cell(
-    surface: Surface,
-    blocks: Blocks,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    slack: wp.float64,
-):
-    """As `in_bilinear`, of any surface."""
-    hit = NOWHERE
-    if surface.bicubic == 0 and surface.coats.count == 0:
-        hit, side = in_bilinear(surface, ray, i, j, first, last, side, slack)
-    else:
-        low, high = cell_range(surface, blocks, i, j)
-        on_side = clear_of(low, high, ray.z + first * ray.dz, ray.z + last * ray.dz, slack)
-        if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, i, j, first, last, side, slack)
+    done = True
+    if bits == 0:
+        on_west = ray.du == zero and ray.u == wp.float64(i)
+        on_south = ray.dv == zero and ray.v == wp.float64(j)
+        if is_ground(surface, i, j, on_west, on_south):
+            hit, side = in_one_cell(surface, blocks, ray, i, j, first, last, side, slack)
         else:
-            if side * on_side < wp.float64(0.0):
-                hit = first
-            side = on_side
-    return hit, side
+            side = known
+    else:
+        low, high = block_range(blocks, bits, i >> bits, j >> bits)
+        on_side = clear_of(low, high, ray.z + first * ray.dz, ray.z + last * ray.dz, slack)
+        done = on_side != zero
+        if done:
+            hit, side = passed(side, on_side, first)
+    return hit, side, done
 
 
 @wp.func
@@ -313,82 +137,28 @@ def first_hit(
     known: the side on which the ray is, 1 above, -1 below, 0: whichever it is, also after a hole. slack: metres that
     it has to be beyond the surface. bits: of the first block that is tried.
     """
-    zero = wp.float64(0.0)
+    t, last, side = entry_of(surface, blocks, ray, end, known)
+    hit = NOWHERE
+    if not (t <= last):
+        return hit
     cells_x = surface.columns - 1
     cells_y = surface.rows - 1
-    first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(cells_x))
-    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(cells_y))
-    # Where a ray comes in above or below everything its side is known, also where it is cut at a flat surface.
-    side = known
-    z = ray.z + first * ray.dz
-    if side == zero and not (z >= blocks.low_z and z <= blocks.high_z):
-        side = side_of(z - blocks.low_z)
-    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - blocks.spare, blocks.high_z + blocks.spare)
-    hit = NOWHERE
-    if not (first <= last):
-        return hit
-    per_u = wp.float64(1.0) / ray.du
-    per_v = wp.float64(1.0) / ray.dv
-    east = wp.where(ray.du > zero, 1, 0)
-    north = wp.where(ray.dv > zero, 1, 0)
-    t = first
-    z = ray.z + t * ray.dz
     i = cell_of(ray.u + t * ray.du, cells_x)
     j = cell_of(ray.v + t * ray.dv, cells_y)
     bits = wp.min(bits, blocks.top)
-    if ray.du == zero and ray.dv == zero:
+    if ray.du == wp.float64(0.0) and ray.dv == wp.float64(0.0):
         bits = 0
     while True:
-        x = i >> bits
-        y = j >> bits
-        # the lines of cells that the ray leaves the block by
-        line_x = wp.min((x + east) << bits, cells_x)
-        line_y = wp.min((y + north) << bits, cells_y)
-        to_x = NOWHERE
-        to_y = NOWHERE
-        if ray.du != zero:
-            to_x = (wp.float64(line_x) - ray.u) * per_u
-        if ray.dv != zero:
-            to_y = (wp.float64(line_y) - ray.v) * per_v
-        out = more(t, less(less(to_x, to_y), last))
-        out_z = ray.z + out * ray.dz
-        clear = True
-        if bits == 0:
-            on_west = ray.du == zero and ray.u == wp.float64(i)
-            on_south = ray.dv == zero and ray.v == wp.float64(j)
-            if is_ground(surface, i, j, on_west, on_south):
-                hit, side = in_one_cell(surface, blocks, ray, i, j, t, out, side, slack)
-            else:
-                side = known
-        else:
-            low, high = block_range(blocks, bits, x, y)
-            on_side = clear_of(low, high, z, out_z, slack)
-            clear = on_side != zero
-            if clear:
-                if side * on_side < zero:
-                    hit = t
-                side = on_side
+        out, line, next_i, next_j = way_out(surface, ray, bits, i, j, t, last)
+        hit, side, done = met_in(surface, blocks, ray, bits, i, j, t, out, side, known, slack)
         if hit < NOWHERE:
             break
-        if clear:
-            if out >= last:
+        if done:
+            if out >= last or next_i < 0 or next_j < 0 or next_i >= cells_x or next_j >= cells_y:
                 break
-            line = line_x
-            if to_x <= to_y:
-                i = line_x + east - 1
-                j = wp.clamp(
-                    wp.int32(wp.floor(ray.v + out * ray.dv)), y << bits, wp.min(((y + 1) << bits), cells_y) - 1
-                )
-            else:
-                line = line_y
-                j = line_y + north - 1
-                i = wp.clamp(
-                    wp.int32(wp.floor(ray.u + out * ray.du)), x << bits, wp.min(((x + 1) << bits), cells_x) - 1
-                )
             t = out
-            z = out_z
-            if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
-                break
+            i = next_i
+            j = next_j
             coarser = bits + STEP
             if coarser <= blocks.top and (line & ((1 << coarser) - 1)) == 0:
                 bits = coarser
@@ -407,6 +177,8 @@ def ray_of(surface: Surface, p: wp.vec3d, d: wp.vec3d) -> Ray:
     ray.du = d[0] / surface.step_x
     ray.dv = d[1] / surface.step_y
     ray.dz = d[2]
+    ray.per_u = wp.float64(1.0) / ray.du
+    ray.per_v = wp.float64(1.0) / ray.dv
     return ray
 
 

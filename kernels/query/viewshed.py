@@ -3,7 +3,8 @@
 
 import warp as wp
 
-from .rays import NOWHERE, Blocks, first_hit, ray_of
+from .crossing import NOWHERE, Blocks
+from .rays import first_hit, ray_of
 from .surface import Surface, is_ground, jet_in
 
 wp.set_module_options({"enable_backward": False})

@@ -8,11 +8,14 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.fitted import fitted
 from ...cbt_terrain.land.stack import read_stack, write_stack
 from ..scene import land_stack
+from ..scene.imported import imported_of
 from ..scene.land_entries import PRESETS
 from ..scene.land_properties import BY_OBJECT
 from ..scene.polls import on_terrain
+from ..text.numbers import plain
 
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
 SUFFIX = ".json"
@@ -37,6 +40,13 @@ class ApplyLandPreset(bpy.types.Operator):
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        imported = imported_of(context.object.adaptive_terrain)
+        if stack.heights is not None and imported is not None:
+            made_for, stack = stack.heights, fitted(stack, *imported.heights_m)
+            if stack.heights != made_for:
+                low, high, *here = (plain(v, 3) for v in (*made_for, *stack.heights))
+                said = f"Made for land from {low} to {high} m: heights and uplift fitted to {here[0]} to {here[1]} m"
+                self.report({"INFO"}, said)
         for left_out in land_stack.fill(context.object.adaptive_terrain.land, stack):
             self.report({"WARNING"}, left_out)
         context.object.update_tag()

@@ -23,7 +23,7 @@ LONGEST_CRS = 10_000
 @dataclass(frozen=True)
 class Imported:
     """Of a store: `settings` it was imported with ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples
-    of the raster, metres of the extent and between samples."""
+    of the raster, metres of the extent and between samples, the lowest and the highest height."""
 
     settings: dict
     crs: str
@@ -31,6 +31,7 @@ class Imported:
     raster: tuple[int, int]
     extent_m: tuple[float, float]
     step_m: tuple[float, float]
+    heights_m: tuple[float, float]
 
 
 def imported_of(settings) -> Imported | None:
@@ -62,6 +63,7 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         raster=raster,
         extent_m=extent,
         step_m=tuple(length / max(count - 1, 1) for length, count in zip(extent, raster, strict=True)),
+        heights_m=(content["min_height"], content["max_height"]),
     )
 
 

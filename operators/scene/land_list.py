@@ -9,6 +9,8 @@ from .land_properties import RULES
 from .polls import on_terrain
 
 MOST_ENTRIES = 32
+# Where a new rule begins whose range is open otherwise: ridges; streams; valley floors.
+STARTS = {"mean_curvature": 0.0, "flow": 1e5, "wetness": 8.0}
 
 
 def _items(_self, _context):
@@ -123,7 +125,10 @@ class AddLandRule(_EntryOperator, bpy.types.Operator):
     )  # fmt: skip
 
     def _change(self, land) -> bool:
-        getattr(land.entries[land.active].mask, self.of).use = True
+        rule = getattr(land.entries[land.active].mask, self.of)
+        rule.use = True
+        if self.of in STARTS and not rule.is_property_set("low"):
+            rule.low = STARTS[self.of]
         return True
 
 

@@ -19,7 +19,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
-from . import land_jobs, previews, resting_land, session
+from . import keep_ground, land_jobs, previews, resting_land, session
 from .kernels_asked import kernels_for
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
@@ -119,6 +119,9 @@ def stage() -> str:
 def _next_job() -> Job | None:
     """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
     global _follows_viewport, _started
+    for window in _windows():
+        if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
+            mark_dirty()
     shown = _shown()
     _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
     for depsgraph, obj in shown:

@@ -204,6 +204,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Move vertices off the surface, within the bake error: fewer triangles, but a slower bake",
         default=False,
     )  # fmt: skip
+    collider_error_m: FloatProperty(
+        name="Collider Error",
+        description="Largest vertical error of the collider, in metres of the world",
+        default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
+    )  # fmt: skip
     reports: StringProperty(
         name="Reports",
         description="Folder of accuracy reports; each terrain's is in a folder of its own name in it",

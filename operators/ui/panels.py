@@ -9,6 +9,7 @@ from ..scene.properties import CHOSEN_CAMERA
 from . import (
     detail_panel,
     effects_panel,
+    ground_panel,
     height_map_panel,
     land_panel,
     layers_panel,
@@ -113,6 +114,7 @@ CLASSES = (
     *layers_panel.CLASSES,
     *scatter_panel.CLASSES,
     maps_panel.MapsPanel,
+    ground_panel.GroundPanel,
     OutputPanel,
     *statistics_panel.CLASSES,
 )

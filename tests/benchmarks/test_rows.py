@@ -27,6 +27,7 @@ from adaptive_terrain.benchmarks import (
     light_rows,
     maps_rows,
     measure,
+    morph_rows,
     query_rows,
     report,
     scale,
@@ -219,6 +220,7 @@ def small_suite(monkeypatch):
         light_rows: {"SAMPLES": SAMPLES, "RUNS": 2},
         hidden_row: {"SAMPLES": SAMPLES},
         scatter_rows: {"SCATTER": replace(scatter_rows.SCATTER, spacing=20.0)},
+        morph_rows: {"TRIANGLES": 8_000},
         maps_rows: {"SAMPLES": 129, "TEXELS": 128},
         detail_rows: {"SAMPLES": SAMPLES},
         query_rows: {"SAMPLES": SAMPLES, "PLACES": 2_500, "RAYS": (16, 9), "MARCHED": 20},
@@ -238,8 +240,8 @@ ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "dept
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
 ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
 ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets", "land_water", "land_snow"]
-ENGINE_ROWS += ["scatter", "scatter_flight", "hidden", "maps_normal", "detail_from_air", "detail_from_ground"]
-ENGINE_ROWS += ["detail_displace", "query_heights", "query_rays", "query_sight", "cold_start"]
+ENGINE_ROWS += ["scatter", "scatter_flight", "hidden", "morph_flight", "morph_cut", "maps_normal", "detail_from_air"]
+ENGINE_ROWS += ["detail_from_ground", "detail_displace", "query_heights", "query_rays", "query_sight", "cold_start"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

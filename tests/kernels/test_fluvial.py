@@ -120,3 +120,28 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
         z[i] = F(D(z[i]) + laid * D(found["part"][i]))
         carried[other[i]] += carried[i] + (D(before[i]) - D(z[i]))
     assert np.array_equal(made, z) and np.array_equal(load, carried) and (z != h).mean() > 0.3
+
+
+def test_settling_is_that_of_numpy_and_keeps_all(case):
+    drainage, rock, _ = case
+    rng, shape = np.random.default_rng(4), (53, 121)
+    lake = ((drainage.filled() > rock) & (drainage.base == 0)).astype(np.uint8)
+    old = np.where(rng.random(rock.size) < 0.7, 9 * rng.random(rock.size), 0).astype(F)
+    made = old.copy()
+    arrays = [flat(lake, wp.uint8), *(flat(a, wp.float32) for a in (rock, old, made))]
+    rows = np.flatnonzero(lake.reshape(shape).any(axis=1)).astype(np.int32)
+    ends = [flat((121 * rows + at).astype(np.int32), wp.int32) for at in (1, 119)]
+    launch.spread(fluvial.settle, len(rows), [121, *ends, *arrays], step="test", threads=3)
+    s, water, z = old.reshape(shape), lake.reshape(shape) == 1, (rock + old).reshape(shape)
+    sums = []
+    for axis in (1, 0):
+        sides = []
+        for by in (1, -1):
+            other, there, wet = (np.roll(a, by, axis) for a in (s, z, water))
+            v = np.clip((there - z) * F(0.2), F(-0.2) * s, F(0.2) * other)
+            sides.append(np.where(water & wet, v, F(0)))
+        sums.append(sides[0] + sides[1])
+    expected = s + (sums[0] + sums[1])
+    assert 0.2 < water.mean() < 0.8 and np.array_equal(made.reshape(shape), expected)
+    assert np.array_equal(made[lake == 0], old[lake == 0]) and made.min() >= 0
+    assert abs(made.sum(dtype=D) - old.sum(dtype=D)) < 1e-7 * old.sum() and np.abs(made - old).max() > 0.5

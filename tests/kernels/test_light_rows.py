@@ -71,6 +71,19 @@ def test_a_sweep_has_the_bits_of_its_arithmetic_in_python(angle):
     assert (out > 0).mean() > 0.3
 
 
+@pytest.mark.parametrize("angle", [0.2, 1.3])
+def test_a_part_that_has_all_that_lies_ahead_sees_what_the_whole_sees(angle):
+    heights = (np.random.default_rng(3).standard_normal((47, 61)).cumsum(1) * 4).astype(F)
+    azimuth, steps = np.array([np.cos(angle), np.sin(angle)]), (3.0, 2.0)
+    whole, part, moved = np.empty((47, 61), F), np.empty((30, 40), F), np.empty((30, 40), F)
+    sweep(heights, steps, azimuth, 1.0, 1, whole)
+    cut = np.ascontiguousarray(heights[17:, 21:])
+    sweep(cut, steps, azimuth, 1.0, 1, part, (17, 21))
+    sweep(cut, steps, azimuth, 1.0, 1, moved)
+    inner = np.s_[1:, 1:]
+    assert np.abs(part - whole[17:, 21:])[inner].max() < 1e-6 and np.abs(moved - part)[inner].max() > 1e-2
+
+
 def open_row(heights, per, azimuth, share, horizon, total):
     """The sky over a row's samples, in float32 statement by statement."""
     one, half_turn = F(1), F(1.5707963268)

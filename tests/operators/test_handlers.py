@@ -92,9 +92,11 @@ def test_a_render_uses_its_own_settings_and_restores_the_viewports(flight, add_t
 def test_shutter_times_do_not_rebuild(scene, add_terrain, monkeypatch):
     """Shutter times may be whole neighbouring frames: only the frame of render_pre counts, until render_post."""
     updates = []
-    monkeypatch.setattr(handlers, "update_all", lambda scene, depsgraph, mode: updates.append(scene.frame_current))
+    monkeypatch.setattr(
+        handlers, "update_all", lambda scene, depsgraph, mode: updates.append(scene.frame_current) or []
+    )
     rendering = SimpleNamespace(mode="RENDER")
-    fake = SimpleNamespace(session_uid=1, frame_current=5, frame_subframe=0.0)
+    fake = SimpleNamespace(session_uid=1, frame_current=5, frame_subframe=0.0, objects=[])
     handlers.on_render_pre(fake)
     handlers.on_frame_change(fake, rendering)
     for frame, subframe in ((4, 0.0), (5, 0.5), (6, 0.0)):

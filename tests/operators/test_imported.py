@@ -101,7 +101,7 @@ def test_live_settings_do_not(terrain):
 def test_a_file_that_moved_is_the_same_and_an_unknown_one_is_not_judged(tmp_path):
     asked = ImportSettings(source=str(tmp_path / "dem.tif"), extent=(10.0, 20.0), no_data=-9999.0)
     kept = dataclasses.asdict(asked) | {"extent": [10.0, 20.0], "no_data": "-9999.0"}
-    store = Imported(kept, "", (0.0, 0.0), (2, 2), (1.0, 1.0), (1.0, 1.0))
+    store = Imported(kept, "", (0.0, 0.0), (2, 2), (1.0, 1.0), (1.0, 1.0), (0.0, 1.0))
     assert changed_settings(asked, store) == []
     moved = dataclasses.replace(asked, source="/elsewhere/dem.tif")
     assert changed_settings(moved, store) == [], "what was imported is gone from its place"

@@ -30,6 +30,7 @@ from adaptive_terrain.operators.scene import (
     shape_land,
     shaped_land,
 )
+from adaptive_terrain.operators.scene.imported import imported_of
 from adaptive_terrain.operators.scene.kernels_asked import kernels_for
 from adaptive_terrain.operators.scene.land_entries import free_name
 from adaptive_terrain.operators.scene.request import gather
@@ -194,6 +195,17 @@ def test_bundled_presets_can_be_applied(terrain):
     for file in files:
         assert bpy.ops.adaptive_terrain.land_preset(filepath=file) == {"FINISHED"}
         assert len(terrain.adaptive_terrain.land.entries) >= 2
+
+
+def test_a_preset_is_fitted_to_the_lands_heights(terrain, tmp_path):
+    low, high = imported_of(terrain.adaptive_terrain).heights_m
+    file, foot = tmp_path / "high.json", max(low, 0.0)
+    given = {"version": 1, "heights": [1000, 3000], "entries": [{"effect": "snow", "parameters": {"line": 2500}}]}
+    file.write_text(json.dumps(given))
+    assert bpy.ops.adaptive_terrain.land_preset(filepath=str(file)) == {"FINISHED"}
+    line = terrain.adaptive_terrain.land.entries[0].snow.line
+    assert line == pytest.approx(foot + 0.75 * (high - foot)) and abs(line - 2500) > 100
+    assert land_stack.preset_of(terrain.adaptive_terrain.land).heights is None
 
 
 def sorted_files(folder: str) -> list[str]:

@@ -53,3 +53,9 @@ def test_a_terrain_survives_disabling_the_extension(scene, add_terrain):
     adaptive_terrain.register()
     assert terrain.adaptive_terrain.enabled and terrain.adaptive_terrain.viewport.error_px == 3.5
     assert len(terrain.data.polygons) == triangles > 100
+
+
+def test_no_panel_takes_the_name_of_another(empty):
+    from adaptive_terrain.operators.ui import panels
+
+    assert len({cls.bl_idname for cls in panels.CLASSES}) == len(panels.CLASSES)

@@ -16,11 +16,14 @@ from pathlib import Path
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
 from bl_ext.user_default.adaptive_terrain.operators.scene import import_terrain, live, session
+from bpy.app.handlers import persistent
 
 folder, counts = sys.argv[sys.argv.index("--") + 1 :]
 folder, counts = Path(folder), json.loads(counts)
 SAMPLES = 100  # of an act, at most
 RENDERED = 12  # which frames of a flight in the window are rendered: each 12th
+SIDE = 100  # pixels from the window's lower left corner, where a key is pressed
+_rendered: list[int] = []  # frames that a window has rendered
 CYCLE = 48  # frames after which the camera is where it was
 WAIT_S = 900.0  # only so that a hang ends
 
@@ -72,15 +75,20 @@ def viewport():
 
 
 def fly(step, count):
-    """A frame with live update, the camera and motion blur; now and then it is rendered beside the window."""
+    """A frame with live update, the camera and motion blur; now and then it is rendered beside the window.
+
+    By a key, and after all other acts: Python that draws while Cycles begins or ends may leave Blender (4.3) in a state
+    in which it refuses operators and settings of timers for good.
+    """
     scene = bpy.context.scene
     scene.frame_set(1 + step % CYCLE)
     yield from settled()
     if step % RENDERED == 0:
-        with viewport():
-            bpy.ops.render.render("INVOKE_DEFAULT")
-        yield 0.1
-        yield from until(lambda: not bpy.app.is_job_running("RENDER"))
+        before = len(_rendered)
+        for value in ("PRESS", "RELEASE"):
+            bpy.context.window_manager.windows[0].event_simulate(type="F12", value=value, x=SIDE, y=SIDE)
+            yield 0.05
+        yield from until(lambda: len(_rendered) > before and not bpy.app.is_job_running("RENDER"))
         yield from settled()
 
 
@@ -159,7 +167,13 @@ def quit_importing(step, count):
     yield WAIT_S  # that is done after this turn
 
 
-ACTS = {act.__name__: act for act in (fly, undo, load, arrange, write, render, quit_importing)}
+@persistent
+def note_render(scene, _unused) -> None:
+    _rendered.append(scene.frame_current)
+
+
+bpy.app.handlers.render_complete.append(note_render)
+ACTS = {act.__name__: act for act in (undo, load, arrange, fly, write, render, quit_importing)}
 
 
 def steps():

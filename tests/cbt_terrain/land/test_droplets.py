@@ -41,6 +41,21 @@ def test_what_is_taken_is_laid_down_or_leaves_over_the_rim(steps):
     assert abs(made.heights.sum(dtype=np.float64) * steps[0] * steps[1] + carried) < 1e-6 * moved
 
 
+def test_nothing_is_lost_but_over_the_rim():
+    """Behind a wall along the rim the ground keeps all, so what an open rim counts as carried is all that it loses."""
+    heights = hills(90, 141)
+    y, x = np.indices(heights.shape)
+    walled = heights + 2000.0 * np.maximum(3 - np.minimum.reduce([y, x, 89 - y, 140 - x]), 0).astype(np.float32)
+    lost = []
+    for ground in (heights, walled):
+        made = droplets.apply(Ground(ground, 10.0, 10.0, whole=ground.shape, seed=5), values(droplets=5000.0), None)
+        moved = np.abs(made.heights).sum(dtype=np.float64)
+        lost.append(-made.heights.sum(dtype=np.float64) / moved)
+        laid, taken = (made.layers[name].sum(dtype=np.float64) for name in ("sediment", "wear"))
+        assert moved > 1e3 and abs(taken - laid - lost[-1] * moved) < 1e-6 * moved
+    assert lost[0] > 1e-3 and abs(lost[1]) < 1e-6
+
+
 def test_the_amount_does_not_depend_on_the_spacing():
     """Metres, rms: within a fourth of each other at 16 and 8 m; in samples it would be three times as much."""
     found = []

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add Collider: a coarse static mesh of a terrain for physics, with a bound of its own."""
+
+import bpy
+
+from ...cbt_terrain.ask.linear import lengths
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.fit.bake import bake
+from ...cbt_terrain.run import warmup
+from ..mesh.writer import write_mesh
+from ..scene import session, world_ground
+from ..text.numbers import length_text
+
+MARK = "adaptive_terrain_collider"  # a property of the object, by which it is found again; it holds the bound, metres
+
+
+class AddCollider(bpy.types.Operator):
+    """Add a coarse static mesh for physics, which is nowhere further than Collider Error from the ground and which
+    renders do not show; press it again after the terrain has changed. With a rigid body world it is a passive body"""
+
+    bl_idname = "adaptive_terrain.add_collider"
+    bl_label = "Add Collider"
+    bl_options = {"REGISTER", "UNDO"}
+
+    rigid_body: bpy.props.BoolProperty(
+        name="Rigid Body", description="Make it a passive rigid body, and a rigid body world if the scene has none"
+    )
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Make a terrain active, in Object Mode")
+        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+
+    def execute(self, context):
+        terrain = context.object
+        try:
+            update, bound = _baked(terrain, context.evaluated_depsgraph_get())
+            collider = collider_of(terrain) or _added(terrain)
+            write_mesh(collider.data, update.surface, smooth=False)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        collider[MARK] = bound
+        if self.rigid_body or context.scene.rigidbody_world is not None:
+            _make_passive(context, collider)
+        said = f"{collider.name}: {update.triangles:,} triangles, at most {length_text(bound)} off"
+        if update.limited:
+            self.report({"WARNING"}, f"{said}, more than was asked: held back by {update.limited}")
+        else:
+            self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+
+def collider_of(terrain):
+    """The collider that a terrain has already, or None."""
+    return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK) is not None), None)
+
+
+def _baked(terrain, depsgraph):
+    """The engine's Update, and its bound in metres of the world."""
+    ground = world_ground.ground_of(terrain, depsgraph)
+    metres = float(lengths(ground.placement[:3, :3])[2])  # of the world, in a metre of height
+    warmup.wait()
+    with session.engine_lock:
+        update = bake(ground.field, terrain.adaptive_terrain.collider_error_m / metres, **ground.heights)
+    return update, update.bound_m * metres
+
+
+def _added(terrain):
+    name = f"{terrain.name} Collider"
+    collider = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    collider.parent, collider.hide_render, collider.display_type = terrain, True, "WIRE"
+    for collection in terrain.users_collection:
+        collection.objects.link(collider)
+    return collider
+
+
+def _make_passive(context, collider) -> None:
+    """Its shape is the mesh itself, which a passive body may have."""
+    context.view_layer.update()
+    if collider.rigid_body is None:
+        with context.temp_override(object=collider, active_object=collider, selected_objects=[collider]):
+            bpy.ops.rigidbody.object_add(type="PASSIVE")
+    collider.rigid_body.type, collider.rigid_body.collision_shape = "PASSIVE", "MESH"
+    collider.rigid_body.mesh_source = "BASE"
+
+
+register, unregister = bpy.utils.register_classes_factory((AddCollider,))

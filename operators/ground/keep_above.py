@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keep Above Ground: a camera, or any object, never lower than a clearance over the terrain; and the end of keeping."""
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ..scene import camera as cameras
+from ..scene import keep_ground
+from ..scene import vertical_moves as moves
+from ..scene.keep_properties import ABOVE
+from .chosen import active_terrain, has_ground, movers, selected
+
+
+class KeepAboveGround(bpy.types.Operator):
+    """Keep the selected objects, or the scene's camera, at least so far above the ground in every frame: lift them
+    straight up where they would be lower. The delta transforms are used for it"""
+
+    bl_idname = "adaptive_terrain.keep_above_ground"
+    bl_label = "Keep Above Ground"
+    bl_options = {"REGISTER", "UNDO"}
+
+    clearance: bpy.props.FloatProperty(
+        name="Clearance",
+        description="Metres that the ground lies below the origin at least, straight down",
+        default=2.0, min=0.0, unit="LENGTH",
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context):
+        if not has_ground(cls, context):
+            return False
+        cls.poll_message_set("Select an object that is no terrain, or give the scene a camera")
+        return bool(_chosen(context))
+
+    def execute(self, context):
+        objects = movers(_chosen(context))
+        refused = {obj: reason for obj in objects if (reason := keep_ground.refusal(obj))}
+        for obj in objects:
+            if obj not in refused:
+                settings = obj.adaptive_terrain_keep
+                settings.how, settings.clearance, settings.keep = ABOVE, self.clearance, True
+                settings.terrain, settings.align = active_terrain(context), False
+        try:
+            held = keep_ground.settle_now(context.scene, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for text in (*held, *(f"{obj.name!r} {reason}" for obj, reason in refused.items())):
+            self.report({"WARNING"}, f"{text}.")
+        kept = len(objects) - len(refused)
+        self.report({"INFO"}, f"Kept above ground: {kept} of {len(objects)}")
+        return {"FINISHED"} if kept else {"CANCELLED"}
+
+
+def _chosen(context) -> list:
+    camera = cameras.active_camera(context.scene)
+    return selected(context) or [camera] * (camera is not None)
+
+
+class LetGo(bpy.types.Operator):
+    """Keep the selected objects on or above the ground no longer: they go back to where their own location, their
+    animation, parents and constraints have them"""
+
+    bl_idname = "adaptive_terrain.let_go"
+    bl_label = "Let Go"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Select an object that is kept on the ground or above it")
+        return any(_is_kept(obj) for obj in _held(context))
+
+    def execute(self, context):
+        objects = [obj for obj in _held(context) if _is_kept(obj)]
+        for obj in objects:
+            keep_ground.let_go(obj)
+        self.report({"INFO"}, f"Let go: {', '.join(obj.name for obj in objects)}")
+        return {"FINISHED"}
+
+
+def _held(context) -> list:
+    return list({*selected(context), *filter(None, [context.object])})
+
+
+def _is_kept(obj) -> bool:
+    return obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)
+
+
+register, unregister = bpy.utils.register_classes_factory((KeepAboveGround, LetGo))

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pick: the 3D cursor, or the active object, to the ground under the mouse."""
+
+import math
+
+import bpy
+from bpy_extras import view3d_utils
+
+from ...cbt_terrain.errors import TerrainError
+from ..scene import camera as cameras
+from ..scene import vertical_moves as moves
+from ..scene import world_ground
+from ..text.numbers import length_text, plain
+from .chosen import grounds, has_ground
+
+CURSOR, OBJECT = "CURSOR", "OBJECT"
+DOWN = 0.0, 0.0, -1.0
+
+
+class PickGround(bpy.types.Operator):
+    """Click on the terrain to put the 3D cursor there, at the height map's full resolution. Esc or the right button
+    ends it. A script gives the ray"""
+
+    bl_idname = "adaptive_terrain.pick_ground"
+    bl_label = "Pick Ground"
+    bl_options = {"REGISTER", "UNDO"}
+
+    moves: bpy.props.EnumProperty(
+        name="Move",
+        items=[(CURSOR, "3D Cursor", "Put the 3D cursor on the ground"),
+               (OBJECT, "Active Object", "Put the origin of the active object on the ground")],
+    )  # fmt: skip
+    origin: bpy.props.FloatVectorProperty(name="Origin", description="Where the ray begins", unit="LENGTH")
+    direction: bpy.props.FloatVectorProperty(name="Direction", description="Where the ray goes", default=DOWN)
+
+    @classmethod
+    def poll(cls, context):
+        return has_ground(cls, context)
+
+    def invoke(self, context, event):
+        if context.area is None or context.area.type != "VIEW_3D":
+            self.report({"ERROR"}, "Pick from a 3D viewport, or give the ray's origin and direction.")
+            return {"CANCELLED"}
+        context.window_manager.modal_handler_add(self)
+        context.window.cursor_modal_set("EYEDROPPER")
+        context.workspace.status_text_set("Click on the terrain; Esc: cancel")
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type in {"ESC", "RIGHTMOUSE"}:
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"}  # so that the view can be turned
+        ray = _ray_under(context, event)
+        self.cancel(context)
+        if ray is None:
+            self.report({"ERROR"}, "The click was not in a 3D viewport.")
+            return {"CANCELLED"}
+        self.origin, self.direction = ray
+        return self.execute(context)
+
+    def cancel(self, context):
+        context.window.cursor_modal_restore()
+        context.workspace.status_text_set(None)
+
+    def execute(self, context):
+        depsgraph = context.evaluated_depsgraph_get()
+        try:
+            found = grounds(context, depsgraph)
+            hit = world_ground.first_hit(found, self.origin, self.direction)
+            if hit is None:
+                raise TerrainError("There is no ground under the mouse, or along the ray: aim at the terrain.")
+            if self.moves == OBJECT:
+                _put(context.object, hit[0], depsgraph)
+            else:
+                context.scene.cursor.location = hit[0]
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
+        place = ", ".join(f"{value:,.2f}" for value in hit[0])
+        self.report({"INFO"}, f"Ground at {place} m, height {length_text(hit[0][2])}, slope {plain(slope)}°")
+        return {"FINISHED"}
+
+
+def _put(obj, point, depsgraph) -> None:
+    """Move an object so that its origin is at a point of the world. Raises TerrainError."""
+    if obj is None or obj.adaptive_terrain.enabled:
+        raise TerrainError("There is no active object to move, or it is a terrain; make another one active.")
+    if reason := moves.untouchable(obj) or moves.lock(obj):
+        raise TerrainError(f"The object {obj.name!r} {reason}.")
+    evaluated = obj.evaluated_get(depsgraph)
+    by = [goal - now for goal, now in zip(point.tolist(), evaluated.matrix_world.translation, strict=True)]
+    obj.location = obj.location + moves.own_move(moves.frame_of(evaluated), by)
+
+
+def _ray_under(context, event):
+    """Origin and direction of the ray under the mouse, of whichever viewport of the window it is in; or None."""
+    for window, _, region, part in cameras.viewports(context.window_manager):
+        place = event.mouse_x - region.x, event.mouse_y - region.y
+        inside = 0 <= place[0] < region.width and 0 <= place[1] < region.height
+        if window == context.window and inside:
+            kinds = view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d
+            return tuple(kind(region, part, place) for kind in kinds)
+    return None
+
+
+register, unregister = bpy.utils.register_classes_factory((PickGround,))

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How an object is kept on the ground, or above it, in every frame: `object.adaptive_terrain_keep`."""
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty
+
+ON, ABOVE = "ON", "ABOVE"
+_looked: tuple[int, bool] | None = None  # how many objects there were when all were looked at; whether one is kept
+
+
+def any_kept() -> bool:
+    """Whether any object of the file is kept. All are looked at only after a change: a frame of 10,000 objects would
+    take a third longer."""
+    global _looked
+    count = len(bpy.data.objects)  # others may be appended, and nobody says so
+    if _looked is None or _looked[0] != count:
+        _looked = count, any(obj.adaptive_terrain_keep.keep for obj in bpy.data.objects)
+    return _looked[1]
+
+
+@persistent
+def _look_again(_self=None, _context=None) -> None:
+    global _looked
+    _looked = None
+
+
+class KeepSettings(bpy.types.PropertyGroup):
+    """The operators of the panel *Ground* write it; the object's delta transforms then belong to keep_ground.py."""
+
+    keep: BoolProperty(
+        name="Keep Every Frame",
+        description="Move the object vertically in every frame",
+        update=_look_again,
+    )  # fmt: skip
+    how: EnumProperty(
+        name="Keep",
+        items=[(ON, "On Ground", "At the offset from the ground, whatever height its animation gives it"),
+               (ABOVE, "Above Ground", "Where its animation has it, but never lower than the clearance")],
+    )  # fmt: skip
+    offset: FloatProperty(name="Offset", description="Metres from the ground up to the origin", unit="LENGTH")
+    clearance: FloatProperty(
+        name="Clearance",
+        description="Metres that the ground lies below the origin at least, straight down",
+        default=2.0, min=0.0, unit="LENGTH",
+    )  # fmt: skip
+    align: BoolProperty(name="Align to Normal", description="Turn the object's Z axis to the ground's normal")
+    terrain: PointerProperty(
+        name="Terrain",
+        description="The terrain that counts as ground; empty: the highest at the place",
+        type=bpy.types.Object, poll=lambda self, item: item.adaptive_terrain.enabled,
+    )  # fmt: skip
+
+
+HANDLERS = "load_post", "undo_post", "redo_post"
+
+
+def register() -> None:
+    bpy.utils.register_class(KeepSettings)
+    bpy.types.Object.adaptive_terrain_keep = PointerProperty(type=KeepSettings)
+    for event in HANDLERS:
+        getattr(bpy.app.handlers, event).append(_look_again)
+    _look_again()
+
+
+def unregister() -> None:
+    for event in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(_look_again)
+    del bpy.types.Object.adaptive_terrain_keep
+    bpy.utils.unregister_class(KeepSettings)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A profile of the ground as an SVG that needs nothing else: height over distance, metres on both axes."""
+
+import math
+
+import numpy as np
+
+from .numbers import length_text
+from .svg import LINE, TEAL, WASH, path, picture, text
+
+WIDTH, HEIGHT = 860, 360
+LEFT, RIGHT, TOP, BOTTOM = 72, 24, 40, 44
+LINES = 5  # about so many along an axis
+MOST_POINTS = 4000  # more than a few a pixel show nothing more
+
+
+def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
+    """`along`, `heights`: float64 [n] metres; NaN where there is no ground, and the line is broken."""
+    known = np.isfinite(heights)
+    if not known.any():
+        return picture(WIDTH, HEIGHT, title, [text(LEFT, TOP, "No ground below the line")])
+    keep = np.unique(np.linspace(0, len(along) - 1, min(len(along), MOST_POINTS)).astype(int))
+    low, high = float(heights[known].min()), float(heights[known].max())
+    margin = 0.05 * (high - low) or 1.0
+    x = _axis(0.0, float(along[-1]) or 1.0, LEFT, WIDTH - RIGHT)
+    y = _axis(low - margin, high + margin, HEIGHT - BOTTOM, TOP)
+    parts = [text(LEFT, 22, title, look="bold")]
+    for metres in _round_values(0.0, float(along[-1]) or 1.0):
+        parts.append(path([(x(metres), TOP), (x(metres), HEIGHT - BOTTOM)], LINE, 1))
+        parts.append(text(x(metres), HEIGHT - BOTTOM + 20, length_text(metres), "middle"))
+    for metres in _round_values(low - margin, high + margin):
+        parts.append(path([(LEFT, y(metres)), (WIDTH - RIGHT, y(metres))], LINE, 1))
+        parts.append(text(LEFT - 8, y(metres) + 4, length_text(metres), "end"))
+    for run in _runs(along[keep], heights[keep]):
+        places = [(x(a), y(h)) for a, h in run.tolist()]
+        floor = HEIGHT - BOTTOM
+        parts.append(path([(places[0][0], floor), *places, (places[-1][0], floor)], "none", 0, WASH))
+        parts.append(path(places, TEAL, 2))
+    return picture(WIDTH, HEIGHT, f"{title}: height over distance", parts)
+
+
+def _axis(low: float, high: float, start: float, end: float):
+    """Values to pixels."""
+    return lambda value: start + (value - low) / (high - low) * (end - start)
+
+
+def _round_values(low: float, high: float) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten between two values, about LINES."""
+    rough = (high - low) / LINES
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(n * power for n in (1, 2, 5, 10) if n * power >= rough * (1 - 1e-9))
+    return [n * step for n in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _runs(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
+    """Parts of the line, float64 [k, 2], between places without ground."""
+    points = np.stack([along, heights], axis=1)
+    ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(heights), False].astype(np.int8)))
+    return [points[a:b] for a, b in ends.reshape(-1, 2)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from adaptive_terrain.cbt_terrain.accuracy.measure import popping
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH, mean_ramp
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -135,10 +135,9 @@ def popping_section(folder: Path) -> list:
         Text(
             "Where a mesh takes a point it jumps, by up to the error that was asked for: small, but thousands of "
             "points do it in every frame. With *Smooth Transitions* (on in renders) a point enters where it changes "
-            "nothing, and rises to its place as the camera comes nearer. How far it has risen depends on the view alone. So any "
-            "frame can be rendered alone, in any order; and the error that is asked for still holds, because the "
-            f"surface is a mean of meshes of which each holds it (asked {1 / mean_ramp(SMOOTH):.2f} of the error, "
-            "[the proof](method/morph.md))."
+            "nothing, and rises to its place as the camera comes nearer. How far it has risen depends on the view "
+            "alone. So any frame can be rendered alone, in any order. The error that is asked for still holds: the "
+            "surface is a mean of meshes of which each holds it ([the proof](method/morph.md))."
         ),
         Text(
             f"Measured over {LONG} frames, {LONG_STEP:g} m a frame, at {ERROR_PX:g} px and {RESOLUTION[0]} x "

@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "fly_over.json"
 SECONDS, RATE, CHUNKS = 10, 24, 4
 RESOLUTION = (480, 270)
+SAMPLES = 16
 AGAIN = 4  # frames
 SEED = 17
 SHOWN = 5  # frames of the strip
@@ -65,6 +66,7 @@ def build(demo: Path, out: Path, frames: int) -> None:
         out, demo / "store", path, range(1, frames + 1), RESOLUTION, Criterion(error_px=ERROR_PX)
     )
     scene.render.fps = RATE
+    scene.cycles.use_denoising, scene.cycles.samples = False, SAMPLES  # Debian's Blender has no denoiser
     scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGB"
     plant(terrain)
     bpy.ops.wm.save_as_mainfile(filepath=str(out / "fly_over.blend"))

@@ -92,7 +92,8 @@ def _group() -> bpy.types.NodeTree:
     cone = nodes.add("GeometryNodeMeshCone", {"Vertices": 8, "Radius Bottom": 0.3, "Depth": 1.0})
     any_there = nodes.math("GREATER_THAN", count.outputs["Instance Count"], 0.5)
     cones = nodes.add("GeometryNodeGeometryToInstance", {0: cone.outputs["Mesh"]}).outputs[0]
-    switch = nodes.add("GeometryNodeSwitch", {"Switch": any_there, "False": cones, "True": objects})
+    either = {"Switch": any_there, "False": cones, "True": objects}
+    switch = nodes.add("GeometryNodeSwitch", either, input_type="GEOMETRY")
     size = nodes.math("MULTIPLY", named("size", "FLOAT"), given[SCALE])
     inputs = {
         "Points": given["Geometry"],

@@ -16,10 +16,10 @@ from invariants import assert_invariants
 from rasters import jacksboro
 
 LONG = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000
-FRAMES, POINTS = (200, 5000) if LONG else (4, 300)
+FRAMES, POINTS = (200, 5000) if LONG else (4, 200)
 FIELDS = {
     "rough": lambda: rough(65, 65, relief=60.0),
-    "island": lambda: from_array(island(257), SIDE / 256),
+    "island": lambda: from_array(island(129), SIDE / 128),
     "real": lambda: from_array(jacksboro()[:65, :97], 30.0),
 }
 ASKED = {"error_px": 6.0, "off_screen_factor": 1.0}
@@ -75,4 +75,4 @@ def test_case_60_a_point_begins_on_its_edge_and_ends_in_its_place():
             assert all(abs(z[p] - at) <= 2 * moved + 1e-5 for p, at in zip(fresh, on_edge, strict=True))
             new += len(fresh)
         last, z_before, placed = surface.copy(), z, in_place
-    assert new > 40 and len(placed) > 50
+    assert new > 40 and len(placed) > 35

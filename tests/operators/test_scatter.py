@@ -9,6 +9,7 @@ from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_point
 from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
 from adaptive_terrain.operators.scene import live, session
 from adaptive_terrain.operators.ui.scatter_panel import scatter_lines, summary
+from demand_trees import put
 
 
 def attribute(obj, name, width, dtype=np.float32, member="value"):
@@ -72,7 +73,7 @@ def test_instances_are_picked_by_variant(terrain, scatter):
         collection.objects.link(bpy.data.objects.new(name, bpy.data.meshes.new(name)))
     modifier = scatter.modifiers[GROUP]
     socket = next(item for item in modifier.node_group.interface.items_tree if item.name == "Collection")
-    modifier[socket.identifier] = collection
+    put(modifier, socket.identifier, collection)
     session.update_object(terrain)
     names = [name for name, _ in instances(scatter)]
     expected = np.array(["Fir", "Oak", "Pine"])[attribute(scatter, "variant", 1, np.int32) % 3]

@@ -47,3 +47,11 @@ def test_bicubic_scenes_are_sound(scenario):
 )
 def test_bicubic_meshlets_are_sound_also_where_nothing_fits_the_lattice(scenario):
     assert_sound(scenario)
+
+
+RISING = st.tuples(criteria(), st.sampled_from([1.25, 1.5, 4.0])).map(lambda drawn: drawn[0] | {"morph": drawn[1]})
+
+
+@given(scenarios(criterion=RISING))
+def test_scenes_whose_points_rise_are_sound(scenario):
+    assert_sound(scenario)

@@ -10,7 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..scene import camera as cameras
 from ..scene import vertical_moves as moves
 from ..scene import world_ground
-from ..text.numbers import length_text, plain
+from ..text.numbers import plain
 from .chosen import grounds, has_ground
 
 CURSOR, OBJECT = "CURSOR", "OBJECT"
@@ -80,7 +80,7 @@ class PickGround(bpy.types.Operator):
             return {"CANCELLED"}
         slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
         place = ", ".join(f"{value:,.2f}" for value in hit[0])
-        self.report({"INFO"}, f"Ground at {place} m, height {length_text(hit[0][2])}, slope {plain(slope)}°")
+        self.report({"INFO"}, f"Ground at {place} m, slope {plain(slope)}°")
         return {"FINISHED"}
 
 

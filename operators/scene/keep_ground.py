@@ -19,7 +19,7 @@ from ...kernels.query import ground, rays
 from . import vertical_moves as moves
 from . import world_ground
 from .keep_properties import ON, any_kept
-from .request import VIEWPORT
+from .request import RENDER, VIEWPORT
 
 MOST_MOVES = 3  # of an object: one is enough, but for what float32 rounds
 _settled: dict[int, tuple] = {}  # session_uid of a scene -> what its objects were settled to in the viewport
@@ -72,12 +72,25 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
     kept = kept_of(scene)
     if not kept:
         return []
+    grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
+    _move_all(kept, grounds, depsgraph, frame_changes)
+    if mode == RENDER and world_ground.is_made_for_views(scene):  # until now for a camera that has not been moved
+        grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
+        release(scene)
+        _evaluate(kept, depsgraph, frame_changes)
+        _move_all(kept, grounds, depsgraph, frame_changes)
+    if mode == VIEWPORT:
+        _settled[scene.session_uid] = _key(kept, grounds, depsgraph)
+    return [_notes[obj.session_uid] for obj in kept if obj.session_uid in _notes]
+
+
+def _move_all(kept: list, grounds: list, depsgraph, frame_changes: bool) -> None:
+    """Move released objects to the ground; those that follow others after these."""
     for obj in kept:
         _notes.pop(obj.session_uid, None)
-    grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
     everyone = set(kept)
     followed, moved, todo = {obj: _leaders(obj) & everyone for obj in kept}, {}, kept
-    while off := _moves_of(todo, grounds, depsgraph, moved.keys()):
+    while off := _moves_of(todo, grounds, depsgraph, moved):
         held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _set_free(obj)
@@ -87,14 +100,15 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
             _apply(obj, depsgraph, *off[obj])
             moved.setdefault(obj, []).append(off[obj][0])
         todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MOST_MOVES]
-        for obj in (*now, *held) if frame_changes else ():
-            obj.update_tag(refresh={"TIME"})
-        depsgraph.update()
+        _evaluate([*now, *held], depsgraph, frame_changes)
         if not now:
             break
-    if mode == VIEWPORT:
-        _settled[scene.session_uid] = _key(kept, grounds, depsgraph)
-    return [_notes[obj.session_uid] for obj in kept if obj.session_uid in _notes]
+
+
+def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
+    for obj in written if frame_changes else ():
+        obj.update_tag(refresh={"TIME"})
+    depsgraph.update()
 
 
 def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:

@@ -96,9 +96,13 @@ def grounds_of(scene, depsgraph, mode: str = VIEWPORT, waits: bool = True) -> li
     return found
 
 
+def is_made_for_views(scene) -> bool:
+    """Whether renders make some of the scene's land fine only where they look, so that cameras have a say in it."""
+    return any(obj.adaptive_terrain.land.where == SEEN for obj in session.terrains_of(scene))
+
+
 def ground_of(obj, depsgraph, mode: str = VIEWPORT) -> Ground:
     """A terrain as ground, made if it has to be. Raises TerrainError."""
-    # Where only what a shot sees is made fine, the camera has a say.
     asked = None if mode == RENDER and obj.adaptive_terrain.land.where == SEEN else ANY
     request = gather(obj, depsgraph, mode, criterion=asked, overrides=Overrides(effects=()))
     with session.engine_lock:

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from .numbers import length_text
+from .numbers import length_text, plain
 from .svg import LINE, TEAL, WASH, path, picture, text
 
 WIDTH, HEIGHT = 860, 360
@@ -30,7 +30,7 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
         parts.append(text(x(metres), HEIGHT - BOTTOM + 20, length_text(metres), "middle"))
     for metres in _round_values(low - margin, high + margin):
         parts.append(path([(LEFT, y(metres)), (WIDTH - RIGHT, y(metres))], LINE, 1))
-        parts.append(text(LEFT - 8, y(metres) + 4, length_text(metres), "end"))
+        parts.append(text(LEFT - 8, y(metres) + 4, f"{plain(metres, 6)} m", "end"))
     for run in _runs(along[keep], heights[keep]):
         places = [(x(a), y(h)) for a, h in run.tolist()]
         floor = HEIGHT - BOTTOM

@@ -30,7 +30,7 @@ AGAIN = 4  # frames
 SEED = 17
 SHOWN = 5  # frames of the strip
 ERROR_PX = 1.0
-TREE_M, SPACING_M, FULL_UNTIL_M = 14.0, 11.0, 900.0
+TREE_M, SPACING_M, FULL_UNTIL_M = 12.0, 8.0, 900.0
 GREENS = ((0.030, 0.060, 0.018, 1.0), (0.045, 0.075, 0.020, 1.0), (0.024, 0.050, 0.022, 1.0))
 
 

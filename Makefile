@@ -11,7 +11,7 @@ SMOKE := tests/test_layers.py tests/regressions tests/faults/test_export_faults.
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy effects figures lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy effects animation fly-over figures lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -25,6 +25,8 @@ help:
 	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
 	@echo "make effects    docs/effects.md: what there is to read of a terrain, its pictures and costs"
+	@echo "make animation  docs/animation.md: how far points pop, whether a scatter stands still, what a farm was seen to do"
+	@echo "make fly-over   a flight over the demo's island through a farm's job in the real Blender program (Debian, root)"
 	@echo "make figures    the figures of docs/method"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
@@ -70,6 +72,13 @@ accuracy: $(READY)
 effects: $(READY)
 	$(PY) tools/write_effects.py
 
+animation: $(READY)
+	$(PY) tools/write_animation.py
+
+fly-over: $(READY) demo
+	tools/get_blender.sh trixie .cache/blender
+	$(PY) tools/fly_over.py --demo demo
+
 figures: $(READY)
 	$(PY) tools/draw_figures.py
 
@@ -92,4 +101,4 @@ $(READY): requirements.lock pyproject.toml tools/check_system.py
 	@touch $@
 
 clean:
-	rm -rf demo dist build .pytest_cache .hypothesis .ruff_cache
+	rm -rf demo fly_over dist build .pytest_cache .hypothesis .ruff_cache

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import settings
 from real_program import bare_program, dem, extension_zip, program, scene  # noqa: F401
 
-# The same examples in every run; `make fuzz` asks for twenty times as many.
-EXAMPLES = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
+# The same examples in every run; `make fuzz` asks for thirty times as many.
+EXAMPLES = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 settings.register_profile("project", max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
 settings.load_profile("project")
 

@@ -119,13 +119,7 @@ def gather(
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
-    placement = np.array(evaluated.matrix_world, np.float64)
-    if not np.isfinite(placement).all():
-        raise TerrainError(
-            f"The terrain {obj.name!r} has a matrix that is not finite; check its transform and parents."
-        )
-    if determinant(placement[:3, :3]) == 0.0:
-        raise TerrainError(f"The terrain {obj.name!r} has a scale of 0; expected another scale on each axis.")
+    placement = _placement(obj.name, evaluated)
     max_ms, note, frozen = None, "", ""
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == Overrides() else ""
@@ -140,15 +134,12 @@ def gather(
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
     store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
-    if land is not None and views and mode == RENDER and settings.land.where == SEEN:
-        scale = settings.vertical_scale, settings.vertical_offset
-        land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
-    elif land is not None and (mode != RENDER or land.is_shaped):
-        shown = land.folder if mode == RENDER else land.shown
-        if shown:
-            store, land = shown, None
-        elif frozen:
-            land = None  # the triangles are those of the raster, and a preview has another
+    if land is not None:
+        if views and mode == RENDER and settings.land.where == SEEN:
+            scale = settings.vertical_scale, settings.vertical_offset
+            land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
+        elif mode != RENDER or land.is_shaped:
+            store, land = _shown_land(store, land, mode, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide
         criterion = replace(criterion, hidden_factor=1.0)
@@ -173,6 +164,25 @@ def gather(
             obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
         ),
     )
+
+
+def _placement(name: str, evaluated) -> np.ndarray:
+    """float64 [4, 4]: from the terrain's own space to the world."""
+    placement = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(placement).all():
+        raise TerrainError(f"The terrain {name!r} has a matrix that is not finite; check its transform and parents.")
+    if determinant(placement[:3, :3]) == 0.0:
+        raise TerrainError(f"The terrain {name!r} has a scale of 0; expected another scale on each axis.")
+    return placement
+
+
+def _shown_land(store: str, land, mode: str, frozen: str):
+    """The store to show, and the land that is still to be shaped or previewed on it."""
+    shown = land.folder if mode == RENDER else land.shown
+    if shown:
+        return shown, None
+    # A frozen mesh has the triangles of the raster, and a preview has another.
+    return store, None if frozen else land
 
 
 @contextmanager

@@ -24,7 +24,7 @@ RESOLUTION = (960, 540)
 ERROR_PX = 1.0
 FRAMES = 6  # of a flight at each speed
 STEPS = (16.0, 8.0, 4.0, 2.0, 1.0)  # metres of the camera between frames
-LONG, LONG_STEP = 60, 2.0  # frames of the long flight, and its metres a frame
+LONG, LONG_STEP = 30, 2.0  # frames of the long flight, and its metres a frame
 METRES_PER_DEGREE = 111_320.0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.output.exporting import write_text
 from adaptive_terrain.operators.text.machine import machine
-from adaptive_terrain.operators.text.page_blocks import Heading, Text, as_markdown
+from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Text, as_markdown
 from animation_popping import popping_section
 from animation_scatter import scatter_section
 from fly_over import farm_section
@@ -34,6 +34,9 @@ def main() -> int:
         return 1
     blocks += farm_section(DOCS / "fly_over.json")
     blocks += [Heading("The machine"), Text(", ".join(f"{name}: {value}" for name, value in machine().items()) + ".")]
+    for block in blocks:
+        if isinstance(block, Plot):
+            write_text(DOCS / block.name, block.svg)
     write_text(DOCS / "animation.md", as_markdown("Animation", blocks))
     return 0
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
 from adaptive_terrain.operators.output import preparing
@@ -84,6 +85,29 @@ def test_any_frames_come_back():
     for _ in range(200):
         frames = rng.integers(-40, 40, rng.integers(1, 30)).tolist()
         assert list(IntRangeExpr.from_str(bundle.range_text(frames))) == sorted(set(frames))
+
+
+@pytest.mark.parametrize("frames", ["-5--1", "-10--1:3,0", "-5,3"])
+def test_frames_below_0_are_no_options(tmp_path, capsys, frames):
+    """A job's steps are given them as words of their own."""
+    assert run("verify", tmp_path, "--frames", frames) == 1
+    assert f"frame {frames[: frames.index('-', 1)] if '--' in frames else -5} is missing" in capsys.readouterr().err
+
+
+def made(folder: Path, stem: str):
+    """A job of pictures of a file of that name, as Open Job Description reads it."""
+    blend = folder / f"{stem}.blend"
+    job = bundle.Job(f"{stem} pictures", blend, [-3, -2, -1, 7], 2, (), folder / "out", "1", None, [], [], [])
+    bundle.write_bundle(job, folder)
+    return job_of(folder, read(folder)[1])
+
+
+def test_names_that_are_no_names_of_jobs(tmp_path):
+    job = made(tmp_path, 'two\nlines\t\x85 {{Param.X}} %d "山"')
+    assert job.name == 'two lines {{Param.X}} %d "山" pictures'
+    assert job.parameters["BlenderFile"].value.endswith('two\nlines\t\x85 {{Param.X}} %d "山".blend')
+    with pytest.raises(TerrainError, match="A path of the job is not UTF-8 .*rename"):
+        made(tmp_path, "latin\udce9")
 
 
 def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, capsys):

@@ -3,6 +3,7 @@
 Flamenco. JSON is YAML, so what is made of values is written as JSON; what is written by hand are files beside this."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from ..output.exporting import write_files
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
 GUARD, FLAMENCO = "guard.py", "adaptive_terrain_render.js"
+NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # what JSON may hold as it is, and YAML drops or refuses
 MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
@@ -97,7 +99,8 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _json(content: dict) -> str:
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return re.sub(NO_YAML, lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _text(name: str) -> str:

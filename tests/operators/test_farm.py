@@ -13,7 +13,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
-from adaptive_terrain.operators.output import preparing
+from adaptive_terrain.operators.output import preparing, verifying
 from adaptive_terrain.operators.scene import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
@@ -216,6 +216,9 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     assert "2 frames are whole" in capsys.readouterr().out
 
 
+NO_BOUNDS = dict.fromkeys(verifying.BOUNDS)
+
+
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
@@ -224,6 +227,17 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
         (lambda out: (out / "frame_0006.json").write_text("[]"), "frame_0006.json is damaged"),
         (lambda out: (out / "a_0006.npz").write_bytes(b"12"), "a_0006.npz is not whole"),
         (lambda out: (out / "a_0006.npz").unlink(), "a_0006.npz is not whole"),
+        *(
+            (lambda out, what=what: change(out / "frame_0006.json", **what), "frame_0006.json is damaged")
+            for what in (
+                {"frame": 5},
+                {"files": {"a": 1e999}},
+                {"terrains": [{"triangles": "x", **NO_BOUNDS}]},
+                {"terrains": [{"triangles": 1, **NO_BOUNDS, "bound_px": "x"}]},
+            )
+        ),
+        (lambda out: (out / "frame_0006.json").write_text("[" * 100_000), "frame_0006.json is damaged"),
+        (lambda out: change(out / "frame_0006.json", files={"a\0": 3}), "a? is not whole"),
         (lambda out: change(out / "frame_0006.json", settings="b"), "frame 6 was made of another scene"),
     ],
 )

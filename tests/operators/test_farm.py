@@ -176,6 +176,8 @@ def test_the_operator_writes_a_job(shot, tmp_path):
     asked = {"folder": str(tmp_path / "out"), "bring": False, "frames": "6,5", "chunk": 1}
     with pytest.raises(RuntimeError, match="frames '6-5'"):
         submit(**asked | {"frames": "6-5"})
+    with pytest.raises(RuntimeError, match="no folder"):
+        submit(**asked | {"folder": ""})
     assert submit(**asked) == {"FINISHED"}
     assert read(tmp_path / "out")[1]["Frames"] == "5-6"
 
@@ -201,7 +203,7 @@ def test_prepare_makes_each_thing_once(shot, capsys):
 
 def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     assert run("prepare", "--scene", shot, "--only", "stores") == 0
-    out = tmp_path / "pictures"
+    out = tmp_path / "{blend_name} %d # {x}"  # which newer Blenders would fill in
     frames = "--scene", shot, "--out", out, "--frames"
     assert run("render", *frames, "7") == 0
     first = (out / "frame_0007.png").read_bytes()

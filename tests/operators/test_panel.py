@@ -180,6 +180,15 @@ def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before
 
 
+def test_nothing_is_added_while_a_mesh_is_edited(terrain):
+    """Blender would join the new object to the mesh."""
+    bpy.context.view_layer.objects.active = terrain
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="Leave the mode"):
+        bpy.ops.mesh.adaptive_terrain_add()
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
 def draw(panel):
     """What a panel puts into its layout."""
     layout = Mock()

@@ -179,7 +179,14 @@ def track(camera):
     camera.location, camera.scale = (2.0, 3.0, 4.0), (1.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("constrain", [follow, track])
+def stretch(camera):
+    target = added(bpy.data.objects.new("Target", None), (400.0, 90.0, 0.0))
+    camera.constraints.new("STRETCH_TO").target = target
+    camera.parent = added(bpy.data.objects.new("Dolly", None), (90.0, 0.0, -70.0), rotation_euler=(0.3, 0.1, 0.5))
+    camera.location, camera.scale = (2.0, 3.0, 4.0), (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("constrain", [follow, track, stretch])
 def test_constraints_that_leave_room_are_reckoned_with(askew, constrain):
     camera = bpy.context.scene.camera
     constrain(camera)
@@ -192,6 +199,13 @@ def test_constraints_that_leave_room_are_reckoned_with(askew, constrain):
     if constrain is track:
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         assert ahead.angle(bpy.data.objects["Target"].location - at) < 1e-3, "it looks there from its new place"
+
+
+def test_a_clearance_that_is_no_number_keeps_nothing(flight):
+    bpy.ops.adaptive_terrain.let_go()
+    with pytest.raises(RuntimeError, match="clearance is nan"):
+        bpy.ops.adaptive_terrain.keep_above_ground(clearance=float("nan"))
+    assert not flight.camera.adaptive_terrain_keep.keep
 
 
 def test_one_that_holds_it_is_named(askew, capfd):

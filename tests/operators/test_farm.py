@@ -3,6 +3,7 @@
 tests/blender/test_farm.py runs one."""
 
 import json
+import runpy
 import shutil
 import subprocess
 from pathlib import Path
@@ -180,6 +181,17 @@ def test_the_operator_writes_a_job(shot, tmp_path):
         submit(**asked | {"folder": ""})
     assert submit(**asked) == {"FINISHED"}
     assert read(tmp_path / "out")[1]["Frames"] == "5-6"
+
+
+def test_the_guard_looks_at_the_scene_that_is_rendered(shot, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["blender"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(bundle.HERE / bundle.GUARD)
+    assert "openjd_fail: the store of Dunes is missing" in capsys.readouterr().out
+    dunes = bpy.data.objects["Dunes"]
+    bpy.context.scene.collection.objects.unlink(dunes)
+    bpy.data.scenes.new("Another").collection.objects.link(dunes)
+    runpy.run_path(bundle.HERE / bundle.GUARD)
 
 
 def test_prepare_makes_each_thing_once(shot, capsys):

@@ -143,6 +143,10 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     assert lines["Points"] == f"{len(scatter.data.vertices):,}"
     assert lines["Update"].endswith(" ms") and lines["Off the mesh"].startswith("≤ ")
     assert lines["Off the mesh"].endswith(" px")
+    scatter.location.z = 2.0
+    bpy.context.view_layer.update()
+    lines = dict(scatter_lines(scatter.adaptive_scatter, record_of(terrain, scatter), record.status))
+    assert lines["Off the mesh"].startswith("moved")
 
 
 def test_points_that_are_there_are_neither_made_nor_written_again(terrain, scatter, monkeypatch):

@@ -217,6 +217,19 @@ def test_one_that_holds_it_is_named(askew, capfd):
     assert any("holds it" in line for line in ground_panel.notes(rock))
 
 
+def test_a_terrain_that_left_the_scene_is_named(askew):
+    rock = cube("Rock", (80.0, -20.0, 0.0))
+    only(askew, rock, active=askew)
+    keep()
+    bpy.context.scene.collection.objects.unlink(askew)
+    bpy.context.scene.frame_set(3)
+    assert rock.matrix_world.translation.z == 0.0
+    assert "its terrain 'Askew' is not in the scene" in keep_ground.note_of(rock)
+    bpy.context.scene.collection.objects.link(askew)
+    bpy.context.scene.frame_set(4)
+    assert not keep_ground.note_of(rock) and rock.matrix_world.translation.z != 0.0
+
+
 def test_what_is_kept_on_what_is_kept_is_not_lifted_twice(askew):
     cast, car = Cast(askew), cube("Car", (80.0, -20.0, -300.0))
     rider = cube("Rider", (10.0, 5.0, 0.0), parent=car)

@@ -15,6 +15,7 @@ from .surface import packed, vectors
 
 COST = 3.0  # times dearer than a lookup
 MOST_PLACES = 50_000_000
+FARTHEST = 1e100  # metres; squares of lengths are numbers still
 
 
 class Ground(NamedTuple):
@@ -77,6 +78,10 @@ def profile(
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
         raise TerrainError(f"The line has {len(line)} points; expected 2 at least.")
+    if np.abs(line).max() > FARTHEST:
+        raise TerrainError(
+            f"The line goes {np.abs(line).max():g} m from the terrain's middle; expected {FARTHEST:g} m at most."
+        )
     x, y = np.diff(line, axis=0).T
     lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much of a scatter views want at a place, and at most and at least over a box: 1 is full density.
 
-Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance.
+Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance. Of a
+box that nearer ground hides from all views nothing is wanted; of others no less, so all that is seen stays as it is.
 """
 
 import warp as wp
 
 from ..refine.diamond import larger
+from ..refine.hiding import is_hidden
 from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of
 
 wp.set_module_options({"enable_backward": False})
@@ -14,11 +16,14 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Views:
-    """`full2`: squared metres up to which density is full. No views: it is so everywhere."""
+    """`full2`: squared metres up to which density is full. No views: it is so everywhere. `slopes`: the map of what
+    ground hides, see kernels/refine/hiding.py. `reach`: metres of the terrain's space that what stands there takes."""
 
     count: wp.int32
     full2: wp.float64
     views: wp.array(dtype=LocalView)
+    slopes: wp.array(dtype=wp.float32)
+    reach: wp.vec3d
 
 
 @wp.func
@@ -60,15 +65,26 @@ def wanted_at(views: Views, first: LocalView, p: wp.vec3d, clear: wp.int32) -> w
 
 
 @wp.func
+def is_veiled(views: Views, view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.bool:
+    """Whether nearer ground hides from a view all that stands on a box, and reaches out of it."""
+    veiled = wp.bool(False)
+    if view.rings.count > 0:
+        veiled = is_hidden(view.rings, views.slopes, low - views.reach - view.eye, high + views.reach - view.eye)
+    return veiled
+
+
+@wp.func
 def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
     """The most that a place of a box may have; the least, 0 where a frame ends in it."""
     zero = wp.float64(0.0)
     most = wp.where(views.count == 0, wp.float64(1.0), zero)
     least = most
+    seen = wp.bool(views.count == 0)
     for v in range(views.count):
         view = views.views[v]
         stand = stand_of(view, low, high)
         if stand != OUTSIDE:
+            seen = seen or not is_veiled(views, view, low, high)
             a = low - view.eye
             b = high - view.eye
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
@@ -77,4 +93,4 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
             if stand == CLEAR:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
                 least = larger(least, ramp(views.full2, far2))
-    return most, least
+    return wp.where(seen, most, zero), wp.where(seen, least, zero)

@@ -7,6 +7,7 @@ imported only by what needs it; the engine, whose import takes a moment, only wh
 
 import argparse
 import importlib.util
+import re
 import signal
 import sys
 from pathlib import Path
@@ -54,7 +55,7 @@ def program() -> NoReturn:
 
 def _run(argv: list[str] | None) -> int:
     try:
-        arguments = build_parser().parse_args(argv)
+        arguments = build_parser().parse_args(_with_frames_joined(sys.argv[1:] if argv is None else argv))
         arguments.run(arguments)
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
@@ -67,6 +68,17 @@ def _run(argv: list[str] | None) -> int:
             print(f"openjd_fail: {' '.join(str(error).split())}", flush=True)
         return 1
     return 0
+
+
+def _with_frames_joined(argv: list[str]) -> list[str]:
+    """argparse takes frames that begin below 0, such as -5--1, for an option, unless they are joined to their name."""
+    joined = []
+    for word in argv:
+        if joined and joined[-1] == "--frames" and re.match(r"-\d", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -3,16 +3,18 @@
 Flamenco. JSON is YAML, so what is made of values is written as JSON; what is written by hand are files beside this."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ..output.exporting import write_files
 
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
 GUARD, FLAMENCO = "guard.py", "adaptive_terrain_render.js"
+NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # what JSON may hold as it is, and YAML drops or refuses
 MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
@@ -42,7 +44,11 @@ def write_bundle(job: Job, folder: Path) -> None:
     guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
     files = {TEMPLATE: template(job, guard), VALUES: _values(job), ASSETS: _assets(job)}
-    write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco})
+    try:
+        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco})
+    except UnicodeEncodeError as reason:
+        path = shown(reason.object[max(0, reason.start - 60) : reason.end])
+        raise TerrainError(f"A path of the job is not UTF-8 ({path}); rename the file or its folder.") from None
 
 
 def template(job: Job, guard: str) -> str:
@@ -54,23 +60,23 @@ def template(job: Job, guard: str) -> str:
 
 def range_text(frames: Sequence[int]) -> str:
     """Frames in rising order as Open Job Description writes a range: `1-24,30-60:2`, none twice."""
-    rest, parts = sorted(set(frames)), []
-    while rest:
-        step = rest[1] - rest[0] if len(rest) > 1 else 1
+    rest, parts, at = sorted(set(frames)), [], 0
+    while at < len(rest):
+        step = rest[at + 1] - rest[at] if at + 1 < len(rest) else 1
         count = 1
-        while count < len(rest) and rest[count] - rest[count - 1] == step:
+        while at + count < len(rest) and rest[at + count] - rest[at + count - 1] == step:
             count += 1
         if count == 2 and step > 1:  # two alone are no row
             count = 1
-        first, last = rest[0], rest[count - 1]
+        first, last = rest[at], rest[at + count - 1]
         parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
-        rest = rest[count:]
+        at += count
     return ",".join(parts)
 
 
 def _values(job: Job) -> str:
     values = {
-        "JobName": job.name[:MOST_NAME],
+        "JobName": shown(job.name)[:MOST_NAME],  # without line breaks, which a name must not have
         "BlenderFile": str(job.blend),
         "Frames": range_text(job.frames),
         "ChunkSize": job.chunk,
@@ -93,7 +99,8 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _json(content: dict) -> str:
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return re.sub(NO_YAML, lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _text(name: str) -> str:

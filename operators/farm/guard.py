@@ -63,7 +63,7 @@ def check_version(found):
 def check_file():
     for scene in bpy.data.scenes:
         scene.adaptive_terrain.stop_stale_renders = True
-    for obj in bpy.data.objects:
+    for obj in bpy.context.scene.objects:
         if obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None:
             store = bpy.path.abspath(obj.adaptive_terrain.store)
             if not os.path.isfile(os.path.join(store, "store.json")):

@@ -64,7 +64,8 @@ def submit(
         made=made,
     )
     write_bundle(job, out)
-    return [f"{out} is a job of {len(set(job.frames)):,} frames, {chunk} a task", *(f"note: {note}" for note in notes)]
+    said = f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"
+    return [said, *(f"note: {note}" for note in notes)]
 
 
 def _listed_files() -> list[Path]:

@@ -49,6 +49,8 @@ class SubmitToFarm(bpy.types.Operator):
         try:
             if bpy.data.is_dirty and not bpy.app.background:  # where it always says so
                 raise TerrainError("The file has unsaved changes, and a farm renders what is saved: save it first.")
+            if not self.folder.strip():
+                raise TerrainError("The job has no folder; expected one, such as //farm/.")
             said = submit(
                 context.scene,
                 session.terrains_of(context.scene),

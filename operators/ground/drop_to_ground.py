@@ -60,7 +60,7 @@ class DropToGround(bpy.types.Operator):
         return bool(selected(context))
 
     def execute(self, context):
-        depsgraph, objects, left = context.evaluated_depsgraph_get(), [], {}
+        depsgraph, objects, kept, left = context.evaluated_depsgraph_get(), [], [], {}
         try:
             if not math.isfinite(self.offset):
                 raise TerrainError(f"The offset from the ground is {self.offset}; expected a number of metres.")
@@ -72,14 +72,16 @@ class DropToGround(bpy.types.Operator):
                     continue
                 if obj.adaptive_terrain_keep.keep:
                     keep_ground.let_go(obj)
+                    kept.append(obj)
                 objects.append(obj)
             depsgraph.update()
             for obj in objects:
-                refused = self._drop(obj, ground, depsgraph, active_terrain(context))
-                left |= {obj: refused} if refused else {}
+                if refused := self._dropped(obj, ground, depsgraph, active_terrain(context)):
+                    left[obj] = refused
+                    obj.adaptive_terrain_keep.keep = obj in kept
             depsgraph.update()
             left |= self._held([obj for obj in objects if obj not in left], ground, depsgraph)
-            if self.keep:
+            if self.keep or kept:
                 keep_ground.settle_now(context.scene, depsgraph)
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
@@ -99,11 +101,20 @@ class DropToGround(bpy.types.Operator):
             return "is animated, and the next frame would bring it back; use Keep Every Frame"
         return moves.untouchable(obj) or moves.lock(obj, self.align)
 
+    def _dropped(self, obj, ground, depsgraph, terrain) -> str:
+        """As `_drop`; one object that cannot be moved stops no other."""
+        try:
+            return self._drop(obj, ground, depsgraph, terrain)
+        except TerrainError as error:
+            return f"stays: {str(error).rstrip('.')}"
+
     def _drop(self, obj, ground, depsgraph, terrain) -> str:
-        """Move an object, or have it kept; returns as `_refusal`."""
+        """Move an object, or have it kept; returns as `_refusal`. Raises TerrainError for one that is flat."""
         evaluated = obj.evaluated_get(depsgraph)
         if not evaluated.is_evaluated:
             return "is hidden; show it first"
+        if not np.isfinite(np.array(evaluated.matrix_world)).all():
+            return "has a place, a rotation or a scale that is no number; correct it"
         if obj.type == "CURVE" and not self.keep:
             return drop_points(obj, evaluated.matrix_world, ground, self.offset)
         corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Keep Above Ground: a camera, or any object, never lower than a clearance over the terrain; and the end of keeping."""
 
+import math
+
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
@@ -33,6 +35,9 @@ class KeepAboveGround(bpy.types.Operator):
         return bool(_chosen(context))
 
     def execute(self, context):
+        if not math.isfinite(self.clearance):
+            self.report({"ERROR"}, f"The clearance is {self.clearance}; expected a number of metres.")
+            return {"CANCELLED"}
         objects = movers(_chosen(context))
         refused = {obj: reason for obj in objects if (reason := keep_ground.refusal(obj))}
         for obj in objects:

@@ -52,9 +52,13 @@ class ProfileCurve(bpy.types.Operator):
                 lines = lines_of(curve, depsgraph)
                 ground = _ground_of(context, curve, lines, depsgraph)
                 found = [along_line(ground, line, self.spacing or None) for line in lines]
-                obj = _new_curve(context, f"{curve.name} Profile", [points for _, points in found])
+                if not any(np.isfinite(points).all(axis=1).any() for _, points in found):
+                    raise TerrainError(
+                        f"There is no ground below the curve {curve.name!r}: it crosses holes or lies beside it."
+                    )
                 files = self._write(curve.name, found) if self.filepath else []
-        except (TerrainError, OSError) as error:
+                obj = _new_curve(context, f"{curve.name} Profile", [points for _, points in found])
+        except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         heights = np.concatenate([points[:, 2] for _, points in found])
@@ -67,14 +71,20 @@ class ProfileCurve(bpy.types.Operator):
         """Of several splines each in files of their own number."""
         base = Path(bpy.path.abspath(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
+        if not base.name:
+            raise TerrainError(f"The file {self.filepath!r} has no name; expected one, such as //profile.csv.")
         files = []
         for number, (along, points) in enumerate(found):
             own = base if len(found) == 1 else base.with_name(f"{base.name}_{number + 1}")
             texts = table(along, points), profile_plot.draw(along, points[:, 2], name)
             for suffix, content in zip(SUFFIXES, texts, strict=True):
                 path = own.with_name(own.name + suffix)
-                with written_beside(path) as partial:
-                    Path(partial).write_text(content, encoding="utf-8")
+                try:
+                    with written_beside(path) as partial:
+                        Path(partial).write_text(content, encoding="utf-8")
+                except OSError as reason:
+                    said = reason.strerror or reason
+                    raise TerrainError(f"{path} cannot be written ({said}): choose another folder.") from None
                 files.append(path.name)
         return files
 
@@ -158,13 +168,10 @@ def table(along: np.ndarray, points: np.ndarray) -> str:
 
 
 def _new_curve(context, name: str, lines: list[np.ndarray]):
-    """A curve object through points of the world, in parts where they have no height."""
+    """A curve object through points of the world, one of which has a height; in parts where others have none."""
     data = bpy.data.curves.new(name, "CURVE")
     data.dimensions = "3D"
-    first = next((p for line in lines for p in line if np.isfinite(p).all()), None)
-    if first is None:
-        bpy.data.curves.remove(data)
-        raise TerrainError(f"There is no ground below the line of {name!r}: it crosses holes or lies beside it.")
+    first = next(p for line in lines for p in line if np.isfinite(p).all())
     for line in lines:
         ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(line[:, 2]), False].astype(np.int8)))
         for begin, end in ends.reshape(-1, 2):

@@ -42,8 +42,10 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
 def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
     """float64 [n, 3, 2]: the triangles of the evaluated mesh object `boundary` in plan, in the terrain's space.
 
-    Raises TerrainError where one is not finite.
+    Raises TerrainError for another object, as a script may choose one, and where one is not finite.
     """
+    if boundary.type != "MESH":
+        raise TerrainError(f"The boundary {boundary.name!r} is of type {boundary.type}; expected a mesh object.")
     mesh = boundary.data
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)

@@ -50,7 +50,8 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
         scene.frame_set(frame)
     with private_folder(out) as folder:
         partial = folder / "pictures"
-        scene.render.filepath, scene.render.use_file_extension = str(partial / f"frame_{frame:04d}"), True
+        scene.render.filepath = _as_it_is(partial / f"frame_{frame:04d}")
+        scene.render.use_file_extension = True
         with _noted(terrains, source.objects), stale_renders.raising():
             try:
                 bpy.ops.render.render(write_still=True)
@@ -64,6 +65,11 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
         raise TerrainError(f"Blender wrote no picture of frame {frame} into {out}; check the disk and its messages.")
     sizes = {file.name: (out / file.name).stat().st_size for file in files}
     return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
+
+
+def _as_it_is(path: Path) -> str:
+    """A path for Blender to write to: from 4.5 on it puts values in place of names in braces."""
+    return str(path) if bpy.app.version < (4, 5, 0) else str(path).replace("{", "{{").replace("}", "}}")
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from .exporting import summary_name
 
 MOST_NAMED = 5
@@ -18,14 +18,14 @@ def verify_frames(out: Path, frames: Sequence[int]) -> list[dict]:
     wrong, summaries = [], []
     for frame in frames:
         try:
-            summary = _read(out / summary_name(frame))
+            summary = _read(out / summary_name(frame), frame)
         except OSError:
             wrong.append(f"frame {frame} is missing")
             continue
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             wrong.append(f"{summary_name(frame)} is damaged")
             continue
-        wrong += [f"{name} is not whole" for name, size in summary["files"].items() if _size(out / name) != size]
+        wrong += [f"{shown(name)} is not whole" for name, size in summary["files"].items() if _size(out / name) != size]
         summaries.append(summary)
     wrong += [] if wrong else _of_another_scene(summaries)
     if wrong:
@@ -34,12 +34,19 @@ def verify_frames(out: Path, frames: Sequence[int]) -> list[dict]:
     return summaries
 
 
-def _read(path: Path) -> dict:
-    """What is asked of a summary; raises what damage makes of it."""
+def _read(path: Path, frame: int) -> dict:
+    """What is asked of the summary of a frame; raises what damage makes of it."""
     summary = json.loads(path.read_text(encoding="utf-8"))
+    if summary["frame"] != frame:
+        raise ValueError("it is of another frame")
     files = {str(name): int(size) for name, size in summary["files"].items()}
-    terrains = [{name: terrain[name] for name in ("triangles", *BOUNDS)} for terrain in summary["terrains"]]
-    return {"frame": summary["frame"], "settings": str(summary["settings"]), "files": files, "terrains": terrains}
+    terrains = [_figures(terrain) for terrain in summary["terrains"]]
+    return {"frame": frame, "settings": str(summary["settings"]), "files": files, "terrains": terrains}
+
+
+def _figures(terrain: dict) -> dict:
+    bounds = {name: None if terrain[name] is None else float(terrain[name]) for name in BOUNDS}
+    return {"triangles": int(terrain["triangles"]), **bounds}
 
 
 def _of_another_scene(summaries: list[dict]) -> list[str]:
@@ -55,5 +62,5 @@ def _of_another_scene(summaries: list[dict]) -> list[str]:
 def _size(path: Path) -> int | None:
     try:
         return path.stat().st_size
-    except OSError:
+    except (OSError, ValueError):
         return None

@@ -35,6 +35,11 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
     )  # fmt: skip
     seed: bpy.props.IntProperty(name="Seed", description="Another seed is another land", default=DEFAULT_SEED, min=0)
 
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Leave the mode for Object Mode: a terrain is an object of its own")
+        return context.mode == "OBJECT"
+
     def draw(self, _context):
         layout, land = self.layout, LANDS[self.land.lower()]
         layout.use_property_split = True

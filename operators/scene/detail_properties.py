@@ -22,7 +22,7 @@ def _smooth_transitions(default: bool):
     return BoolProperty(
         name="Smooth Transitions",
         description="Points rise to their places as the camera comes nearer, instead of popping. The bound holds as "
-        "without; it takes a quarter more triangles or so",
+        "without; it takes a third more triangles or so",
         default=default, update=changed,
     )  # fmt: skip
 

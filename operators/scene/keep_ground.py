@@ -122,6 +122,8 @@ def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
     for only in {obj.adaptive_terrain_keep.terrain for obj in shown}:
         chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
         own = [item for item in grounds if only is None or item.uid == only.session_uid]
+        for obj in () if own or only is None else chosen:
+            _notes[obj.session_uid] = f"{obj.name!r} is not moved: its terrain {only.name!r} is not in the scene"
         places = np.array([_place(shown[obj]) for obj in chosen], np.float64)
         under = world_ground.below(own, places)
         turning = [_turns(obj) and obj not in moved for obj in chosen]

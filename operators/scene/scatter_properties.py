@@ -19,7 +19,7 @@ class ScatterSettings(bpy.types.PropertyGroup):
     spacing: FloatProperty(
         name="Spacing",
         description="At full density there is one point on a square of this side, in the terrain's own space",
-        default=10.0, min=1e-4, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
+        default=10.0, min=1e-3, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
     )  # fmt: skip
     full_until: FloatProperty(
         name="Full Until",

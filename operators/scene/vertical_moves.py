@@ -9,7 +9,7 @@ from ..demand.trees import animated_paths
 
 # Constraints after which an object is still where its own channels and its parent have it.
 STAY = {"TRACK_TO", "DAMPED_TRACK", "LOCKED_TRACK", "COPY_ROTATION", "LIMIT_ROTATION", "COPY_SCALE", "LIMIT_SCALE",
-        "MAINTAIN_VOLUME", "TRANSFORM_CACHE", "CAMERA_SOLVER"}  # fmt: skip
+        "MAINTAIN_VOLUME", "STRETCH_TO", "TRANSFORM_CACHE", "CAMERA_SOLVER"}  # fmt: skip
 
 
 def frame_of(evaluated) -> Matrix:

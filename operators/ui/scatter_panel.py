@@ -2,6 +2,7 @@
 """Scatters: those of a terrain with what they take, and the settings of the one that is selected."""
 
 import bpy
+from mathutils import Matrix
 
 from ..scene import session
 from ..scene.scatter_properties import MESH
@@ -10,6 +11,8 @@ from ..text.numbers import plain
 from ..text.shown_bounds import bound_text
 from .layers_panel import draw_rules
 from .panel_parts import TerrainSubpanel, figures
+
+STANDING = Matrix()  # where a scatter stands in its terrain's space: points are written in that
 
 
 class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
@@ -74,6 +77,8 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
         tested = f"{scatter.points.tested:,}"
         bound = (status.bound_px, "px") if status.bound_px is not None else (status.bound_m or 0.0, "m")
         off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
+        if settings.id_data.matrix_local != STANDING:
+            off = "moved: clear its transforms"
     return [("Points", points), ("Looked at", tested), ("Update", ms), ("Off the mesh", off)]
 
 

@@ -3,6 +3,7 @@
 tests/blender/test_farm.py runs one."""
 
 import json
+import runpy
 import shutil
 import subprocess
 from pathlib import Path
@@ -10,9 +11,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
-from adaptive_terrain.operators.output import preparing
+from adaptive_terrain.operators.output import preparing, verifying
 from adaptive_terrain.operators.scene import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
@@ -86,6 +88,29 @@ def test_any_frames_come_back():
         assert list(IntRangeExpr.from_str(bundle.range_text(frames))) == sorted(set(frames))
 
 
+@pytest.mark.parametrize("frames", ["-5--1", "-10--1:3,0", "-5,3"])
+def test_frames_below_0_are_no_options(tmp_path, capsys, frames):
+    """A job's steps are given them as words of their own."""
+    assert run("verify", tmp_path, "--frames", frames) == 1
+    assert f"frame {frames[: frames.index('-', 1)] if '--' in frames else -5} is missing" in capsys.readouterr().err
+
+
+def made(folder: Path, stem: str):
+    """A job of pictures of a file of that name, as Open Job Description reads it."""
+    blend = folder / f"{stem}.blend"
+    job = bundle.Job(f"{stem} pictures", blend, [-3, -2, -1, 7], 2, (), folder / "out", "1", None, [], [], [])
+    bundle.write_bundle(job, folder)
+    return job_of(folder, read(folder)[1])
+
+
+def test_names_that_are_no_names_of_jobs(tmp_path):
+    job = made(tmp_path, 'two\nlines\t\x85 {{Param.X}} %d "山"')
+    assert job.name == 'two lines {{Param.X}} %d "山" pictures'
+    assert job.parameters["BlenderFile"].value.endswith('two\nlines\t\x85 {{Param.X}} %d "山".blend')
+    with pytest.raises(TerrainError, match="A path of the job is not UTF-8 .*rename"):
+        made(tmp_path, "latin\udce9")
+
+
 def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, capsys):
     texture = tmp_path / "rock.1001.png"
     for tile in (texture, tmp_path / "rock.1002.png"):
@@ -152,8 +177,21 @@ def test_the_operator_writes_a_job(shot, tmp_path):
     asked = {"folder": str(tmp_path / "out"), "bring": False, "frames": "6,5", "chunk": 1}
     with pytest.raises(RuntimeError, match="frames '6-5'"):
         submit(**asked | {"frames": "6-5"})
+    with pytest.raises(RuntimeError, match="no folder"):
+        submit(**asked | {"folder": ""})
     assert submit(**asked) == {"FINISHED"}
     assert read(tmp_path / "out")[1]["Frames"] == "5-6"
+
+
+def test_the_guard_looks_at_the_scene_that_is_rendered(shot, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["blender"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(bundle.HERE / bundle.GUARD)
+    assert "openjd_fail: the store of Dunes is missing" in capsys.readouterr().out
+    dunes = bpy.data.objects["Dunes"]
+    bpy.context.scene.collection.objects.unlink(dunes)
+    bpy.data.scenes.new("Another").collection.objects.link(dunes)
+    runpy.run_path(bundle.HERE / bundle.GUARD)
 
 
 def test_prepare_makes_each_thing_once(shot, capsys):
@@ -177,7 +215,7 @@ def test_prepare_makes_each_thing_once(shot, capsys):
 
 def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     assert run("prepare", "--scene", shot, "--only", "stores") == 0
-    out = tmp_path / "pictures"
+    out = tmp_path / "{blend_name} %d # {x}"  # which newer Blenders would fill in
     frames = "--scene", shot, "--out", out, "--frames"
     assert run("render", *frames, "7") == 0
     first = (out / "frame_0007.png").read_bytes()
@@ -192,6 +230,9 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     assert "2 frames are whole" in capsys.readouterr().out
 
 
+NO_BOUNDS = dict.fromkeys(verifying.BOUNDS)
+
+
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
@@ -200,6 +241,17 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
         (lambda out: (out / "frame_0006.json").write_text("[]"), "frame_0006.json is damaged"),
         (lambda out: (out / "a_0006.npz").write_bytes(b"12"), "a_0006.npz is not whole"),
         (lambda out: (out / "a_0006.npz").unlink(), "a_0006.npz is not whole"),
+        *(
+            (lambda out, what=what: change(out / "frame_0006.json", **what), "frame_0006.json is damaged")
+            for what in (
+                {"frame": 5},
+                {"files": {"a": 1e999}},
+                {"terrains": [{"triangles": "x", **NO_BOUNDS}]},
+                {"terrains": [{"triangles": 1, **NO_BOUNDS, "bound_px": "x"}]},
+            )
+        ),
+        (lambda out: (out / "frame_0006.json").write_text("[" * 100_000), "frame_0006.json is damaged"),
+        (lambda out: change(out / "frame_0006.json", files={"a\0": 3}), "a? is not whole"),
         (lambda out: change(out / "frame_0006.json", settings="b"), "frame 6 was made of another scene"),
     ],
 )

@@ -180,6 +180,17 @@ def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before
 
 
+def test_nothing_is_added_while_a_mesh_is_edited(scene):
+    """Blender would join the new object to the mesh."""
+    edited = bpy.data.objects.new("Edited", bpy.data.meshes.new("Edited"))
+    scene.collection.objects.link(edited)
+    bpy.context.view_layer.objects.active = edited
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="Leave the mode"):
+        bpy.ops.mesh.adaptive_terrain_add()
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
 def draw(panel):
     """What a panel puts into its layout."""
     layout = Mock()

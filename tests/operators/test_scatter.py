@@ -8,6 +8,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
 from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
 from adaptive_terrain.operators.scene import live, session
+from adaptive_terrain.operators.scene.scatter_properties import scatter_of
 from adaptive_terrain.operators.ui.scatter_panel import scatter_lines, summary
 from demand_trees import put
 
@@ -142,6 +143,10 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     assert lines["Points"] == f"{len(scatter.data.vertices):,}"
     assert lines["Update"].endswith(" ms") and lines["Off the mesh"].startswith("≤ ")
     assert lines["Off the mesh"].endswith(" px")
+    scatter.location.z = 2.0
+    bpy.context.view_layer.update()
+    lines = dict(scatter_lines(scatter.adaptive_scatter, record_of(terrain, scatter), record.status))
+    assert lines["Off the mesh"].startswith("moved")
 
 
 def test_points_that_are_there_are_neither_made_nor_written_again(terrain, scatter, monkeypatch):
@@ -183,6 +188,12 @@ def test_no_point_is_where_the_ground_is_cut_away(terrain, scatter):
     cleanup.use_below, cleanup.below = True, 3.0
     session.update_object(terrain)
     assert len(scatter.data.vertices) > 100 and positions(scatter)[:, 2].min() >= 3.0
+
+
+def test_the_least_spacing_of_the_panel_is_one(scatter):
+    settings = scatter.adaptive_scatter
+    settings.spacing = 0.0
+    assert scatter_of(settings, None).spacing == pytest.approx(1e-3)
 
 
 def test_a_scatter_that_cannot_be_is_named(terrain, scatter):

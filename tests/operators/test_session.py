@@ -157,6 +157,9 @@ def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_t
     cleanup.boundary = bpy.data.objects.new("Torn", mesh)
     with pytest.raises(TerrainError, match="boundary 'Torn' has a vertex or a matrix that is not finite"):
         session.update_object(terrain)
+    cleanup.boundary = bpy.data.objects.new("Void", None)
+    with pytest.raises(TerrainError, match="boundary 'Void' is of type EMPTY"):
+        session.update_object(terrain)
     assert positions(terrain) == before
 
 

@@ -133,3 +133,5 @@ def test_bad_profiles_are_refused(spacing):
         profile(ROUGH, [(-100, 0), (0, 0)], spacing=spacing)
     with pytest.raises(TerrainError, match="1 points; expected 2"):
         profile(ROUGH, [(-100, 0)])
+    with pytest.raises(TerrainError, match="1e\\+308 m from the terrain's middle"):
+        profile(ROUGH, [(-1e308, 0), (0, 1e308)])

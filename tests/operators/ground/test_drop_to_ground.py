@@ -178,6 +178,22 @@ def test_what_cannot_be_moved_says_why_and_stays(askew, capfd):
     assert world(rock).translation.z == pytest.approx(Cast(askew).height((100, -30)), abs=NEAR)
 
 
+def test_one_that_cannot_be_moved_stops_no_other(askew, capfd):
+    cast, rock = Cast(askew), cube("Rock", (90.0, -60.0, 300.0))
+    flat, lost, held = (cube(name, (120.0, -30.0, 200.0)) for name in ("Flat", "Lost", "Held"))
+    flat.scale.x, lost.location.x = 0.0, float("nan")
+    only(held)
+    drop(anchor="ORIGIN", keep=True)
+    held.location.x = 9000.0
+    only(flat, lost, held, rock)
+    assert drop(anchor="ORIGIN") == {"FINISHED"}
+    assert world(rock).translation.z == pytest.approx(cast.height(rock.location), abs=NEAR)
+    assert flat.location.z == 200.0 and held.adaptive_terrain_keep.keep, "what was not dropped is as it was"
+    assert not flat.adaptive_terrain_keep.keep and not rock.adaptive_terrain_keep.keep
+    said = capfd.readouterr().out
+    assert "'Flat' stays: The object 'Flat'" in said and "'Lost' has a place" in said and "1 of 4" in said
+
+
 def test_linked_objects_are_left_alone(askew, tmp_path, capfd):
     rock = cube("Rock", (100.0, -30.0, 80.0))
     bpy.data.libraries.write(str(tmp_path / "rocks.blend"), {rock})

@@ -179,7 +179,14 @@ def track(camera):
     camera.location, camera.scale = (2.0, 3.0, 4.0), (1.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("constrain", [follow, track])
+def stretch(camera):
+    target = added(bpy.data.objects.new("Target", None), (400.0, 90.0, 0.0))
+    camera.constraints.new("STRETCH_TO").target = target
+    camera.parent = added(bpy.data.objects.new("Dolly", None), (90.0, 0.0, -70.0), rotation_euler=(0.3, 0.1, 0.5))
+    camera.location, camera.scale = (2.0, 3.0, 4.0), (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("constrain", [follow, track, stretch])
 def test_constraints_that_leave_room_are_reckoned_with(askew, constrain):
     camera = bpy.context.scene.camera
     constrain(camera)
@@ -194,6 +201,13 @@ def test_constraints_that_leave_room_are_reckoned_with(askew, constrain):
         assert ahead.angle(bpy.data.objects["Target"].location - at) < 1e-3, "it looks there from its new place"
 
 
+def test_a_clearance_that_is_no_number_keeps_nothing(flight):
+    bpy.ops.adaptive_terrain.let_go()
+    with pytest.raises(RuntimeError, match="clearance is nan"):
+        bpy.ops.adaptive_terrain.keep_above_ground(clearance=float("nan"))
+    assert not flight.camera.adaptive_terrain_keep.keep
+
+
 def test_one_that_holds_it_is_named(askew, capfd):
     rock, target = cube("Rock", (0.0, 0.0, 0.0)), added(bpy.data.objects.new("Target", None), (90.0, 0.0, -700.0))
     rock.constraints.new("COPY_LOCATION").target = target
@@ -201,6 +215,19 @@ def test_one_that_holds_it_is_named(askew, capfd):
     keep()
     assert "a constraint holds it" in keep_ground.note_of(rock) and rock.delta_location.length == 0.0
     assert any("holds it" in line for line in ground_panel.notes(rock))
+
+
+def test_a_terrain_that_left_the_scene_is_named(askew):
+    rock = cube("Rock", (80.0, -20.0, 0.0))
+    only(askew, rock, active=askew)
+    keep()
+    bpy.context.scene.collection.objects.unlink(askew)
+    bpy.context.scene.frame_set(3)
+    assert rock.matrix_world.translation.z == 0.0
+    assert "its terrain 'Askew' is not in the scene" in keep_ground.note_of(rock)
+    bpy.context.scene.collection.objects.link(askew)
+    bpy.context.scene.frame_set(4)
+    assert not keep_ground.note_of(rock) and rock.matrix_world.translation.z != 0.0
 
 
 def test_what_is_kept_on_what_is_kept_is_not_lifted_twice(askew):

@@ -95,6 +95,16 @@ def test_several_splines_and_ends_beyond_the_terrain(turned, tmp_path):
         bpy.ops.adaptive_terrain.profile()
 
 
+def test_a_profile_that_cannot_be_written_leaves_nothing(turned, tmp_path):
+    road = curve([[(0.0, 0.0, 0.0), (60.0, 30.0, 50.0)]])
+    before = len(bpy.data.objects), len(bpy.data.curves)
+    for path, said in (("//", "has no name"), (str(tmp_path / "none" / "road.csv"), "cannot be written")):
+        only(road)
+        with pytest.raises(RuntimeError, match=said):
+            bpy.ops.adaptive_terrain.profile(filepath=path)
+    assert (len(bpy.data.objects), len(bpy.data.curves)) == before
+
+
 def test_the_picture_of_a_profile_breaks_where_there_is_no_ground():
     along, heights = np.arange(6.0) * 100, np.array([10.0, 20.0, np.nan, np.nan, 30.0, 25.0])
     drawn = ET.fromstring(profile_plot.draw(along, heights, "A < B"))

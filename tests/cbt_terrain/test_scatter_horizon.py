@@ -4,18 +4,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
-from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.scatter.points import Points, Scatterer
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from fields import extent, rough
+from fields import extent
 from first_hits import in_sight
-from horizon_scenes import behind_a_ridge, scenes, updated
+from horizon_scenes import scenes, updated
 
 REACH = 4.0  # metres of the world
 

@@ -59,7 +59,9 @@ def as_keys(surface, faces: np.ndarray) -> set[bytes]:
 
 
 @wp.kernel
-def cast_to(mesh: wp.uint64, begin: wp.array(dtype=wp.vec3f), end: wp.array(dtype=wp.vec3f), open: wp.array(dtype=bool)):
+def cast_to(
+    mesh: wp.uint64, begin: wp.array(dtype=wp.vec3f), end: wp.array(dtype=wp.vec3f), open: wp.array(dtype=bool)
+):
     i = wp.tid()
     way = end[i] - begin[i]
     found = wp.mesh_query_ray(mesh, begin[i], wp.normalize(way), wp.length(way))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..kernels.field.domain import Domain
+from ..kernels.refine.pixels import Asked
 from .ask.criterion import Criterion
 from .ask.linear import determinant
 from .ask.local_view import localise
@@ -20,7 +21,7 @@ from .mesh.rising import Rising
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
-from .refine.horizon import place_rings
+from .refine.horizon import horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
@@ -76,6 +77,7 @@ class Terrain:
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
+        self._hides: tuple | None = None  # of the last mesh: arguments of `horizon_of`, if any
         self._pieces: Pieces | None = None  # of the surface that was last asked for a place
 
     @property
@@ -166,6 +168,7 @@ class Terrain:
                 "The saved tree has leaves that do not fit together, so no terrain had it; save it again."
             ) from None
         self._shape_key = shape
+        self._hides = None
         parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
         most_m = sum(parts) * (1 + MARGIN)
         return Update(
@@ -198,6 +201,12 @@ class Terrain:
         if self._pieces is None or self._pieces.surface is not surface:
             self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
         return self._pieces.at(found, places)
+
+    def horizon(self) -> "Asked | None":
+        """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
+        without views and an error asked, of a restored tree, and with holes, through which one sees."""
+        self._need_update()
+        return horizon_of(self.field, *self._hides, self.threads) if self._hides else None
 
     def _need_update(self) -> None:
         if self._last is None or self._shape_key is None:
@@ -238,7 +247,9 @@ class Terrain:
             if over <= 0 or leaves.total > most:
                 break
             most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
-        self._shape_key = shape
+        self._shape_key, self._hides = shape, None
+        if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
+            self._hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
         outcome = Outcome(
             domain=domain,
             asked=asked,

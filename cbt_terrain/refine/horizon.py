@@ -56,6 +56,19 @@ def fill(
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
 
+def horizon_of(field: HeightField, domain: Domain, asked: Asked, max_depth: int, off: float, threads: int) -> Asked:
+    """What hides from the views of `asked`, with the maps, for a mesh that keeps `off` times what is asked and leaves
+    down to `max_depth`."""
+    views = asked.views.numpy().copy().view(np.recarray)
+    entries = place_rings(domain, views, LARGEST)
+    own = Asked()
+    own.view_count, own.error_px2, own.metres2 = len(views), asked.error_px2, asked.metres2
+    own.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
+    if entries:
+        fill(field, domain, own, max_depth, off, Buffers(), threads)
+    return own
+
+
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
     """The blocks of a field's surface: found once, and kept with the field."""
     key = "blocks", field.interpolation

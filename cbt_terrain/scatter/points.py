@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.pixels import LocalView
+from ...kernels.refine.pixels import Asked, LocalView
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seen import Views
 from ..ask.criterion import Criterion
-from ..ask.linear import settled
+from ..ask.linear import lengths, settled, solve
 from ..ask.local_view import localise
 from ..ask.view import View
 from ..effects.effect import Places
@@ -98,13 +98,17 @@ class Scatterer:
         """Bytes that are kept for later frames."""
         return self._ground.nbytes + self._buffers.nbytes
 
-    def points(self, views: Sequence[View] = (), placement: np.ndarray | None = None) -> Points:
+    def points(
+        self, views: Sequence[View] = (), placement: np.ndarray | None = None, horizon: "Asked | None" = None
+    ) -> Points:
         """The points that views see, the terrain standing at `placement` (4 x 4, to the world).
 
-        Raises TerrainError for a view that cannot be, for more candidates than memory should hold and for heights that
-        are not finite.
+        `horizon`: of Terrain.horizon for the same views; squares of the plan that are hidden from all of them, with
+        what reaches `margin_m` out of them, have no points then. Those that are left are as they are without.
+        Raises TerrainError for a view that cannot be, for another's horizon, for more candidates than memory should
+        hold and for heights that are not finite.
         """
-        seen, pattern = self._seen(views, placement), self._pattern
+        seen, pattern = self._seen(views, placement, horizon), self._pattern
         place = pattern.west, pattern.south, pattern.side
         squares = squares_wanted(self.field, self._domain, seen, *place, self.threads)
         runs, tested = self._runs(squares, len(views)), int(squares.count.sum())
@@ -123,7 +127,7 @@ class Scatterer:
         launch.slices(kernels.tell, [[*piece, *inputs] for piece in self._pieces(counts)], step="tell")
         return points
 
-    def _seen(self, views: Sequence[View], placement: np.ndarray | None) -> Views:
+    def _seen(self, views: Sequence[View], placement: np.ndarray | None, horizon: "Asked | None") -> Views:
         scatter, placement = self.scatter, np.eye(4) if placement is None else np.asarray(placement, np.float64)
         criterion, seen, local = Criterion(guard_deg=scatter.margin_deg), Views(), []
         for view in views:
@@ -132,6 +136,11 @@ class Scatterer:
             planes[: found.plane_count, 3] += scatter.margin_m
             found.planes = planes
             local.append(found)
+        if horizon is not None:
+            _hide(local, horizon)
+            seen.slopes, linear = horizon.slopes, placement[:3, :3]
+            # A ball of the world is an ellipsoid in the terrain's space, this its box.
+            seen.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
         seen.count, seen.full2 = len(local), scatter.full_until**2 if scatter.full_until else math.inf
         seen.views = wp.array(local or [LocalView()], dtype=LocalView, device=launch.DEVICE)
         return seen
@@ -178,6 +187,15 @@ class Scatterer:
         pieces = max(1, min(self.threads, total // launch.SLICE_ITEMS))
         cuts = np.searchsorted(ends, total * np.arange(1, pieces) / pieces).tolist()
         return list(zip([0, *cuts], [*cuts, len(counts)], strict=True))
+
+
+def _hide(views: list[LocalView], horizon: Asked) -> None:
+    """Give views the rings of their horizons. Raises TerrainError for those of others."""
+    others = horizon.views.numpy()[: horizon.view_count]
+    if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):
+        raise TerrainError("The horizon is one of other views; update the terrain for those of the scatter first.")
+    for view, other in zip(views, others, strict=True):
+        view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
 
 
 def _laid(field: HeightField, scatter: Scatter) -> tuple[kernels.Pattern, int]:

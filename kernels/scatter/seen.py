@@ -1,24 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much of a scatter views want at a place, and at most and at least over a box: 1 is full density.
 
-Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance.
+Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance. Of a
+box that nearer ground hides from all views nothing is wanted; of others no less, so all that is seen stays as it is.
 """
 
 import warp as wp
 
 from ..refine.diamond import larger
-from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of
+from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of, veil_of
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
 class Views:
-    """`full2`: squared metres up to which density is full. No views: it is so everywhere."""
+    """`full2`: squared metres up to which density is full. No views: it is so everywhere. `slopes`: the map of what
+    ground hides, see kernels/refine/hiding.py. `reach`: metres of the terrain's space that what stands there takes."""
 
     count: wp.int32
     full2: wp.float64
     views: wp.array(dtype=LocalView)
+    slopes: wp.array(dtype=wp.float32)
+    reach: wp.vec3d
 
 
 @wp.func
@@ -61,14 +65,19 @@ def wanted_at(views: Views, first: LocalView, p: wp.vec3d, clear: wp.int32) -> w
 
 @wp.func
 def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
-    """The most that a place of a box may have; the least, 0 where a frame ends in it."""
+    """The most that a place of a box may have; the least, 0 where a frame ends in it, or some of it may be hidden."""
     zero = wp.float64(0.0)
     most = wp.where(views.count == 0, wp.float64(1.0), zero)
     least = most
+    seen = wp.bool(views.count == 0)
+    bare = wp.bool(True)
     for v in range(views.count):
         view = views.views[v]
         stand = stand_of(view, low, high)
         if stand != OUTSIDE:
+            veil = veil_of(view, views.slopes, low - views.reach, high + views.reach, 0)
+            seen = seen or veil != HIDDEN
+            bare = bare and veil == BARE
             a = low - view.eye
             b = high - view.eye
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
@@ -77,4 +86,4 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
             if stand == CLEAR:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
                 least = larger(least, ramp(views.full2, far2))
-    return most, least
+    return wp.where(seen, most, zero), wp.where(seen and bare, least, zero)

@@ -56,3 +56,35 @@ def as_keys(surface, faces: np.ndarray) -> set[bytes]:
     corners = surface.positions[surface.triangles[faces]]
     order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=1)
     return {row.tobytes() for row in np.take_along_axis(corners, order[..., None], axis=1)}
+
+
+@wp.kernel
+def cast_to(
+    mesh: wp.uint64, begin: wp.array(dtype=wp.vec3f), end: wp.array(dtype=wp.vec3f), free: wp.array(dtype=bool)
+):
+    i = wp.tid()
+    way = end[i] - begin[i]
+    found = wp.mesh_query_ray(mesh, begin[i], wp.normalize(way), wp.length(way))
+    free[i] = not found.result
+
+
+def in_sight(surface, view: View, placement: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """bool [n]: of places of the camera's space, float64 [n, 3], those in the frame with no triangle in front."""
+    if view.kind == PANORAMIC:
+        start = np.linalg.norm(places, axis=1) / view.clip[0]
+        seen = start > 1
+    else:
+        start = -places[:, 2] / view.clip[0]
+        clip = np.column_stack([places, np.ones(len(places))]) @ view.projection.T
+        seen = (start > 1) & (np.abs(clip[:, :2]) < clip[:, 3:]).all(axis=1)
+    ends = places[seen]
+    both = np.concatenate([ends / start[seen, None], ends])
+    back = np.linalg.inv(view.world_to_camera @ placement)
+    both = both @ back[:3, :3].T  # from the eye: near it float32 is finest
+    corners = wp.array((surface.positions - back[:3, 3]).astype(np.float32), dtype=wp.vec3f, device="cpu")
+    mesh = wp.Mesh(corners, wp.array(surface.triangles.reshape(-1), dtype=wp.int32, device="cpu"))
+    begin, end = (wp.array(part.astype(np.float32), dtype=wp.vec3f, device="cpu") for part in np.split(both, 2))
+    free = wp.zeros(len(ends), dtype=bool, device="cpu")
+    wp.launch(cast_to, len(ends), inputs=[mesh.id, begin, end, free], device="cpu")
+    seen[seen] = free.numpy()
+    return seen

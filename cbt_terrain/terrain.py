@@ -77,7 +77,7 @@ class Terrain:
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
-        self._kept: tuple | None = None  # what holds of the last mesh: arguments of `horizon_of`, if any
+        self._hides: tuple | None = None  # of the last mesh: arguments of `horizon_of`, if any
         self._pieces: Pieces | None = None  # of the surface that was last asked for a place
 
     @property
@@ -168,7 +168,7 @@ class Terrain:
                 "The saved tree has leaves that do not fit together, so no terrain had it; save it again."
             ) from None
         self._shape_key = shape
-        self._kept = None
+        self._hides = None
         parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
         most_m = sum(parts) * (1 + MARGIN)
         return Update(
@@ -206,7 +206,7 @@ class Terrain:
         """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
         without views and an error asked, of a restored tree, and with holes, through which one sees."""
         self._need_update()
-        return horizon_of(self.field, *self._kept, self.threads) if self._kept else None
+        return horizon_of(self.field, *self._hides, self.threads) if self._hides else None
 
     def _need_update(self) -> None:
         if self._last is None or self._shape_key is None:
@@ -247,9 +247,9 @@ class Terrain:
             if over <= 0 or leaves.total > most:
                 break
             most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
-        self._shape_key, self._kept = shape, None
+        self._shape_key, self._hides = shape, None
         if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
-            self._kept = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
+            self._hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
         outcome = Outcome(
             domain=domain,
             asked=asked,

@@ -8,8 +8,7 @@ box that nearer ground hides from all views nothing is wanted; of others no less
 import warp as wp
 
 from ..refine.diamond import larger
-from ..refine.hiding import is_hidden
-from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of
+from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of, veil_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,26 +64,20 @@ def wanted_at(views: Views, first: LocalView, p: wp.vec3d, clear: wp.int32) -> w
 
 
 @wp.func
-def is_veiled(views: Views, view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.bool:
-    """Whether nearer ground hides from a view all that stands on a box, and reaches out of it."""
-    veiled = wp.bool(False)
-    if view.rings.count > 0:
-        veiled = is_hidden(view.rings, views.slopes, low - views.reach - view.eye, high + views.reach - view.eye)
-    return veiled
-
-
-@wp.func
 def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
-    """The most that a place of a box may have; the least, 0 where a frame ends in it."""
+    """The most that a place of a box may have; the least, 0 where a frame ends in it, or some of it may be hidden."""
     zero = wp.float64(0.0)
     most = wp.where(views.count == 0, wp.float64(1.0), zero)
     least = most
     seen = wp.bool(views.count == 0)
+    bare = wp.bool(True)
     for v in range(views.count):
         view = views.views[v]
         stand = stand_of(view, low, high)
         if stand != OUTSIDE:
-            seen = seen or not is_veiled(views, view, low, high)
+            veil = veil_of(view, views.slopes, low - views.reach, high + views.reach, 0)
+            seen = seen or veil != HIDDEN
+            bare = bare and veil == BARE
             a = low - view.eye
             b = high - view.eye
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
@@ -93,4 +86,4 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
             if stand == CLEAR:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
                 least = larger(least, ramp(views.full2, far2))
-    return wp.where(seen, most, zero), wp.where(seen, least, zero)
+    return wp.where(seen, most, zero), wp.where(seen and bare, least, zero)

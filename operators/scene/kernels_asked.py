@@ -30,6 +30,8 @@ def kernels_for(request: Request) -> list[ModuleType]:
             found.append(module)
         elif SCATTER in module.__name__ and request.scatters.asked:
             found.append(module)
-        elif module.__name__.endswith(HIDING) and request.criterion.hidden_factor != 1.0:
+        elif module.__name__.endswith(HIDING) and (
+            request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.asked)
+        ):
             found.append(module)
     return found

@@ -57,6 +57,12 @@ class ScatterSettings(bpy.types.PropertyGroup):
         name="Reach", description="The same in metres: how far what stands there reaches, with its shadow",
         default=0.0, min=0.0, soft_max=100.0, unit="LENGTH", update=changed,
     )  # fmt: skip
+    cull_hidden: BoolProperty(
+        name="Cull Hidden", description="No points where the terrain in front hides them from the camera, with what "
+        "stands there: set Reach to its height. It may still throw a shadow into view, or be seen in a mirror: keep "
+        "this off where that matters. Needs a Screen Error of the terrain, roots on the ground, and nothing cut away",
+        default=False, update=changed,
+    )  # fmt: skip
     seed: IntProperty(name="Seed", description="Another seed is other points", default=0, min=0, update=changed)
 
 

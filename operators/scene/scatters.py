@@ -4,6 +4,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -19,12 +20,14 @@ from .scatter_properties import MESH, scatter_of
 
 @dataclass(frozen=True)
 class AskedScatter:
-    """A scatter that is to be shown. `uid`: session_uid of its object; `name`: of that, for messages."""
+    """A scatter that is to be shown. `uid`: session_uid of its object; `name`: of that, for messages. `culls`: without
+    the points that the terrain hides."""
 
     uid: int
     name: str
     scatter: Scatter
     on_mesh: bool
+    culls: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +72,10 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
         if not (evaluated.is_evaluated and (render or obj.visible_get(view_layer=depsgraph.view_layer))):
             continue
         own = evaluated.adaptive_scatter
+        on_mesh = own.roots == MESH
+        culls = own.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
         try:
-            asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), own.roots == MESH))
+            asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), on_mesh, culls))
         except TerrainError as error:
             raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
     return Scatters(tuple(asked), tuple(views())) if asked else Scatters()
@@ -85,10 +90,14 @@ def make_points(
     """
     scale = request.vertical_scale, request.vertical_offset
     views, below = tuple(view.key() for view in request.scatters.views), request.cleanup.below
+    whole = not request.cleanup.active  # where ground is cut away one sees what it would hide
+    horizon = cache(terrain.horizon)  # one for all scatters
     for asked in request.scatters.asked:
         record = records.setdefault(asked.uid, ScatterRecord())
         ground = asked.scatter, heights.key, scale
         key = *ground, views, request.placement.tobytes(), below, asked.on_mesh and serial
+        culls = asked.culls and whole
+        key += (culls and (request.criterion, request.frozen),)
         if key == record.key:
             continue
         start, record.key = time.perf_counter(), ()
@@ -97,7 +106,8 @@ def make_points(
                 record.scatterer, record.scatterer_key = None, ()
                 record.scatterer = Scatterer(heights, asked.scatter, *scale, terrain.threads)
                 record.scatterer_key = ground
-            points = record.scatterer.points(request.scatters.views, request.placement)
+            hidden_by = horizon() if culls else None
+            points = record.scatterer.points(request.scatters.views, request.placement, hidden_by)
         except TerrainError as error:
             raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None
         if asked.on_mesh:

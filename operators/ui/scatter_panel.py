@@ -55,8 +55,12 @@ class ScatterPanel(bpy.types.Panel):
         box = self.layout.box().column(align=True)
         figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
         column = self.layout.column()
-        for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m", "seed"):
+        for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
             column.prop(settings, name)
+        row = column.row()
+        row.active = settings.roots != MESH
+        row.prop(settings, "cull_hidden")
+        column.prop(settings, "seed")
         column.separator()
         column.prop_search(settings, "layer", terrain.adaptive_terrain, "layers")
         draw_rules(column, settings.where)

@@ -241,3 +241,26 @@ def test_live_updates_write_points_too(terrain, scatter):
     session.show(terrain, record, request, update, session.VIEWPORT)
     assert len(scatter.data.vertices) > 300
     assert set(record_of(terrain, scatter).ms) == {"points", "mesh"}
+
+
+def test_what_the_terrain_hides_may_be_culled(scene, terrain, scatter):
+    """From low behind rising ground; not with roots on the mesh, nor where ground is cut away; off and on again."""
+    scene.camera.location, scene.camera.rotation_euler = (0.0, -300.0, 20.0), (1.57, 0.0, 0.0)
+    settings, cleanup, found = scatter.adaptive_scatter, terrain.adaptive_terrain.cleanup, {}
+    assert not settings.cull_hidden
+
+    def ids():
+        bpy.context.view_layer.update()
+        session.update_object(terrain)
+        return attribute(scatter, "id", 1, np.int32).tolist()
+
+    whole = ids()
+    settings.cull_hidden = True
+    found = ids()
+    assert 0 < len(found) < 0.9 * len(whole) and set(found) < set(whole)
+    terrain.adaptive_terrain.viewport.error_px = 60.0  # which hides less
+    assert len(ids()) > len(found)
+    cleanup.use_below, cleanup.below = True, -1e6
+    assert ids() == whole
+    cleanup.use_below, settings.roots = False, "MESH"
+    assert ids() == whole

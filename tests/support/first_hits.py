@@ -60,12 +60,12 @@ def as_keys(surface, faces: np.ndarray) -> set[bytes]:
 
 @wp.kernel
 def cast_to(
-    mesh: wp.uint64, begin: wp.array(dtype=wp.vec3f), end: wp.array(dtype=wp.vec3f), open: wp.array(dtype=bool)
+    mesh: wp.uint64, begin: wp.array(dtype=wp.vec3f), end: wp.array(dtype=wp.vec3f), free: wp.array(dtype=bool)
 ):
     i = wp.tid()
     way = end[i] - begin[i]
     found = wp.mesh_query_ray(mesh, begin[i], wp.normalize(way), wp.length(way))
-    open[i] = not found.result
+    free[i] = not found.result
 
 
 def in_sight(surface, view: View, placement: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -120,7 +120,7 @@ def test_the_page_shows_what_was_profiled(tmp_path):
 
 
 # What these take is in their reasons: kernels of their own, or Python that asks Blender.
-NOT_PROFILED = {"demand_large", "light_rays", "effects_flight"}
+NOT_PROFILED = {"demand_large", "light_rays", "effects_flight", "morph_flight", "morph_cut"}
 
 
 def test_every_row_that_falls_short_has_its_profile():

@@ -76,7 +76,8 @@ def found(folder, acts) -> dict:
 
 def must_be_flat(act: str, said: dict) -> None:
     """After the first third, to warm up, counts do not grow and memory has no trend. Of counts the least of each third
-    is looked at: for a moment there may be a thread or a file more."""
+    is looked at: for a moment there may be a thread or a file more. A short run is all warm-up: Blender may start one
+    more thread of its pool in it, but what leaks at every step is found."""
     samples = said["samples"]
     third = len(samples) // 3
     middle, end = samples[third : 2 * third], samples[2 * third :]
@@ -85,7 +86,8 @@ def must_be_flat(act: str, said: dict) -> None:
     trend = float(np.polyfit(steps, memory, 1)[0])
     megabytes = [round(memory[at] / 1024) for at in (0, -1)]
     print(f"{act}, {samples[-1]['step']} times, {said['cpu_s']:.0f} s: {megabytes} MB, {trend:.1f} KB a step; {least}")
-    assert all(before >= after for before, after in least.values()), (act, least)
+    late = 1 if len(samples) < SAMPLES else 0
+    assert all(before + late >= after for before, after in least.values()), (act, least)
     assert len(samples) < SAMPLES or trend < MEMORY_KB_A_STEP, (act, trend)
 
 
@@ -117,7 +119,7 @@ def in_a_window(program, shot, counts: dict[str, int]) -> int:
 def test_a_long_day_in_the_window(program, shot):
     """Undo and Redo; files that are opened; collections, view layers, instances and drivers that come and go; a flight
     with live update, motion blur and renders."""
-    counts = {"undo": times(6, 300), "load": times(4, 400), "arrange": times(4, 400), "fly": times(16, 1000)}
+    counts = {"undo": times(6, 300), "load": times(6, 400), "arrange": times(6, 400), "fly": times(16, 1000)}
     in_a_window(program, shot, counts)
     said = found(shot.parent, counts)
     for act, figures in said.items():
@@ -136,7 +138,7 @@ def test_quit_while_importing(program, shot, number):
 
 def test_one_program_renders_what_another_imports_anew(program, shot, tmp_path):
     """Frames with motion blur, from a store that another program writes meanwhile, again and again."""
-    counts = {"render": {"render": times(12, 1000)}, "write": {"write": times(3, 200)}}
+    counts = {"render": {"render": times(12, 1000)}, "write": {"write": times(6, 200)}}
     running = {}
     for name, asked in counts.items():
         (tmp_path / name).mkdir()

@@ -234,7 +234,7 @@ RIVERS = LandEffect(
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years",
-    converges="aged by 180,000 years, land at 16 to 2 m adds 7.7, 2.8, 1.4, 0.7 m rms; grown by 2 million 22, 13, 6, "
+    converges="aged by 180,000 years, land at 16 to 2 m adds 7.8, 2.7, 1.4, 0.8 m rms; grown by 2 million 22, 13, 6, "
     "4 m",
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",

@@ -233,7 +233,8 @@ RIVERS = LandEffect(
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,
-    limit="none: a step may have any length; the network lags behind steps of more than 20,000 years",
+    limit="none: a step may have any length; the network lags behind steps of more than 20,000 years; ground above "
+    "`steepest` becomes walls of that slope",
     converges="aged by 180,000 years, land at 16 to 2 m adds 7.8, 2.7, 1.4, 0.8 m rms; grown by 2 million 22, 13, 6, "
     "4 m",
     cost_ns=650,

@@ -24,7 +24,10 @@ ROCK, ROCK_OCTAVES = 960.0, 5
 # Of what an explicit step of diffusion may move at most, 0.5 being the limit of its stability.
 CREEP = 0.4
 # Squared samples over which a step of so many years creeps at least: what the noise has left of single samples is gone.
+# The bends that the ground had before are not the noise's, and stay: else ridges of a rough range end as blurred spots.
 LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
+# Metres of sediment that bury them.
+BURIED = 1.0
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
 # Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
@@ -38,7 +41,7 @@ class Bed:
     `heights`: float32 metres. `sediment`: float32 metres, of the heights. `fixed`: bool, water leaves there, nothing
     changes. `part`: float32, 0 to 1, of the effect. `soft`: float32, the same times the rock's softness. `lift`:
     float32 metres a year. `own`: float64, samples that each counts for, with those beyond the cut of a tile. `first`,
-    `seed`: of the noise, as a ground's.
+    `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0.
     """
 
     shape: tuple[int, int]
@@ -54,6 +57,7 @@ class Bed:
     first: tuple[int, int] = (0, 0)
     seed: int = 0
     threads: int = 1
+    bends: np.ndarray | float = 0.0
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
         heights, fixed = self.heights.reshape(self.shape), self.fixed.reshape(self.shape)
@@ -72,10 +76,30 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     rate, filled = _cut(bed, drainage, years, values)
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
     if values["creep"] > 0.0:
-        least = LEAST_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0)
-        bed.heights = diffuse(bed, bed.heights, max(years * values["creep"], least), drainage.base, bed.part)
+        _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
+
+
+def bends_of(bed: Bed) -> np.ndarray:
+    """float32 [n], 1 / m: the Laplacian of the heights as they are, 0 along the rim and where nothing changes."""
+    h, bends = bed.heights.reshape(bed.shape), np.zeros(bed.shape, np.float32)
+    middle = h[1:-1, 1:-1]
+    bends[1:-1, 1:-1] = ((h[1:-1, 2:] - middle) - (middle - h[1:-1, :-2])) / np.float32(bed.step_x**2)
+    bends[1:-1, 1:-1] += ((h[2:, 1:-1] - middle) - (middle - h[:-2, 1:-1])) / np.float32(bed.step_y**2)
+    return np.where(bed.fixed, np.float32(0.0), bends.reshape(-1))
+
+
+def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.ndarray | None) -> None:
+    """Diffusion at `rate` (m2 a year), and what LEAST_CREEP is more. Of that the ground's own bends are kept as far as
+    they are still there: where they are bare, not where `filled` is the surface of a lake."""
+    spread = years * rate
+    more = max(LEAST_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
+    bare = np.clip(1.0 - bed.sediment * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
+    if filled is not None:
+        bare[filled > bed.heights] = 0.0
+    bare *= np.float32(more) * bed.bends
+    bed.heights = diffuse(bed, bed.heights, spread + more, base, bed.part, bare)
 
 
 def vary_rock(bed: Bed, variety: float) -> None:
@@ -110,9 +134,12 @@ def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -
     return rate, filled
 
 
-def diffuse(bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part: np.ndarray) -> np.ndarray:
+def diffuse(
+    bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part: np.ndarray, kept: np.ndarray | None = None
+) -> np.ndarray:
     """`values` (float32 [n], used up) after diffusion over `spread` m2, in as many explicit steps as are stable, or in
-    an implicit one; `part` (float32 [n]) of it. Where `still` (uint8 [n], as all of the rim is) is 1 they stay."""
+    an implicit one; `part` (float32 [n]) of it. Where `still` (uint8 [n], as all of the rim is) is 1 they stay. `kept`:
+    float32 [n], metres that they do not move by where they would that way; only explicit steps heed it."""
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, values.copy()
@@ -125,8 +152,9 @@ def diffuse(bed: Bed, values: np.ndarray, spread: float, still: np.ndarray, part
         launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
         launch.spread(far_creep.creep_along_rows, rows, [grid, ew, *arrays], cost=columns, **common)
         return values
+    kept = np.zeros_like(values) if kept is None else kept / np.float32(max(passes, 1))
     for _ in range(passes):
-        arrays = [*where, flat(values, wp.float32), flat(other, wp.float32)]
+        arrays = [*where, *(flat(a, wp.float32) for a in (kept, values, other))]
         launch.spread(kernels.creep, rows - 2, [grid, ew / passes, ns / passes, *arrays], cost=columns / 16, **common)
         values, other = other, values
     return values

@@ -19,7 +19,7 @@ from .tile_cache import content_key
 from .tiles import Level, Window
 
 BAND_ROWS = 256
-SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness")
+SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
 ATTRIBUTES: dict[str, Effect] = {name: EFFECTS[name] for name in (*SHAPES, *BY_PRODUCTS)}
 
 

@@ -26,6 +26,8 @@ from .tiles import Level, levels_of
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
 SECONDS = 10.0  # after which a preview goes without the effects that are left
+# What entries have made is kept for later stacks that begin alike: of so many, those used last. One holds 1.4 MB.
+MOST_KEPT = 32
 _FOUND = ("land preview",)  # in HeightField.found
 
 
@@ -36,7 +38,7 @@ class _TooSlow(Exception):
 @dataclass
 class _Applied:
     """What some first entries of a stack have made of the coarsest level: the ground, what they have changed in all,
-    what names the last one's work, and the milliseconds it took."""
+    what names these entries, and the milliseconds that the last one took."""
 
     ground: Ground
     change: np.ndarray
@@ -86,8 +88,8 @@ def preview(
 ) -> Preview:
     """The whole terrain with the coarsest level of a stack, at MOST_SHOWN samples along the longer side at most.
 
-    Of entries that begin as those of the last preview of the same source only the others are applied. The bound on its
-    mesh is against these heights.
+    Entries that begin as those of one of the last previews of the same source are not applied again: a moved slider
+    takes its own entry and those below it. The bound on its mesh is against these heights.
 
     images: of masks, by file name, float32 [rows, columns], row 0 south. seconds: that effects may take.
     """
@@ -124,14 +126,13 @@ def _apply(
         if time.monotonic() > end:
             raise _TooSlow
 
-    kept = source.found.get(_FOUND, [])
-    states = kept[:1] or [_Applied(_ground(source, level), np.zeros(level.shape, np.float32))]
-    for number, entry in enumerate(stack.active, 1):
-        key = Stack((entry,)).key()
-        if len(states) == number < len(kept) and kept[number].key == key:
-            states.append(kept[number])
+    kept = source.found.get(_FOUND, {})
+    states = [kept[""] if kept else _Applied(_ground(source, level), np.zeros(level.shape, np.float32))]
+    for entry in stack.active:
+        key = content_key(states[-1].key, Stack((entry,)).key())
+        if key in kept:
+            states.append(kept[key])
             continue
-        kept = []
         mask = None
         if entry.mask is not None:
             mask = _mask(entry, images, level, states[-1].ground, threads)
@@ -141,7 +142,9 @@ def _apply(
             states.append(_after(states[-1], ground, entry, key))
         except _TooSlow:
             break
-    source.found[_FOUND] = states
+    used = {state.key: state for state in states}
+    others = [key for key in kept if key not in used]
+    source.found[_FOUND] = {key: kept[key] for key in others[max(len(others) + len(used) - MOST_KEPT, 0) :]} | used
     return states
 
 

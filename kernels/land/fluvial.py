@@ -119,6 +119,7 @@ def cut_down(
     const float* __restrict s = m - width;
     const float* __restrict n = m + width;
     const float* __restrict p = part.data + (size_t)y * width;
+    const float* __restrict stays = kept.data + (size_t)y * width;
     const unsigned char* __restrict stops = base.data + (size_t)y * width;
     float* __restrict out = h.data + (size_t)y * width;
     #pragma clang loop vectorize(enable) interleave(enable)
@@ -126,7 +127,11 @@ def cut_down(
         float twice = m[x] + m[x];
         float u = (m[x - 1] + m[x + 1] - twice) * ew;
         float v = (s[x] + n[x] - twice) * ns;
-        v = (u + v) * p[x];
+        v = u + v;
+        const float low = stays[x] < 0.0f ? stays[x] : 0.0f, high = stays[x] > 0.0f ? stays[x] : 0.0f;
+        u = v < low ? low : v;
+        u = u > high ? high : u;
+        v = (v - u) * p[x];
         out[x] = stops[x] ? m[x] : m[x] + v;
     }
 """)
@@ -137,6 +142,7 @@ def creep_of_row(
     ns: wp.float32,
     base: wp.array(dtype=wp.uint8),
     part: wp.array(dtype=wp.float32),
+    kept: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
     h: wp.array(dtype=wp.float32),
 ): ...
@@ -150,11 +156,13 @@ def creep(
     ns: float,
     base: wp.array(dtype=wp.uint8),
     part: wp.array(dtype=wp.float32),
+    kept: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
     h: wp.array(dtype=wp.float32),
 ):
-    """Row `offset + tid` + 1: an explicit step of diffusion; `ew`, `ns`: diffusivity times years over squared steps."""
-    creep_of_row(offset + wp.tid() + 1, grid.width, ew, ns, base, part, old, h)
+    """Row `offset + tid` + 1: an explicit step of diffusion; `ew`, `ns`: diffusivity times years over squared steps.
+    `kept`: metres of what would move that do not, where that has their sign."""
+    creep_of_row(offset + wp.tid() + 1, grid.width, ew, ns, base, part, kept, old, h)
 
 
 @wp.func_native("""

@@ -94,6 +94,7 @@ RULES = {
     "plan_curvature": band("Plan Curvature", "of contours, 1 / m: above 0 on ridges", 0, 10, 0.01, (-10, 10)),
     "flow": BANDS[rules.FLOW],
     "wetness": BANDS[rules.WETNESS],
+    "sky": band("Sky", "part of the sky that is seen: 1 on open level ground, less in gorges", 0.8, 1, 0.1, (0, 1)),
     **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
     "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
     "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
@@ -108,7 +109,7 @@ class LandMask(bpy.types.PropertyGroup):
         name="Mask",
         items=[(EVERYWHERE, "Everywhere", "The effect acts on the whole terrain"),
                (BY_RULE, "Rule", "It acts where the ground that it finds is within limits: of height, slope, aspect, "
-                "curvature, flow, or of what effects above it have left"),
+                "curvature, flow, sky, or of what effects above it have left"),
                (BY_IMAGE, "Image", "It acts where a painted image over the terrain is bright"),
                (BY_OBJECT, "Object", "It acts below and above an object: inside its shadow on the plan")],
         **STILL,

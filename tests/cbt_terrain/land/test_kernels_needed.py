@@ -37,7 +37,8 @@ def test_kernels_that_stacks_launch_are_foreseen():
     """In a new process, effect after effect: what it loads is what was said, and of the first ones that is not much
     more."""
     wet = {"rules": [{"of": "wetness", "low": 1.0}]}
-    entries = [{"effect": "relief"}, {"effect": "relief", "mask": wet}]
+    seen = {"rules": [{"of": "sky", "low": 0.9}]}
+    entries = [{"effect": "relief"}, {"effect": "relief", "mask": wet}, {"effect": "relief", "mask": seen}]
     entries += [{"effect": name} for name in ("snow", "thermal", "water", "rivers", "droplets")]
     entries += [{"effect": "flood", "parameters": {"minutes": 0.1}}]
     stacks = [{"version": 1, "entries": [entry]} for entry in entries]

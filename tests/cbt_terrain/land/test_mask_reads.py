@@ -68,6 +68,21 @@ def test_water_leaves_at_holes():
     assert flow[~missing].min() > 0 and not np.allclose(flow, whole)
 
 
+def test_the_sky_over_a_trench_is_that_between_its_walls():
+    """An endless trench of level floor leaves its middle the sine of half the angle between its rims; the preview and
+    the levels lower the floor by as much as such a rule lets through."""
+    heights = np.full(LEVEL.shape, 200.0, np.float32)
+    heights[:, 86:115] = 0.0
+    sky = read(heights, "sky", threads=3)["sky"]
+    assert sky[165, 100] == pytest.approx(150.0 / np.hypot(150.0, 200.0), abs=0.01) and sky[165, 20] == 1.0
+    assert sky.tobytes() == read(heights, "sky")["sky"].tobytes()
+    land = from_array(heights[:150], LEVEL.step_x, LEVEL.step_y)
+    hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("sky", high=0.7, edge=0.02),)))
+    added = shape(land, Stack((hill,)), all_tiles(land.lattice)).change
+    assert (added[70:80, 95:106] > 99.0).all() and not added[:, :80].any()
+    assert abs(preview(land, Stack((hill,))).field.heights() - land.heights() - added).max() < 1e-3
+
+
 def test_what_scree_covers_is_masked_at_every_level():
     """The hill is added where the effect before it has left scree, as the scree of the same level says; the preview
     agrees with the level that the rest begins with."""
@@ -113,7 +128,7 @@ def test_every_attribute_can_be_asked_for_in_a_file():
         content = {"version": 1, "entries": [{"effect": "hill", "mask": {"rules": [{"of": name, "low": 1}]}}]}
         stack = stack_from(content)
         assert stack_content(stack)["entries"][0]["mask"]["rules"] == [{"of": name, "low": 1.0}]
-    assert all(ATTRIBUTES[name].width == 1 and not ATTRIBUTES[name].parameters for name in ATTRIBUTES)
+    assert all(effect.width == 1 for effect in ATTRIBUTES.values())
     found = read(bumpy(331, 201), *SHAPES)
     assert set(found) == set(SHAPES) and all(np.isfinite(values).all() for values in found.values())
     with pytest.raises(TerrainError, match="a rule about 'colour'; expected one of: height, slope, aspect, mean_curva"):

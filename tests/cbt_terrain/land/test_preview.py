@@ -50,20 +50,50 @@ def test_it_lies_where_the_terrain_lies(shape_):
     assert abs(found.heights() - np.maximum(300.0 * (1 - away / 900.0), 0)).max() < 300.0 / 900.0 * made.step_m
 
 
-def test_what_has_not_changed_is_not_made_again(monkeypatch):
-    land, made = from_array(bumpy(300, 400), *STEPS), []
-    after = previews._after
-    monkeypatch.setattr(previews, "_after", lambda *given: made.append(given[2].effect) or after(*given))
-    stack = Stack((Entry("smooth"), hill(), Entry("level")))
-    preview(land, stack)
-    assert made == ["smooth", "hill", "level"]
-    preview(land, Stack((*stack.entries[:2], Entry("level", {"part": 0.5}))))
-    assert made[3:] == ["level"]
-    preview(land, Stack((hill(), *stack.entries[1:])))
-    assert made[4:] == ["hill", "hill", "level"]
-    first = preview(land, stack).field
-    del land.found[("land preview",)]
-    assert preview(land, stack).field.heights().tobytes() == first.heights().tobytes()
+@pytest.fixture
+def made(monkeypatch):
+    """The effects that were applied, one after the other."""
+    names, after = [], previews._after
+    monkeypatch.setattr(previews, "_after", lambda *given: names.append(given[2].effect) or after(*given))
+    return names
+
+
+def contents(found: previews.Preview) -> list[bytes]:
+    field = found.field
+    return [field.key.encode(), field.heights().tobytes(), *(field.layers[n].tobytes() for n in sorted(field.layers))]
+
+
+def test_only_what_a_change_is_about_is_made_again(made):
+    """The entry that changed and those below it, with the bytes of a preview of which nothing was known."""
+    samples = bumpy(300, 400)
+    land = from_array(samples, *STEPS)
+    low, high = (Mask("", (GroundRule("height", low=h, edge=40.0), GroundRule("sky", low=0.9))) for h in (0.0, 50.0))
+    first = smooth, masked_hill, level = Entry("smooth"), hill(mask=low), Entry("level")
+    steps = [
+        (first, ["smooth", "hill", "level"]),
+        ((smooth, masked_hill, Entry("level", {"part": 0.5})), ["level"]),
+        ((smooth, hill(mask=high), level), ["hill", "level"]),
+        ((Entry("smooth", {"sweeps": 5}), masked_hill, level), ["smooth", "hill", "level"]),
+        ((masked_hill, smooth, level), ["hill", "smooth", "level"]),
+        ((smooth, hill(mask=low, on=False), level), ["level"]),
+        (first, []),
+        ((smooth, hill(mask=low, seed=1), level), ["hill", "level"]),
+    ]
+    for entries, again in steps:
+        made.clear()
+        found = preview(land, Stack(entries), threads=2)
+        assert made == again
+        assert contents(found) == contents(preview(from_array(samples, *STEPS), Stack(entries)))
+    other = from_array(samples + np.float32(1.0), *STEPS)
+    made.clear()
+    assert contents(preview(other, Stack(first))) != contents(preview(land, Stack(first))) and len(made) == 3
+
+
+def test_a_slider_that_moves_for_long_keeps_what_is_above_it(made):
+    land = from_array(bumpy(90, 70), *STEPS)
+    for part in np.linspace(0.0, 1.0, 2 * previews.MOST_KEPT):
+        preview(land, Stack((hill(), Entry("level", {"part": float(part)}))))
+    assert made.count("hill") == 1 and len(land.found[("land preview",)]) == previews.MOST_KEPT
 
 
 def test_holes_stay_holes_and_the_source_is_not_written():

@@ -73,7 +73,7 @@ def test_rims_are_no_dams():
     h = (50 + 1.0 * np.abs(x - 60) + 0.5 * y + 3 * np.random.default_rng(0).random((80, 120))).astype(np.float32)
     h[-1, 5] = 20.0
     made = aged(h, 30.0)
-    assert made.heights[0, 55:66].mean() < -5
+    assert made.heights[0, 55:66].mean() < -4
     after = np.maximum(h[0] + np.minimum(made.heights[1], 0), 20.0)
     assert np.allclose((h + made.heights)[0, 1:-1], after[1:-1], atol=1e-3) and not made.heights[-1, 5]
     assert (aged(h, 30.0, rise=5e-4).heights[[0, -1]] <= 0).all()
@@ -136,3 +136,18 @@ def test_the_floors_of_lakes_are_smooth():
     bend = after[1:-1, 1:-1] - 0.25 * (after[:-2, 1:-1] + after[2:, 1:-1] + after[1:-1, :-2] + after[1:-1, 2:])
     deep = made.layers["sediment"][1:-1, 1:-1] > 3
     assert deep.sum() > 2000 and np.sqrt(np.mean(bend[deep] ** 2)) < 0.03
+
+
+def test_the_knobs_of_a_steep_slope_do_not_melt():
+    """What is spread of the noise in the choice of ways is not the ground's: of the bends of a rough slope of 45
+    degrees 0.58 are left after 100,000 years, 0.30 if they crept as far as the noise does."""
+    y, x = np.indices((160, 301))
+    knobs = 20 * np.cos(2 * np.pi * x / 7) * np.cos(2 * np.pi * y / 7)
+    h = (100 + 20 * y + knobs + np.random.default_rng(0).random(x.shape)).astype(np.float32)
+    after = h + aged(h, 20.0, years=1e5).heights
+
+    def bends(z):
+        z = z.astype(np.float64)
+        return (z[2:, 1:-1] + z[:-2, 1:-1] + z[1:-1, 2:] + z[1:-1, :-2] - 4 * z[1:-1, 1:-1])[20:-20, 20:-20]
+
+    assert np.sum(bends(h) * bends(after)) > 0.5 * np.sum(bends(h) ** 2)

@@ -24,6 +24,11 @@ def positions(obj):
     return attribute(obj, "position", 3, member="vector")
 
 
+def moved(places, matrix):
+    matrix = np.array(matrix)
+    return places @ matrix[:3, :3].T + matrix[:3, 3]
+
+
 def record_of(terrain, scatter):
     return session.record_of(terrain).scatters[scatter.session_uid]
 
@@ -188,6 +193,43 @@ def test_no_point_is_where_the_ground_is_cut_away(terrain, scatter):
     cleanup.use_below, cleanup.below = True, 3.0
     session.update_object(terrain)
     assert len(scatter.data.vertices) > 100 and positions(scatter)[:, 2].min() >= 3.0
+
+
+@pytest.mark.parametrize("rises", [False, True], ids=["convex", "with a bay"])
+def test_no_point_is_outside_of_the_boundary(terrain, scatter, rises):
+    """A polygon that is turned, of a terrain that is turned too: points are those of before that the polygon holds. A
+    boundary that moves takes them along; without one they are all there again. Each has the mesh below or above."""
+    session.update_object(terrain)
+    whole = attribute(scatter, "id", 1, np.int32).tolist()
+    corners = [(-300.0, -200.0), (250.0, -250.0), (280.0, 200.0), (0.0, 60.0 if rises else 300.0), (-250.0, 220.0)]
+    plan = bpy.data.meshes.new("Plan")
+    plan.from_pydata([(*corner, 0.0) for corner in corners], [], [range(5)])
+    boundary = bpy.data.objects.new("Plan", plan)
+    bpy.context.collection.objects.link(boundary)
+    terrain.location.x, terrain.rotation_euler.z, boundary.rotation_euler.z = 20.0, 0.4, 0.9
+    cleanup, seen = terrain.adaptive_terrain.cleanup, {}
+    terrain.adaptive_terrain.viewport.error_px = 0.5
+    for boundary.location.y in (0.0, 40.0):
+        bpy.context.view_layer.update()
+        cleanup.boundary = None
+        session.update_object(terrain)
+        x, y, _ = moved(positions(scatter), boundary.matrix_world.inverted() @ terrain.matrix_world).T
+        inside = np.zeros(len(x), bool)  # by how many edges a ray to the east crosses
+        for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
+            inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+        expected = attribute(scatter, "id", 1, np.int32)[inside]
+        cleanup.boundary = boundary
+        session.update_object(terrain)
+        seen[boundary.location.y] = attribute(scatter, "id", 1, np.int32).tolist()
+        assert seen[boundary.location.y] == expected.tolist() and 100 < len(expected) < 0.8 * len(inside)
+        hit = [terrain.ray_cast((*place[:2], 1000.0), (0, 0, -1))[0] for place in positions(scatter)[::9].tolist()]
+        assert np.mean(hit) > (0.98 if rises else 0.999)
+    assert seen[0.0] != seen[40.0]
+    terrain.location.x = terrain.rotation_euler.z = 0.0
+    cleanup.boundary = None
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert attribute(scatter, "id", 1, np.int32).tolist() == whole
 
 
 def test_the_least_spacing_of_the_panel_is_one(scatter):

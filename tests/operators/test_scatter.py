@@ -60,7 +60,8 @@ def test_the_operator_adds_points_with_attributes_and_cones(scene, terrain):
     assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
     (obj,) = terrain.children
     settings = obj.adaptive_scatter
-    assert settings.enabled and settings.spacing == pytest.approx(6.0) and settings.full_until == pytest.approx(300)
+    assert settings.enabled and settings.spacing == pytest.approx(6.0)
+    assert settings.full_until == pytest.approx(200 * 6 * 1.2) and settings.margin_m == pytest.approx(2 * 6 * 1.2)
     assert len(obj.data.vertices) > 500
     assert np.abs(np.linalg.norm(attribute(obj, "rotation", 4), axis=1) - 1).max() < 1e-6
     sizes, ids = attribute(obj, "size", 1), attribute(obj, "id", 1, np.int32)
@@ -271,7 +272,8 @@ def test_layers_and_rules_of_the_panel_decide_where(terrain, scatter):
     where.ragged, where.height.use, where.height.low, where.height.edge = 0.0, True, 10.0, 2.0
     bpy.context.view_layer.update()
     session.update_object(terrain)
-    assert positions(scatter)[:, 2].min() > 8.0 and 0 < len(scatter.data.vertices) < everywhere
+    # Rules read a smooth surface, which is a little off that of the samples.
+    assert np.quantile(positions(scatter)[:, 2], 0.01) > 9.0 and 0 < len(scatter.data.vertices) < everywhere
 
 
 def test_live_updates_write_points_too(terrain, scatter):

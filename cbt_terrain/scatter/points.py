@@ -115,8 +115,9 @@ class Scatterer:
         hold and for heights that are not finite.
         """
         seen, pattern = self._seen(views, placement, horizon), self._pattern
-        place = pattern.west, pattern.south, pattern.side
-        squares = squares_wanted(self.field, self._domain, seen, *place, self.scatter.seed, self.threads)
+        placed = pattern.west, pattern.south, pattern.side, self.scatter.seed
+        densest = min(self.scatter.where.strength, 1.0)  # of its layer's part, all rules holding
+        squares = squares_wanted(self.field, self._domain, seen, *placed, densest, self.threads)
         runs, tested = self._runs(squares, len(views)), int(squares.count.sum())
         listed, kept, get = _listed(runs), self._ground.packed(), self._buffers.get
         chosen = kernels.Chosen()

@@ -52,9 +52,18 @@ class Squares:
 
 
 def squares_wanted(
-    field: HeightField, domain: Domain, views: Views, west: float, south: float, side: float, seed: int, threads: int
+    field: HeightField,
+    domain: Domain,
+    views: Views,
+    west: float,
+    south: float,
+    side: float,
+    seed: int,
+    densest: float,
+    threads: int,
 ) -> Squares:
-    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`.
+    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`; density is
+    `densest` at most, 0 .. 1.
 
     Raises TerrainError for more than MOST_CANDIDATES points.
     """
@@ -69,8 +78,8 @@ def squares_wanted(
         inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.look, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
         most, least = wanted.T
-        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding could add.
-        there = most * (float(GROWING) * (1 + 1e-9))
+        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding of a density could add.
+        there = most * densest * (float(GROWING) * (1 + 1e-6))
         ranks = np.minimum(np.ceil(there * POINTS - 0.5), POINTS).astype(np.int64)
         cut = ranks > 0
         if halvings >= 0:

@@ -18,9 +18,7 @@ BLOCK = 1 << 20  # distances at a time
 
 def inside(triangles: np.ndarray, surface) -> list[Side]:
     """Sides that keep what of `surface` is above or below any of `triangles`, float64 [n, 3, 2] metres in plan."""
-    (ux, uy), (vx, vy) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
-    area2 = ux * vy - uy * vx
-    triangles = np.where((area2 < 0)[:, None, None], triangles[:, ::-1], triangles)[area2 != 0]
+    triangles = counter_clockwise(triangles)
     if not len(triangles):
         return [Side(lambda positions: np.full(len(positions), -1.0))]
     border = outline(triangles)
@@ -29,6 +27,13 @@ def inside(triangles: np.ndarray, surface) -> list[Side]:
         return [Side(lambda positions, line=line: _from_line(line, positions)) for line in lines]
     values = _distances(triangles, border, surface)
     return [Side(lambda _positions: values)]
+
+
+def counter_clockwise(triangles: np.ndarray) -> np.ndarray:
+    """float64 [m, 3, 2]: those of float64 [n, 3, 2] that have an area, turned over where they are clockwise."""
+    (ux, uy), (vx, vy) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
+    area2 = ux * vy - uy * vx
+    return np.where((area2 < 0)[:, None, None], triangles[:, ::-1], triangles)[area2 != 0]
 
 
 def outline(triangles: np.ndarray) -> np.ndarray:
@@ -67,9 +72,9 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray
     """float64 [V]: how far inside a vertex is, metres; where none of its triangles crosses the border only the sign is
     right."""
     place = surface.positions[:, :2].astype(np.float64)
-    covered = _covered(triangles, place)
-    values = np.where(covered, 1.0, -1.0)
-    corners = covered[surface.triangles]
+    kept = covered(triangles, place)
+    values = np.where(kept, 1.0, -1.0)
+    corners = kept[surface.triangles]
     near = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
     start, along = border[:, 0], border[:, 1] - border[:, 0]
     for part in np.array_split(near, 1 + len(near) * len(border) // BLOCK):
@@ -80,11 +85,11 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray
     return values
 
 
-def _covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """bool [V]: whether a point is on any of the counter-clockwise triangles."""
+def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """bool [n]: whether points, float64 [n, 2], are on any of the counter-clockwise triangles."""
     order = np.argsort(points[:, 0], kind="stable")
     x, y = points[order].T
-    covered = np.zeros(len(points), bool)
+    found = np.zeros(len(points), bool)
     low = np.searchsorted(x, triangles[:, :, 0].min(axis=1))
     high = np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right")
     for (a, b, c), first, end in zip(triangles, low, high, strict=True):
@@ -92,5 +97,5 @@ def _covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
         on = np.ones(end - first, bool)
         for p, q in ((a, b), (b, c), (c, a)):
             on &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
-        covered[order[first:end][on]] = True
-    return covered
+        found[order[first:end][on]] = True
+    return found

@@ -15,6 +15,7 @@ import warp as wp
 
 from ...kernels.refine.pixels import Asked, LocalView
 from ...kernels.scatter import points as kernels
+from ...kernels.scatter.seams import Pattern
 from ...kernels.scatter.seen import Views
 from ..ask.criterion import Criterion
 from ..ask.linear import lengths, settled, solve
@@ -25,6 +26,7 @@ from ..effects.evaluate import values_at
 from ..errors import TerrainError
 from ..field import coats
 from ..field.heightfield import HeightField
+from ..mesh.outline import counter_clockwise, covered
 from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import Buffers, flat, shared
@@ -63,7 +65,8 @@ class Points:
 
 def scatter_points(field: HeightField, scatter: Scatter, views: Sequence[View] = (), **placed) -> Points:
     """The points that views see; without a view all of them, at full density. Arguments as of Scatterer.points."""
-    fixed = {name: placed.pop(name) for name in ("vertical_scale", "vertical_offset", "threads") if name in placed}
+    names = "vertical_scale", "vertical_offset", "threads", "boundary"
+    fixed = {name: placed.pop(name) for name in names if name in placed}
     return Scatterer(field, scatter, **fixed).points(views, **placed)
 
 
@@ -71,6 +74,7 @@ class Scatterer:
     """A scatter on a height field, with its candidates on the ground, which later frames need again.
 
     What is kept changes no result: candidates depend on no view. Arguments as of Terrain and of Terrain.update.
+    `boundary`: points are above or below one of these triangles, float64 [n, 3, 2], x and y in the terrain's space.
     """
 
     def __init__(
@@ -80,6 +84,7 @@ class Scatterer:
         vertical_scale: float = 1.0,
         vertical_offset: float = 0.0,
         threads: int | None = None,
+        boundary: np.ndarray | None = None,
     ):
         self.field, self.scatter = field, scatter
         self.threads = launch.default_threads() if threads is None else max(1, threads)
@@ -91,6 +96,7 @@ class Scatterer:
         self._valid = flat(np.ascontiguousarray(valid), wp.uint8)
         self._pattern, self._tiles = _laid(field, scatter)
         self._look = _look(scatter, self._tiles)
+        self._boundary = None if boundary is None else counter_clockwise(boundary)
         self._ground, self._buffers = Kept(), Buffers()
 
     @property
@@ -109,8 +115,9 @@ class Scatterer:
         hold and for heights that are not finite.
         """
         seen, pattern = self._seen(views, placement, horizon), self._pattern
-        place = pattern.west, pattern.south, pattern.side
-        squares = squares_wanted(self.field, self._domain, seen, *place, self.threads)
+        placed = pattern.west, pattern.south, pattern.side, self.scatter.seed
+        densest = min(self.scatter.where.strength, 1.0)  # of its layer's part, all rules holding
+        squares = squares_wanted(self.field, self._domain, seen, *placed, densest, self.threads)
         runs, tested = self._runs(squares, len(views)), int(squares.count.sum())
         listed, kept, get = _listed(runs), self._ground.packed(), self._buffers.get
         chosen = kernels.Chosen()
@@ -147,13 +154,13 @@ class Scatterer:
 
     def _runs(self, squares: Squares, views: int) -> np.ndarray:
         """The runs of squares that so many views want, on the ground then: Run's numpy dtype [n]."""
-        tiles, square = squares.of_tile()
-        runs = np.zeros(len(square), kernels.Run.numpy_dtype())
-        first, most = tile().runs(squares.halvings, square)
+        tiles, window = squares.of_tile(self.scatter.seed)
+        runs = np.zeros(len(window), kernels.Run.numpy_dtype())
+        first, most = tile().runs(squares.halvings, window)
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
         runs["clear"] = squares.clear if views == 1 else 0
-        keys = (tiles[:, 1].astype(np.int64) * self._tiles + tiles[:, 0]) * POINTS * (FINEST + 1) + first
+        keys = (tiles[:, 1].astype(np.int64) * self._tiles + tiles[:, 0]) * tile().length + first
         at, known = self._ground.find(keys, squares.count)
         if not known.all():
             fresh, count = runs[~known], squares.count[~known]
@@ -173,6 +180,8 @@ class Scatterer:
         positions, density = self._ground.positions[where], self._ground.density[where]
         if not np.isfinite(positions).all():
             raise self.field.damage("it has heights that are not finite or too large for a mesh")
+        if self._boundary is not None:
+            density *= covered(self._boundary, positions[:, :2].astype(np.float64))
         reads = self.scatter.reads()
         there = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(there):
@@ -198,10 +207,10 @@ def _hide(views: list[LocalView], horizon: Asked) -> None:
         view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
 
 
-def _laid(field: HeightField, scatter: Scatter) -> tuple[kernels.Pattern, int]:
-    """The tile laid over the raster, shifted by the seed, and how many tiles there are in a row."""
+def _laid(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
+    """Tiles laid over the raster, moved by the seed, and how many there are in a row."""
     west, south, east, north = field.lattice.rectangle()
-    side, pattern = scatter.tile_side, kernels.Pattern()
+    side, pattern = scatter.tile_side, Pattern()
     tiles = int(max(east - west, north - south) / side) + 2
     if tiles > MOST_TILES:
         raise TerrainError(
@@ -211,9 +220,10 @@ def _laid(field: HeightField, scatter: Scatter) -> tuple[kernels.Pattern, int]:
     # Parts of a side by which scatters of other seeds lie elsewhere (R2 of Roberts, 2018).
     parts = (scatter.seed * 0.7548776662466927) % 1.0, (scatter.seed * 0.5698402909980532) % 1.0
     pattern.west, pattern.south = west - side * parts[0], south - side * parts[1]
-    pattern.side, own = side, tile()
+    pattern.side, pattern.seed, own = side, scatter.seed, tile()
     pattern.place = shared(own.place, wp.vec2i)
     pattern.order = flat(np.concatenate(own.order), wp.int32)
+    pattern.first = flat((own.length - POINTS + own.first[FINEST]).astype(np.int32), wp.int32)
     return pattern, tiles
 
 

@@ -20,7 +20,7 @@ from ..field.heightfield import HeightField
 from ..field.hierarchy import ranges_at
 from ..run import launch
 from ..run.buffers import shared
-from .tile import FINEST, POINTS, tile
+from .tile import FINEST, POINTS, shifts, tile
 
 FEW = 64  # points of a square that is not worth cutting
 EVEN = 1.5  # times the least that is wanted of a square, the most of one that is not cut
@@ -44,17 +44,26 @@ class Squares:
     count: np.ndarray
     clear: np.ndarray
 
-    def of_tile(self) -> tuple[np.ndarray, np.ndarray]:
-        """int32 [n, 2], int64 [n]: the tile of each square, and the square's number in that."""
+    def of_tile(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """int32 [n, 2], int64 [n]: the tile of each square, and the number of its window."""
+        tiles = self.number >> self.halvings[:, None]
         inside = self.number & ((1 << self.halvings) - 1)[:, None]
-        square = (inside[:, 1].astype(np.int64) << self.halvings) + inside[:, 0]
-        return self.number >> self.halvings[:, None], square
+        return tiles, tile().windows(self.halvings, inside, shifts(tiles, seed))
 
 
 def squares_wanted(
-    field: HeightField, domain: Domain, views: Views, west: float, south: float, side: float, threads: int
+    field: HeightField,
+    domain: Domain,
+    views: Views,
+    west: float,
+    south: float,
+    side: float,
+    seed: int,
+    densest: float,
+    threads: int,
 ) -> Squares:
-    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`.
+    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`; density is
+    `densest` at most, 0 .. 1.
 
     Raises TerrainError for more than MOST_CANDIDATES points.
     """
@@ -69,13 +78,13 @@ def squares_wanted(
         inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.look, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
         most, least = wanted.T
-        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding could add.
-        there = most * (float(GROWING) * (1 + 1e-9))
+        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding of a density could add.
+        there = most * densest * (float(GROWING) * (1 + 1e-6))
         ranks = np.minimum(np.ceil(there * POINTS - 0.5), POINTS).astype(np.int64)
         cut = ranks > 0
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
-            count = tile().count(halvings, Squares(depth, numbers, ranks, cut).of_tile()[1], ranks)
+            count = tile().count(halvings, Squares(depth, numbers, ranks, cut).of_tile(seed)[1], ranks)
             cut &= (count > FEW) & (most > EVEN * least) & (halvings < FINEST)
             taken = ~cut & (count > 0)
             found.append((depth[taken], numbers[taken], count[taken], least[taken] > 0))

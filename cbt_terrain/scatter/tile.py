@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tile that a scatter repeats: one progressive blue-noise set, cut into squares of several sizes.
+"""The tile that a scatter is laid out with: one progressive blue-noise set on a torus, listed by windows of it.
 
-Ranks are those of the whole tile, not of a square: so of the few points of a thin scatter the nearest repetition is a
-tile away, 128 times the spacing at full density, and no square has a first point of its own that would make a lattice.
+Every tile of the plan shows it shifted otherwise, by a number drawn for its place. So nothing repeats, however few of
+the points are wanted. A square of a tile is a window of the set, which may lie across the set's own border.
 """
 
 from dataclasses import dataclass
@@ -11,36 +11,52 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from ...kernels.scatter import seams
 from ...kernels.scatter import tile as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 
 POINTS = 1 << 14  # of a tile
-FINEST = 4  # halvings of a side; the smallest squares have 64 points
-UNITS = 1 << 16  # of a side, in which points are
+FINEST = int(seams.SQUARE_BITS)  # halvings of a side; the smallest squares have 64 points
+UNITS = 1 << int(seams.UNIT_BITS)  # of a side, in which points are
+SHIFTS = 1 << int(seams.SHIFT_BITS)  # each way
+# Windows begin at so many places of a side, for each halving. All of a tile is the same ranks wherever it begins.
+STARTS = np.array([1, *(max(SHIFTS, 1 << halvings) for halvings in range(1, FINEST + 1))])
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """`place`: int32 [POINTS, 2], the point of each rank, in units. Of each halving (0 .. FINEST): `order`, int32
-    [POINTS], ranks square by square (row by row from the south-west), in a square from low to high; `first`, int64
-    [squares + 1], where those of a square begin; `keys`, int64 [POINTS], ascending: square and rank in one number."""
+    """`place`: int32 [POINTS, 2], the point of each rank, in units. Of each halving (0 .. FINEST) with its windows (row
+    by row from the south-west): `order`, int32, ranks window by window, in a window from low to high; `first`, int64
+    [windows + 1], where those of a window begin; `keys`, int64, ascending: window and rank in one number."""
 
     place: np.ndarray
     order: list[np.ndarray]
     first: list[np.ndarray]
     keys: list[np.ndarray]
 
-    def count(self, halvings: int, square: np.ndarray, ranks: np.ndarray) -> np.ndarray:
-        """int64 [n]: how many points of squares have a rank below `ranks`; both int64 [n]."""
-        return np.searchsorted(self.keys[halvings], _key(square, ranks)) - self.first[halvings][square]
+    @property
+    def length(self) -> int:
+        """Of all of `order`, one halving after the other."""
+        return sum(map(len, self.order))
 
-    def runs(self, halvings: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """int64 [n], int64 [n]: where the ranks of squares begin in all of `order`, one halving after the other, and
-        how many there are. halvings, square: int [n]."""
+    def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """int64 [n]: which windows squares (int [n, 2]: column and row) of tiles with these shifts are."""
+        starts = STARTS[halvings][:, None]
+        column, row = ((square * (starts >> halvings[:, None]) - shift * starts // SHIFTS) % starts).T
+        return row * starts[:, 0] + column
+
+    def count(self, halvings: int, window: np.ndarray, ranks: np.ndarray) -> np.ndarray:
+        """int64 [n]: how many points of windows have a rank below `ranks`; both int64 [n]."""
+        return np.searchsorted(self.keys[halvings], _key(window, ranks)) - self.first[halvings][window]
+
+    def runs(self, halvings: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """int64 [n], int64 [n]: where the ranks of windows begin in all of `order`, and how many there are. halvings,
+        window: int [n]."""
         ends = np.concatenate(self.first)
-        row = (np.cumsum([0, *map(len, self.first)]))[halvings] + square
-        return halvings * POINTS + ends[row], ends[row + 1] - ends[row]
+        row = (np.cumsum([0, *map(len, self.first)]))[halvings] + window
+        before = np.cumsum([0, *map(len, self.order)])[halvings]
+        return before + ends[row], ends[row + 1] - ends[row]
 
 
 @cache
@@ -50,14 +66,24 @@ def tile() -> Tile:
     near, place = np.full(side * side, side * side, np.int32), np.empty((POINTS, 2), np.int32)
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")
     order, first, keys = [], [], []
-    for halvings in range(FINEST + 1):
-        x, y = (place * (1 << halvings) // UNITS).T
-        square = (y << halvings) + x
-        order.append(np.argsort(square, kind="stable").astype(np.int32))
-        first.append(np.searchsorted(square[order[-1]], np.arange(4**halvings + 1)).astype(np.int64))
-        keys.append(_key(square[order[-1]].astype(np.int64), order[-1]))
+    for halvings, starts in enumerate(STARTS.tolist()):
+        # Each point is in as many windows a side as a window has steps between starts.
+        column, row = (place[:, :, None] * starts // UNITS - np.arange(starts >> halvings)).transpose(1, 0, 2) % starts
+        window = (row[:, :, None] * starts + column[:, None, :]).reshape(-1).astype(np.int64)
+        keys.append(np.sort(_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))
+        order.append((keys[-1] % (POINTS + 1)).astype(np.int32))
+        first.append(np.searchsorted(keys[-1], _key(np.arange(starts**2 + 1), 0)).astype(np.int64))
     return Tile(place, order, first, keys)
 
 
-def _key(square: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    return square * (POINTS + 1) + rank
+def shifts(tiles: np.ndarray, seed: int) -> np.ndarray:
+    """int32 [n, 2]: by how many parts of SHIFTS of a side tiles (int32 [n, 2]: column and row) show the set further
+    east and north."""
+    found = np.empty_like(tiles)
+    inputs = [wp.uint32(seed), shared(tiles, wp.vec2i), shared(found, wp.vec2i)]
+    launch.spread(seams.shifts, len(tiles), inputs, step="squares")
+    return found
+
+
+def _key(window: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    return window * (POINTS + 1) + rank

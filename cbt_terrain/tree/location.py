@@ -12,6 +12,7 @@ from ..field.lattice import Lattice
 from .concurrent_tree import ConcurrentBinaryTree
 
 UNIT_BITS = 40  # of a square's side: what places are rounded to
+AT_ONCE = 1 << 14  # places whose numbers stay in the processor's cache on the way down
 
 
 def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
@@ -29,7 +30,10 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
     (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
     depth, below = tree.max_depth - lattice.square_bits, 2 * meshlet
-    path = ((row * lattice.columns + column) << depth + below) + _path(x, y, depth + below)
+    path = (row * lattice.columns + column) << depth + below
+    for first in range(0, len(path), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        path[part] += _path(x[part], y[part], depth + below)
     starts = np.append(tree.cells(), tree.cell_count)
     leaf = np.searchsorted(starts, path >> below, side="right") - 1
     # A leaf of so many cells has as many steps of the path in each of its triangles.
@@ -43,8 +47,11 @@ def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
     second = x + y > unit  # of the square's two halves
     a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)
     path = second.astype(np.int64)
+    # The halves' coordinates are the same two, in the other order: `order` is -1 where a and b have changed places.
+    order = np.ones(len(x), np.int64)
     for _ in range(depth - 1):
-        rest, second = unit - a - b, a < b
-        a, b = np.where(second, rest, a - b), np.where(second, b - a, rest)
+        ahead = a - b
+        second = ahead * order < 0
+        a, b, order = np.abs(ahead), unit - a - b, 1 - 2 * second
         path = 2 * path + second
     return path

@@ -12,12 +12,12 @@ from ..field.detail import Coats
 from ..field.domain import Domain
 from ..field.noise import scramble
 from ..mesh.displace import surface_at
+from .seams import PER_RANK, Pattern, drawn_for, shift_of, shifted, unhindered
 from .seen import Views, wanted_at
 
 wp.set_module_options({"enable_backward": False})
 
 UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16: points of the tile are so many of its sides
-PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14: the tile has so many points
 RANKS = wp.constant(wp.int64(16384))
 # Points are there up to so many times what is wanted; those up to what is wanted are whole.
 GROWING = wp.constant(wp.float64(1.25))
@@ -26,7 +26,7 @@ TURNS = wp.constant(1024)  # directions that points are turned to
 
 @wp.struct
 class Run:
-    """The candidates of a square. `tile_x`, `tile_y`: the tile's number. `first`: of the square's ranks in `order`.
+    """The candidates of a square. `tile_x`, `tile_y`: the tile's number. `first`: of its window's ranks in `order`.
     `at`: of the first candidate among those that are kept. `out`: of the first place for those that are wanted.
     `clear`: 1 where all of the square is in the frame of the first view."""
 
@@ -37,17 +37,6 @@ class Run:
     at: wp.int32
     out: wp.int32
     clear: wp.int32
-
-
-@wp.struct
-class Pattern:
-    """The tile, and how it is laid. `order`: ranks by squares, one halving after the other."""
-
-    place: wp.array(dtype=wp.vec2i)
-    order: wp.array(dtype=wp.int32)
-    west: wp.float64  # metres, of tile (0, 0)
-    south: wp.float64
-    side: wp.float64
 
 
 @wp.struct
@@ -127,7 +116,8 @@ def place(
     runs: wp.array(dtype=Run),
     kept: Kept,
 ):
-    """Put the candidates of a run on the surface, at the lattice point that is nearest; density 1, or 0 off the ground.
+    """Put the candidates of a run on the surface, at the lattice point that is nearest; density 1, less where tiles
+    meet, 0 off the ground.
 
     All in float64, cast to float32 last.
     """
@@ -136,10 +126,12 @@ def place(
     slope_y = domain.height_scale / (domain.unit_y * units)
     for t in range(begin, end):
         run = runs[t]
+        shift = shift_of(pattern.seed, run.tile_x, run.tile_y)
         x0 = pattern.west + wp.float64(run.tile_x) * pattern.side - domain.west
         y0 = pattern.south + wp.float64(run.tile_y) * pattern.side - domain.south
         for k in range(run.count):
-            q = pattern.place[pattern.order[run.first + k]]
+            rank = pattern.order[run.first + k]
+            q = shifted(pattern.place[rank], shift)
             x = (x0 + wp.float64(q[0]) * UNIT * pattern.side) / domain.unit_x
             y = (y0 + wp.float64(q[1]) * UNIT * pattern.side) / domain.unit_y
             p = wp.vec2i(nearest(x, domain.width, domain), nearest(y, domain.height, domain))
@@ -147,7 +139,7 @@ def place(
             normal = wp.vec3f(0.0, 0.0, 1.0)
             density = wp.float32(0.0)
             if is_ground(domain, valid, p):
-                density = wp.float32(1.0)
+                density = wp.float32(unhindered(pattern, run.tile_x, run.tile_y, rank, q))
                 g = surface_at(domain, p)
                 if coats.count > 0:
                     g = with_detail(domain, coats, p, g)
@@ -229,7 +221,7 @@ def tell(
     for t in range(begin, end):
         run = runs[t]
         tile = wp.int64(run.tile_y) * look.tiles + wp.int64(run.tile_x)
-        row = scramble(scramble(wp.uint32(run.tile_y) + look.seed) + wp.uint32(run.tile_x))
+        row = drawn_for(look.seed, run.tile_x, run.tile_y)
         for k in range(chosen.counts[t]):
             n = first[t] + k
             at = chosen.which[run.out + k]

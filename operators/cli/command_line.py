@@ -162,6 +162,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="auto|none|F,F",
         help="attributes to write: what the scene reads (auto; of a store none), none, or these",
     )
+    verb.add_argument("--scatter", action="store_true", help="also the points of the scene's scatters, each as CSV")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
     verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)

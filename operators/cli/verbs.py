@@ -187,7 +187,10 @@ def _export_source(arguments):
             arguments.morph,
             arguments.effects,
             _detail(arguments),
+            arguments.scatter,
         )
+    if arguments.scatter:
+        raise UsageError("--scatter belongs to --scene: a store has no scatters")
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
     criterion = Criterion(

@@ -12,8 +12,11 @@ from .nodes import Nodes
 
 GROUP = "Adaptive Scatter"
 COLLECTION, SCALE = "Collection", "Scale"
-# Of a terrain's longer side; and of a spacing.
-PER_SIDE, FULL_SPACINGS = 200, 50
+# Spacings in a terrain's longer side: 40,000 points on a square one, twice as many at most, as spacings have one digit.
+PER_SIDE = 200
+# Of a spacing: density is full over a whole terrain that one looks at from its side; what stands there is a spacing
+# high, and throws a shadow.
+FULL_SPACINGS, REACH_SPACINGS = 200, 2
 
 
 class AddScatter(bpy.types.Operator):
@@ -52,8 +55,10 @@ def new_scatter(terrain, spacing: float):
     """An object with a scatter of a terrain, one point on `spacing` x `spacing` metres, and the node group."""
     obj = bpy.data.objects.new(f"{terrain.name} Scatter", bpy.data.meshes.new(f"{terrain.name} Scatter"))
     settings = obj.adaptive_scatter
-    settings.enabled, settings.spacing, settings.full_until = True, spacing, FULL_SPACINGS * spacing
+    settings.enabled, settings.spacing = True, spacing
     settings.size, settings.seed = spacing, len(scatters_of(terrain))
+    in_world = spacing * max(terrain.matrix_world.to_scale()[:2])
+    settings.full_until, settings.margin_m = FULL_SPACINGS * in_world, REACH_SPACINGS * in_world
     obj.parent = terrain
     for collection in terrain.users_collection:
         collection.objects.link(obj)

@@ -202,6 +202,8 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
             if form != "blend":
                 files.append(out / f"{piece.name}_{frame:04d}.{form}")
                 write_piece(piece, files[-1])
+        if source.with_scatters:
+            files += _write_scatters(piece, frame, out)
         pieces.append(piece)
     if "blend" in formats:
         files.append(out / f"{source.name}_{frame:04d}.blend")
@@ -212,6 +214,18 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
         "terrains": [figures(piece) for piece in pieces],
         "elapsed_ms": round(elapsed, 3),
     }
+
+
+def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
+    """The files that were written."""
+    from .scatter_files import write_points_csv
+
+    files = []
+    for name, (points, placement) in piece.scatters.items():
+        files.append(out / f"{name}_{frame:04d}.csv")
+        with _written(files[-1]):
+            write_points_csv(files[-1], points, placement)
+    return files
 
 
 def figures(piece: Piece) -> dict:

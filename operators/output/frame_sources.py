@@ -3,7 +3,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
+from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
 from ..text.console import quiet
@@ -36,7 +37,7 @@ class Piece:
     `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
     the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
     that surface may stay the engine's, until the next frame is asked for. `tree`: saved, see `Terrain.restore`; b"" of
-    a baked mesh.
+    a baked mesh. `scatters`: points and where they stand (float64 [4, 4]) by the name of their file.
     """
 
     name: str
@@ -46,12 +47,13 @@ class Piece:
     info: dict
     obj: Any = None
     tree: bytes = b""
+    scatters: dict[str, tuple[Points, np.ndarray]] = field(default_factory=dict)
 
 
 class StoreFrames:
     """A store seen along a camera path; needs no bpy unless a format does."""
 
-    name = "terrain"
+    name, with_scatters = "terrain", False
 
     def __init__(
         self,
@@ -99,7 +101,7 @@ class SceneFrames:
 
     `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
     `shading_floor`, `morph` (Smooth Transitions), `effects` (names) and `detail` replace what the objects say; None
-    keeps it.
+    keeps it. `with_scatters`: their points are written too.
     """
 
     def __init__(
@@ -115,23 +117,27 @@ class SceneFrames:
         morph: bool | None = None,
         effects: tuple[str, ...] | None = None,
         detail: Detail | None = None,
+        with_scatters: bool = False,
     ):
         self.scene, self.objects = open_scene(blend)
         import bpy
 
         from ..scene.request import Overrides
+        from ..scene.scatters import scatters_of
 
-        self.name = Path(blend).stem
+        self.name, self.with_scatters = Path(blend).stem, with_scatters
         self.resolution = resolution
         self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, morph, effects, detail)
         _need_distinct_names(self.objects)
+        if with_scatters:
+            _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
         self.camera = None
         if camera is not None:
             self.camera = self.scene.objects.get(camera)
             if self.camera is None or self.camera.type != "CAMERA":
                 cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
                 raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
-        asked = {"camera": camera, "resolution": resolution, **asdict(self.overrides)}
+        asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **asdict(self.overrides)}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
         # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
@@ -155,16 +161,22 @@ def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     from ..mesh.cleanup import clean_up
     from ..scene import session
     from ..scene.request import RENDER, gather
+    from ..scene.scatters import scatters_of
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)
         request = gather(obj, depsgraph, RENDER, **asked)
         record = session.record_of(obj)
         surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
-        field, (tree, how) = record.field, record.terrain.saved()
-    info = describe(update, request.criterion, request.views, field, request.placement)
+        heights, (tree, how) = record.field, record.terrain.saved()
+        children, scatters = {child.session_uid: child for child in scatters_of(obj)}, {}
+        for asked_one in request.scatters.asked:
+            child = children[asked_one.uid]
+            stands = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
+            scatters[file_name(child)] = record.scatters[asked_one.uid].points, stands
+    info = describe(update, request.criterion, request.views, heights, request.placement)
     info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
-    return Piece(file_name(obj), surface, field.origin, update, info, obj, tree)
+    return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)
 
 
 def baked_piece(
@@ -320,7 +332,7 @@ def _need_distinct_names(objects) -> None:
         other = seen.setdefault(file_name(obj).casefold(), obj)
         if other != obj:
             raise TerrainError(
-                f"The terrains {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
+                f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
                 "rename one of them."
             )
 

@@ -89,12 +89,13 @@ def make_points(
     Touches nothing of Blender. What the last request asked already is not made again.
     """
     scale = request.vertical_scale, request.vertical_offset
-    views, below = tuple(view.key() for view in request.scatters.views), request.cleanup.below
+    views = tuple(view.key() for view in request.scatters.views)
+    below, outline = request.cleanup.key()
     whole = not request.cleanup.active  # where ground is cut away one sees what it would hide
     horizon = cache(terrain.horizon)  # one for all scatters
     for asked in request.scatters.asked:
         record = records.setdefault(asked.uid, ScatterRecord())
-        ground = asked.scatter, heights.key, scale
+        ground = asked.scatter, heights.key, scale, outline
         key = *ground, views, request.placement.tobytes(), below, asked.on_mesh and serial
         culls = asked.culls and whole
         key += (culls and (request.criterion, request.frozen),)
@@ -104,7 +105,8 @@ def make_points(
         try:
             if record.scatterer_key != ground:
                 record.scatterer, record.scatterer_key = None, ()
-                record.scatterer = Scatterer(heights, asked.scatter, *scale, terrain.threads)
+                boundary = request.cleanup.boundary
+                record.scatterer = Scatterer(heights, asked.scatter, *scale, terrain.threads, boundary)
                 record.scatterer_key = ground
             hidden_by = horizon() if culls else None
             points = record.scatterer.points(request.scatters.views, request.placement, hidden_by)

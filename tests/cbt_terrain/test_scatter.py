@@ -43,6 +43,11 @@ def field():
     return rough(*SHAPE)
 
 
+@pytest.fixture(scope="module")
+def by_hand(field):
+    return places_by_hand(field, SCATTER)
+
+
 @pytest.fixture
 def eager_threads(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
@@ -55,12 +60,12 @@ def arrays(points):
 
 @pytest.mark.parametrize("placement", [np.eye(4), turned_and_scaled()], ids=["plain", "turned"])
 @pytest.mark.parametrize("views", VIEWS.values(), ids=VIEWS)
-def test_the_points_are_those_of_every_place_that_is_asked(field, views, placement):
+def test_the_points_are_those_of_every_place_that_is_asked(field, by_hand, views, placement):
     """Ids, places and sizes; only what is within a centimetre of a frame's rim or just begins may differ."""
     points = scatter_points(
         field, SCATTER, views, placement=placement, vertical_scale=0.7, vertical_offset=5.0, threads=2
     )
-    ids, rank, plan = places_by_hand(field, SCATTER)
+    ids, rank, plan = by_hand
     there = np.column_stack([plan, heights_by_hand(field, plan, 0.7, 5.0)])
     want, clearance = wanted_by_hand(SCATTER, there, views, placement)
     sure = (clearance > 1e-2) & (np.abs(1.25 * want - rank) > 1e-6)
@@ -136,6 +141,7 @@ def test_density_follows_rules_layers_and_paint(field):
     thin = scatter_points(field, replace(base, where=Layer("Thin", strength=0.3)))
     assert len(thin) == pytest.approx(0.375 * everywhere, rel=0.01)
     assert (thin.size == 1.0).sum() == pytest.approx(0.3 * everywhere, rel=0.05)
+    assert thin.tested < 0.5 * half.tested  # what no rule can add is not looked at
     grass = Layer("Grass"), Layer("Rock", (Rule("slope", low=0.35),), on_top=True)
     on = [scatter_points(field, replace(base, layers=grass, on=k)) for k in (0, 1)]
     assert len(np.intersect1d(on[0].id, on[1].id)) < 0.02 * everywhere
@@ -177,13 +183,40 @@ def test_every_prefix_of_the_tile_keeps_apart_and_is_no_lattice(count):
     assert distance.std() > 0.05  # all equal in a lattice
 
 
-def test_ranks_of_squares_are_those_of_the_tile():
+def test_windows_have_the_ranks_of_their_parts_of_the_tile():
+    """Of each halving: all that begin at a multiple of an eighth, or of their own side."""
     own = tile()
-    for halvings, (order, first) in enumerate(zip(own.order, own.first, strict=True)):
-        assert np.array_equal(np.sort(order), np.arange(POINTS))
-        owner = np.repeat(np.arange(4**halvings), np.diff(first))
-        x, y = own.place[order].T * 2**halvings // UNITS
-        assert np.array_equal(owner, y * 2**halvings + x)
+    for halvings, starts in enumerate((1, 8, 8, 8, 16)):
+        order, ends = own.order[halvings], own.first[halvings]
+        for window in range(starts**2):
+            row, column = divmod(window, starts)
+            within = ((own.place / UNITS - np.array([column, row]) / starts) % 1 < 0.5**halvings).all(axis=1)
+            assert np.array_equal(order[ends[window] : ends[window + 1]], np.flatnonzero(within))
+    square, shift = np.array([[3, 0], [1, 1]]), np.array([[1, 7], [5, 2]])
+    assert own.windows(np.array([4, 1]), square, shift).tolist() == [2 * 16 + 1, 2 * 8 + 7]
+
+
+@pytest.mark.parametrize("few, tiles", [(1, 24), (4, 16), (64, 6)])
+def test_a_thin_scatter_neither_repeats_nor_is_closer_where_tiles_meet(few, tiles):
+    """Tiles seen from so far above that so many points of each are wanted: of those that are moved on by a tile, by a
+    half or both hardly one is on another. They keep as far apart as inside of a tile, and few are missing."""
+    field, above = from_array(np.zeros((9, 9), np.float32), 16.0 * tiles), View.look((0, 0, 1e6), (0, 0, 0), fov_deg=1)
+    scatter = Scatter(spacing=1.0, variation=0.0, seed=few, full_until=1e6 * math.sqrt(few / POINTS))
+    points = scatter_points(field, scatter, [above])
+    place = points.positions[points.size == 1.0, :2].astype(np.float64)
+    moves = 128 * np.array([(0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (0.5, 0), (0.5, 1)])
+    apart2 = np.full((len(moves), len(place)), np.inf)
+    for first in range(0, len(place), 500):
+        away = place[first : first + 500, None] - place
+        for move, nearest in zip(moves, apart2, strict=True):
+            squared = ((away - move) ** 2).sum(axis=2)
+            squared[squared == 0.0] = np.inf if not move.any() else 0.0
+            nearest[first : first + 500] = squared.min(axis=1)
+    same = (apart2[1:] < 0.05**2).mean(axis=1)
+    assert same.max() < 0.05
+    distance = np.sqrt(apart2[0]) / (128 * math.sqrt(2 / (math.sqrt(3) * few)))
+    assert distance.min() > 0.55 and distance.mean() > 0.75
+    assert len(place) == pytest.approx(few * tiles**2, rel=0.1 if few == 64 else 0.5)
 
 
 @pytest.mark.parametrize(

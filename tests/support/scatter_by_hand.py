@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A scatter by asking every place of every tile, in numpy alone: no squares, nothing kept, frames by projection."""
+"""A scatter by asking every place of every tile, in numpy alone: no squares, nothing kept, frames by projection; points
+that are too near over seams by trying all pairs."""
 
 import math
 
@@ -10,20 +11,49 @@ from own_surface import bilinear
 
 
 def places_by_hand(field, scatter):
-    """Ids, ranks and plan places, float64 [n, 2], of every point that there could be on the raster."""
+    """Ids, float64 ranks (those of seams as they wait) and plan places, float64 [n, 2], of all that could be there."""
     lattice, side = field.lattice, scatter.spacing * math.sqrt(POINTS)
     size = np.array([lattice.cells_x * lattice.step_x, lattice.cells_y * lattice.step_y])
     first = -size / 2 - side * np.array([scatter.seed * 0.7548776662466927 % 1, scatter.seed * 0.5698402909980532 % 1])
     tiles = int(size.max() / side) + 2
-    ids, ranks, places = [], [], []
-    for row in range(tiles):
-        for column in range(tiles):
-            at = first + side * (np.array([column, row]) + tile().place / UNITS)
-            inside = (np.abs(at) <= size / 2).all(axis=1)
-            ids.append((row * tiles + column) * POINTS + np.flatnonzero(inside))
-            ranks.append((np.flatnonzero(inside) + 0.5) / POINTS)
-            places.append(at[inside])
-    return np.concatenate(ids), np.concatenate(ranks), np.concatenate(places)
+    numbers = [(column, row) for row in range(tiles + 1) for column in range(tiles + 1)]
+    at = np.stack([np.add(number, pattern_by_hand(scatter.seed, *number)) for number in numbers])
+    ranks, places = ranks_by_hand(at), first + side * at
+    inside = (np.abs(places) <= size / 2).all(axis=2)
+    tile_of = np.array([row * tiles + column for column, row in numbers])[:, None]
+    return (tile_of * POINTS + np.arange(POINTS))[inside], ranks[inside], places[inside]
+
+
+def scramble(value):
+    """lowbias32."""
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        value = (value ^ value >> shift) * factor & 0xFFFFFFFF
+    return value ^ value >> 16
+
+
+def pattern_by_hand(seed, column, row):
+    """Where a tile has its points, float64 [POINTS, 2] in sides: the pattern turned about by eighths of it."""
+    drawn = scramble((scramble((row + seed) & 0xFFFFFFFF) + column) & 0xFFFFFFFF) >> 26
+    return (tile().place / UNITS + np.array([drawn % 8, drawn // 8]) / 8) % 1
+
+
+def ranks_by_hand(at):
+    """Parts of all density at which points are there, float64 [tiles, POINTS]: those at which two of different tiles
+    may be as near as each is to one of lower rank, a billion where that is more than all. at: places, [tiles, POINTS,
+    2], in sides."""
+    found = np.tile(np.arange(0.5, POINTS), (len(at), 1))
+    low = 0.5
+    while low < POINTS:  # octave by octave: those of higher ranks keep less apart
+        near = (np.abs(at - np.rint(at)) < 0.6 / math.sqrt(low)).any(axis=2)
+        tiles, ranks = np.nonzero(near & (np.arange(POINTS) < 2 * low))
+        key = ranks * len(at) + tiles
+        late = np.flatnonzero(ranks >= low - 0.5)
+        for some in np.array_split(late, 1 + len(late) // 500):
+            apart2 = ((at[tiles[some], ranks[some]][:, None] - at[tiles, ranks]) ** 2).sum(axis=2)
+            apart2[(key >= key[some][:, None]) | (tiles == tiles[some][:, None])] = np.inf
+            found[tiles[some], ranks[some]] = np.maximum(ranks[some] + 0.5, 0.36 / apart2.min(axis=1))
+        low *= 2
+    return np.where(found > POINTS, 1e9, found / POINTS)
 
 
 def heights_by_hand(field, places, vertical_scale=1.0, vertical_offset=0.0):

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles side by side: each shows the pattern shifted otherwise, so that nothing repeats, and their points keep apart.
+
+A point too near to one of another tile that has a lower rank has to wait: it comes where so many points are wanted that
+all of them may be as near. So the points up to any rank keep apart over seams as well.
+"""
+
+import warp as wp
+
+from ..field.noise import scramble
+
+wp.set_module_options({"enable_backward": False})
+
+UNIT_BITS = wp.constant(16)  # a side is so many halvings of units
+SHIFT_BITS = wp.constant(3)  # shifts are eighths of a side
+SQUARE_BITS = wp.constant(4)  # the smallest squares are sixteenths
+PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14: the tile has so many points
+# Of n points of a tile no two that seams part are nearer than this / sqrt(n), in sides; those inside of one hardly are.
+APART = wp.constant(wp.float64(0.6))
+
+
+@wp.struct
+class Pattern:
+    """The tile, and how it is laid. `place`: of each rank, in units. `order`: ranks of windows (see Tile), from low to
+    high in each. `first`: where those of the smallest squares begin in it."""
+
+    place: wp.array(dtype=wp.vec2i)
+    order: wp.array(dtype=wp.int32)
+    first: wp.array(dtype=wp.int32)
+    west: wp.float64  # metres, of tile (0, 0)
+    south: wp.float64
+    side: wp.float64
+    seed: wp.uint32
+
+
+@wp.func
+def drawn_for(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
+    """A random number of tile (x, y)."""
+    return scramble(scramble(wp.uint32(y) + seed) + wp.uint32(x))
+
+
+@wp.func
+def shift_of(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.vec2i:
+    """By how many eighths of a side tile (x, y) shows the pattern further east and north."""
+    drawn = wp.int32(drawn_for(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
+    return wp.vec2i(drawn & ((1 << SHIFT_BITS) - 1), drawn >> SHIFT_BITS)
+
+
+@wp.func
+def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
+    """Where a tile with that shift has a point of the pattern, in units."""
+    bits = UNIT_BITS - SHIFT_BITS
+    last = (1 << UNIT_BITS) - 1
+    return wp.vec2i((q[0] + (shift[0] << bits)) & last, (q[1] + (shift[1] << bits)) & last)
+
+
+@wp.kernel
+def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
+    t = offset + wp.tid()
+    found[t] = shift_of(seed, tiles[t][0], tiles[t][1])
+
+
+@wp.func
+def outside(at: wp.int32) -> wp.int32:
+    """How far a coordinate in units is from those of a tile."""
+    return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
+
+
+@wp.func
+def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, least: wp.float64) -> wp.float64:
+    """Squared units from q to the nearest of the points up to some rank of a tile; `least` where none is nearer."""
+    found = least
+    bits = UNIT_BITS - SQUARE_BITS
+    last = (1 << SQUARE_BITS) - 1
+    reach = wp.int32(wp.sqrt(least))
+    turn_x = shift[0] << (SQUARE_BITS - SHIFT_BITS)
+    turn_y = shift[1] << (SQUARE_BITS - SHIFT_BITS)
+    for j in range(wp.max((q[1] - reach) >> bits, 0), wp.min((q[1] + reach) >> bits, last) + 1):
+        for i in range(wp.max((q[0] - reach) >> bits, 0), wp.min((q[0] + reach) >> bits, last) + 1):
+            square = (((j - turn_y) & last) << SQUARE_BITS) + ((i - turn_x) & last)
+            for k in range(pattern.first[square], pattern.first[square + 1]):
+                rank = pattern.order[k]
+                if rank >= ranks:
+                    break
+                p = shifted(pattern.place[rank], shift)
+                x = wp.float64(p[0] - q[0])
+                y = wp.float64(p[1] - q[1])
+                found = wp.min(found, x * x + y * y)
+    return found
+
+
+@wp.func
+def unhindered(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
+    """The part of all density that counts for the point of a rank, which tile (x, y) has at q: 1, less where others are
+    too near for so few points, 0 where they are so for all."""
+    side = wp.int32(1) << UNIT_BITS
+    number = wp.float64(rank) + wp.float64(0.5)
+    apart2 = APART * APART * wp.float64(side) * wp.float64(side) / number
+    inside = wp.float64(wp.min(wp.min(q[0], q[1]), side - wp.max(q[0], q[1])))
+    if inside * inside >= apart2:
+        return wp.float64(1.0)
+    least = apart2
+    for j in range(wp.max(y - 1, 0), y + 2):
+        for i in range(wp.max(x - 1, 0), x + 2):
+            p = wp.vec2i(q[0] + ((x - i) << UNIT_BITS), q[1] + ((y - j) << UNIT_BITS))
+            away_x = wp.float64(outside(p[0]))
+            away_y = wp.float64(outside(p[1]))
+            if (i != x or j != y) and away_x * away_x + away_y * away_y < least:
+                # Of two points of one rank that of the tile further south or west comes first.
+                ranks = rank + wp.where(j < y or (j == y and i < x), 1, 0)
+                least = nearest2(pattern, shift_of(pattern.seed, i, j), p, ranks, least)
+    part = least / apart2
+    return wp.where(number * PER_RANK > part, wp.float64(0.0), part)

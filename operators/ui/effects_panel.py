@@ -72,7 +72,7 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     return [
         ("Computed", f"{len(made)} of {len(EFFECTS)}"),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
-        ("Held", f"{plain(nbytes / 1e6)} MB, limit {plain(MOST_BYTES / 1e6)} MB"),
+        ("Held", f"{plain(nbytes / 1e6)} of {plain(MOST_BYTES / 1e6)} MB"),
     ]
 
 

@@ -15,7 +15,8 @@ from ..field.lattice import Lattice, fit
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
-from .water import DEPTH, DISCHARGE, SPEED
+from .land_effect import Ground
+from .water import DEPTH, DISCHARGE, SPEED, WATER
 
 # Samples along a side, at most; what a surface is made of.
 MOST_SAMPLES = 1025
@@ -30,8 +31,9 @@ LEAST_DISCHARGE = 0.016
 
 
 def water_of(field: HeightField, threads: int = 1) -> Surface:
-    """The surface of the water that the stack of a height field has left, of which it must have the depth. Of a raster
-    with more than MOST_SAMPLES along a side, from every second sample, or fourth and so on."""
+    """The surface of the water that the stack of a height field has left; where that has left none, of what the effect
+    *Water* makes of it by its defaults. Of a raster with more than MOST_SAMPLES along a side, from every second sample,
+    or fourth and so on."""
     every = 1
     while (max(field.lattice.width, field.lattice.height) - 1) // every >= MOST_SAMPLES:
         every *= 2
@@ -42,9 +44,12 @@ def water_of(field: HeightField, threads: int = 1) -> Surface:
     lattice, heights = field.lattice, thinned(field.heights())
     steps = lattice.step_x * every, lattice.step_y * every
     missing = None if field.valid is None else thinned(field.valid) == 0
-    layers = [thinned(field.layers[name]) if name in field.layers else None for name in NAMES]
+    if DEPTH.name in field.layers:
+        layers = {name: thinned(field.layers[name]) for name in NAMES if name in field.layers}
+    else:
+        layers = WATER.apply(Ground(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None).layers
     own = fit(heights.shape[1], heights.shape[0], *steps)
-    surface = water_surface(own, heights, *layers, missing, threads=threads)
+    surface = water_surface(own, heights, *map(layers.get, NAMES), missing, threads=threads)
     # Every lattice has its middle at 0, and this one may end short of the field's rim.
     moved = np.subtract(lattice.rectangle()[:2], own.rectangle()[:2])
     return replace(surface, positions=surface.positions + np.float32([*moved, 0.0]))

@@ -5,6 +5,7 @@ import csv
 import io
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ ALONG = ("along_m", X, Y, FOUND[0])
 
 def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     """Write what there is at the points as CSV, into `out` or on stdout; a line about it goes where that does not."""
-    names, rows, coordinates = read_points(points)
+    names, rows, coordinates = read_points(points, () if as_line else FOUND)
     field, placing = open_store(store), placing_of(store)
     places = placing.to_terrain(coordinates)
     if as_line:
@@ -45,8 +46,9 @@ def numbers(values: np.ndarray) -> list[str]:
     return ["" if math.isnan(value) else repr(value) for value in values.tolist()]
 
 
-def read_points(path: Path) -> tuple[list[str], list[list[str]], np.ndarray]:
-    """Column names, rows as they are, and float64 [n, 2] of the columns x and y. Raises TerrainError."""
+def read_points(path: Path, added: Sequence[str]) -> tuple[list[str], list[list[str]], np.ndarray]:
+    """Column names, none of which is to be `added`, rows as they are, and float64 [n, 2] of the columns x and y. Raises
+    TerrainError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
         rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
@@ -57,6 +59,12 @@ def read_points(path: Path) -> tuple[list[str], list[list[str]], np.ndarray]:
     if names.count(X) != 1 or names.count(Y) != 1:
         said = shown(", ".join(names)) or "nothing"
         raise TerrainError(f"The first line of {path} is {said}; expected the names of columns, x and y among them.")
+    taken = [name for name in added if name in names]
+    if taken:
+        raise TerrainError(
+            f"{path} has a column {taken[0]} already; expected none of what is added ({', '.join(added)}): rename or "
+            "remove it."
+        )
     coordinates = np.empty((len(rows) - 1, 2))
     for n, row in enumerate(rows[1:]):
         try:

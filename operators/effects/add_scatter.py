@@ -7,6 +7,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ..scene import session
+from ..scene.polls import on_terrain_object
 from ..scene.scatters import scatters_of
 from .nodes import Nodes
 
@@ -29,10 +30,16 @@ class AddScatter(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, _event):
+        """The live update makes the points: it waits for no kernels."""
+        return self._add(context.object, waits=not context.object.adaptive_terrain.live)
 
     def execute(self, context):
-        terrain = context.object
+        return self._add(context.object, waits=True)
+
+    def _add(self, terrain, waits: bool):
         settings = terrain.adaptive_terrain
         try:
             if not settings.store:
@@ -43,11 +50,12 @@ class AddScatter(bpy.types.Operator):
             return {"CANCELLED"}
         spacing = rounded(max(east - west, north - south) / PER_SIDE)
         obj = new_scatter(terrain, spacing)
-        try:
-            session.update_object(terrain)
-        except TerrainError as error:
-            self.report({"WARNING"}, str(error))
-        self.report({"INFO"}, f"{len(obj.data.vertices):,} points")
+        if waits:
+            try:
+                session.update_object(terrain)
+            except TerrainError as error:
+                self.report({"WARNING"}, str(error))
+            self.report({"INFO"}, f"{len(obj.data.vertices):,} points")
         return {"FINISHED"}
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.maps.folder import read_index
 from ..scene.map_properties import CHOSEN, FRAME, SHOT
 from ..scene.request import RENDER, Overrides, gather
 from ..scene.shot import frames_of, look_through
@@ -34,9 +34,8 @@ def names_of(obj, depsgraph) -> set[str]:
 
 
 def read_as_images(obj) -> set[str]:
-    """Maps of a terrain that its materials show by image textures."""
-    index, folder = read_index(map_images.map_folder(obj)), map_images.map_folder(obj)
-    files = {folder / entry["file"]: name for name, entry in (index or {"maps": {}})["maps"].items()}
+    """Maps of a terrain that its materials show by image textures, baked or not."""
+    folder = map_images.map_folder(obj)
     waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
     seen, found = set(), set()
     while waiting:
@@ -47,9 +46,9 @@ def read_as_images(obj) -> set[str]:
         for node in tree.nodes:
             inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
             waiting += [inner] if inner is not None else []
-            name = files.get(Path(bpy.path.abspath(image.filepath))) if image is not None and image.filepath else None
-            found |= {name} if name else set()
-    return found
+            path = Path(bpy.path.abspath(image.filepath)) if image is not None and image.filepath else None
+            found |= {path.name.partition(".")[0]} if path is not None and path.parent == folder else set()
+    return found & set(EFFECTS)
 
 
 def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:

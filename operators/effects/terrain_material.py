@@ -5,8 +5,8 @@ import bpy
 
 from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.errors import TerrainError
-from ..scene import session
 from ..scene.layer_properties import colors_of
+from ..scene.polls import on_terrain_object
 from .map_images import map_image, map_vector, tile_metres
 from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress
 
@@ -30,7 +30,7 @@ class TerrainMaterial(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def execute(self, context):
         light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]

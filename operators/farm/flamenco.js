@@ -19,6 +19,10 @@ const JOB_TYPE = {
 
 function compileJob(job) {
     const settings = job.settings;
+    // Neither the manager's ranges nor Blender's --render-frame, where -3 counts from the last frame, can say them.
+    if (/(^|[-,.])\s*-/.test(settings.frames.trim())) {
+        throw `The frames "${settings.frames}" go below 0, which Flamenco cannot render; expected 0 or more: move the scene's frames up.`;
+    }
     const prepare = author.Task("prepare", "blender");
     prepare.addCommand(author.Command("exec", {
         exe: "{blender}",

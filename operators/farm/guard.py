@@ -2,7 +2,7 @@
 """Ends Blender with exit code 1 where it would render terrains with the mesh that their file was saved with. It runs in
 any Blender, and needs nothing of the extension.
 
-    blender -b X.blend --python-exit-code 1 --python guard.py -f 1-4
+    blender -b X.blend --python-exit-code 1 --python guard.py -f 1..4
 
 A job of Open Job Description runs it without a file, and with `-- ZIP FOLDER`: the zip is then installed into a user
 folder of the job's own in FOLDER.

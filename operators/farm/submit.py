@@ -23,6 +23,7 @@ from .bundle import Job, write_bundle
 FRAMES, INSTALLED = "frames", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
 UDIM = "<UDIM>"
+NOTE = "note: "  # begins a line that tells what is left to do
 
 
 def submit(
@@ -65,7 +66,7 @@ def submit(
     )
     write_bundle(job, out)
     said = f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"
-    return [said, *(f"note: {note}" for note in notes)]
+    return [said, *(NOTE + note for note in notes)]
 
 
 def _listed_files() -> list[Path]:

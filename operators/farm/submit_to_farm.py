@@ -9,7 +9,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..output.exporting import parse_frames
 from ..scene import session
 from ..scene.properties import PATH_OPTIONS
-from .submit import INSTALLED, submit
+from .submit import INSTALLED, NOTE, submit
 
 
 class SubmitToFarm(bpy.types.Operator):
@@ -26,7 +26,9 @@ class SubmitToFarm(bpy.types.Operator):
         default="//farm/",
         options=PATH_OPTIONS,
     )
-    frames: bpy.props.StringProperty(name="Frames", description="Such as 1-24, 1-24:2 or 1-3,8; empty: the scene's")
+    frames: bpy.props.StringProperty(
+        name="Frames", description="Such as 1-24, 1-24:2 or 1-3,8; empty: the scene's", options={"SKIP_SAVE"}
+    )
     chunk: bpy.props.IntProperty(name="Frames per Task", default=4, min=1, soft_max=100)
     render: bpy.props.BoolProperty(name="Render", description="Pictures; else meshes as .npz files", default=True)
     bring: bpy.props.BoolProperty(
@@ -43,12 +45,19 @@ class SubmitToFarm(bpy.types.Operator):
         return bool(session.terrains_of(context.scene))
 
     def invoke(self, context, event):
-        return context.window_manager.invoke_props_dialog(self, width=400)
+        try:
+            _check_is_saved()
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if not self.properties.is_property_set("frames"):
+            scene = context.scene
+            self.frames = f"{scene.frame_start}-{scene.frame_end}"
+        return context.window_manager.invoke_props_dialog(self, width=400, confirm_text="Write Job")
 
     def execute(self, context):
         try:
-            if bpy.data.is_dirty and not bpy.app.background:  # where it always says so
-                raise TerrainError("The file has unsaved changes, and a farm renders what is saved: save it first.")
+            _check_is_saved()
             if not self.folder.strip():
                 raise TerrainError("The job has no folder; expected one, such as //farm/.")
             said = submit(
@@ -64,7 +73,7 @@ class SubmitToFarm(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for line in said:
-            self.report({"INFO"}, line)
+            self.report({"WARNING" if line.startswith(NOTE) else "INFO"}, line.removeprefix(NOTE))
         return {"FINISHED"}
 
     def _frames(self) -> tuple[int, ...] | None:
@@ -74,6 +83,11 @@ class SubmitToFarm(bpy.types.Operator):
             return parse_frames(self.frames)
         except ValueError as error:
             raise TerrainError(f"The {error}.") from None
+
+
+def _check_is_saved() -> None:
+    if bpy.data.is_dirty and not bpy.app.background:  # where it always says so
+        raise TerrainError("The file has unsaved changes, and a farm renders what is saved: save it first.")
 
 
 register, unregister = bpy.utils.register_classes_factory((SubmitToFarm,))

@@ -9,6 +9,7 @@ from ...cbt_terrain.fit.bake import bake
 from ...cbt_terrain.run import warmup
 from ..mesh.writer import write_mesh
 from ..scene import session, world_ground
+from ..scene.polls import on_terrain_object
 from ..text.numbers import length_text
 
 MARK = "adaptive_terrain_collider"  # a property of the object, by which it is found again; it holds the bound, metres
@@ -28,8 +29,7 @@ class AddCollider(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        cls.poll_message_set("Make a terrain active, in Object Mode")
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def execute(self, context):
         terrain = context.object

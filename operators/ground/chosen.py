@@ -3,6 +3,7 @@
 
 from ...cbt_terrain.errors import TerrainError
 from ..scene import session, world_ground
+from ..scene.polls import IN_A_MODE
 
 NO_TERRAIN = "The scene has no terrain; add one"
 
@@ -10,7 +11,7 @@ NO_TERRAIN = "The scene has no terrain; add one"
 def has_ground(cls, context) -> bool:
     """For the poll of an operator."""
     if context.mode != "OBJECT":
-        cls.poll_message_set("Leave the mode for Object Mode")
+        cls.poll_message_set(IN_A_MODE)
         return False
     if any(obj.adaptive_terrain.enabled for obj in context.scene.objects):
         return True

@@ -12,6 +12,7 @@ from ..scene import session, world_ground
 from .chosen import active_terrain, has_ground, selected
 
 NAME = "viewshed"
+MARK = "adaptive_terrain_viewshed"  # a property of the image and of the node group: the name of their terrain
 MOST_PIXELS = 4096  # along a side; Blender keeps 16 bytes a pixel while it is written
 
 
@@ -81,17 +82,22 @@ def _seen_terrain(context, eye, point: np.ndarray, depsgraph):
     return terrains[found[which].uid], found[which]
 
 
+def _own(items, terrain):
+    """Of images or node groups the one that was made for a terrain. Its name does not tell: Blender cuts long ones."""
+    return next((item for item in items if item.get(MARK) == terrain.name and not item.library), None)
+
+
 def _image(terrain, seen: np.ndarray):
     """White where `seen`, bool [rows, columns], row 0 south: a pixel a sample, or every so manieth."""
     step = -(-max(seen.shape) // MOST_PIXELS)
     seen = seen[::step, ::step]
     rows, columns = seen.shape
-    name = f"{terrain.name} {NAME}"
-    image = bpy.data.images.get(name)
+    image = _own(bpy.data.images, terrain)
     if image is None or tuple(image.size) != (columns, rows):
         if image is not None:
             bpy.data.images.remove(image)
-        image = bpy.data.images.new(name, columns, rows, is_data=True)
+        image = bpy.data.images.new(f"{terrain.name} {NAME}", columns, rows, is_data=True)
+        image[MARK] = terrain.name
     pixels = np.ones((rows, columns, 4), np.float32)
     pixels[..., :3] = seen[..., None]
     image.pixels.foreach_set(pixels.ravel())
@@ -104,10 +110,8 @@ def _image(terrain, seen: np.ndarray):
 def _add_modifier(terrain, image) -> None:
     """Geometry nodes that store the image's value at each vertex. A mesh that is made anew runs through them again."""
     modifier = terrain.modifiers.get(NAME) or terrain.modifiers.new(NAME, "NODES")
-    name = f"{terrain.name} {NAME}"
-    group = bpy.data.node_groups.get(name)
-    if group is None:
-        group = _group(name)
+    group = _own(bpy.data.node_groups, terrain) or _group(f"{terrain.name} {NAME}")
+    group[MARK] = terrain.name
     modifier.node_group = group
     node = next(node for node in group.nodes if node.bl_idname == "GeometryNodeImageTexture")
     node.inputs["Image"].default_value = image

@@ -11,7 +11,7 @@ from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land.export import check_export, export_raster
 from ..scene import imported, land_request, session, shape_land
 from ..scene.land_request import land_of
-from ..scene.polls import on_terrain
+from ..scene.polls import on_terrain_object
 
 BAKED = "_baked"
 
@@ -19,14 +19,24 @@ BAKED = "_baked"
 class _LandOperator:
     @classmethod
     def poll(cls, context):
-        return on_terrain(cls, context) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, event):
+        try:
+            shape_land.check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            return self._failed(error)
+        return super().invoke(context, event) if isinstance(self, ExportHelper) else self.execute(context)
 
     def execute(self, context):
         try:
             return self._carry_out(context.object, context.evaluated_depsgraph_get())
         except (TerrainError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self._failed(error)
+
+    def _failed(self, error):
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
 
 
 class BakeLand(_LandOperator, bpy.types.Operator):
@@ -35,6 +45,13 @@ class BakeLand(_LandOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.bake_land"
     bl_label = "Bake to Store"
     bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        cls.poll_message_set("There is nothing to bake: the stack is empty or switched off")
+        return any(entry.on for entry in context.object.adaptive_terrain.land.entries)
 
     def _carry_out(self, obj, depsgraph):
         land = shape_land.wanted_land(obj, depsgraph)

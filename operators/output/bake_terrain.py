@@ -11,6 +11,7 @@ from ...cbt_terrain.run import warmup
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
 from ..scene import session
+from ..scene.polls import on_terrain_object
 from ..scene.request import gather
 from ..text.shown_bounds import bound_text, limit_text
 
@@ -62,7 +63,7 @@ class BakeTerrain(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def execute(self, context):
         obj = context.object

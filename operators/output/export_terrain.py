@@ -8,6 +8,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ..scene import session
+from ..scene.polls import on_terrain_object
 from ..scene.request import RENDER
 
 
@@ -23,7 +24,7 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def execute(self, context):
         try:

@@ -5,6 +5,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from . import session
+from .polls import on_terrain_object
 
 
 class FreezeDetail(bpy.types.Operator):
@@ -17,7 +18,7 @@ class FreezeDetail(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def execute(self, context):
         settings = context.object.adaptive_terrain

@@ -52,7 +52,7 @@ class ClearLandCache(bpy.types.Operator):
 
     def invoke(self, context, _event):
         self.said = lines(self._source(context))
-        return context.window_manager.invoke_props_dialog(self, width=460)
+        return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
 
     def draw(self, _context):
         for line in self.said:

@@ -20,6 +20,7 @@ from ...cbt_terrain.effects.effect import Parameter
 from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land.land_effect import LandEffect
 from ...cbt_terrain.land.mask import HEIGHT, SLOPE
+from ..text.numbers import unit_text
 from .detail_properties import changed
 from .layer_properties import BANDS, AspectSettings, band
 
@@ -34,6 +35,7 @@ UNITS = {
     "m/s": {"unit": "VELOCITY"},
     DEGREES: {"subtype": "ANGLE"},
 }
+LABEL = 15  # characters of a name that a panel of the usual width shows
 MOST_SEED = 2**31 - 1
 # Nothing here is animated: other numbers are another land, which takes its time.
 STILL = {"update": changed, "options": set()}
@@ -64,7 +66,9 @@ def _property(parameter: Parameter):
     known, about = UNITS.get(parameter.unit, {}), parameter.about
     label = parameter.name.replace("_", " ").title()
     if parameter.unit and not known and parameter.unit != parameter.name:
-        label = f"{label} ({parameter.unit.replace('2', '²')})"
+        unit = unit_text(parameter.unit)
+        with_unit = f"{label} ({unit})"
+        label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about}, {unit}")
     said = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
     if isinstance(parameter.default, int):
         return IntProperty(**said, default=parameter.default, min=int(parameter.least), max=int(parameter.most))
@@ -98,7 +102,7 @@ RULES = {
     **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
     "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
     "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
-    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e9, 1, (0, 1e9)),
+    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e9, 1, (0, 1e9), step=100),
 }
 
 

@@ -48,7 +48,8 @@ BANDS = {
     rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
     rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15)),
+    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15),
+                     step=100),
     rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
         name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")

@@ -33,7 +33,7 @@ class MapSettings(bpy.types.PropertyGroup):
     which: EnumProperty(
         name="Maps",
         items=[
-            (READ, "What Is Read", "Those that the materials read"),
+            (READ, "Read", "Those that the materials read"),
             (CHOSEN, "Chosen", "Those chosen below"),
         ],
         default=CHOSEN,

@@ -7,6 +7,7 @@ LEFT_ALONE = (
     "The terrain or its mesh is linked from a library, or overrides one, and is left alone: make it local "
     "(Object > Relations > Make Local)"
 )
+IN_A_MODE = "Leave the mode for Object Mode"
 
 
 def on_terrain(operator: type, context) -> bool:
@@ -19,3 +20,11 @@ def on_terrain(operator: type, context) -> bool:
         operator.poll_message_set(LEFT_ALONE)
         return False
     return True
+
+
+def on_terrain_object(operator: type, context) -> bool:
+    """The same of one that acts in Object Mode only."""
+    if not on_terrain(operator, context):
+        return False
+    operator.poll_message_set(IN_A_MODE)
+    return context.mode == "OBJECT"

@@ -32,8 +32,10 @@ class ScatterSettings(bpy.types.PropertyGroup):
     )
     where: PointerProperty(type=LayerSettings)
     size: FloatProperty(
-        name="Size", description="Of points that are full-grown", default=1.0, min=0.0, soft_max=100.0, update=changed
-    )
+        name="Size",
+        description="How many times as large as itself an object stands there, when it is full-grown",
+        default=1.0, min=0.0, soft_max=100.0, update=changed,
+    )  # fmt: skip
     variation: FloatProperty(
         name="Variation", description="Part of the size by which it varies either way", default=0.2, min=0.0, max=1.0,
         subtype="FACTOR", update=changed,

@@ -38,6 +38,17 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     return land
 
 
+def check_is_shaped(obj, depsgraph) -> None:
+    """For a button that needs the land at once: shaping it there and then would hold up the window. Raises
+    TerrainError."""
+    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    if land is not None and not land.is_shaped:
+        raise TerrainError(
+            f"The land of {obj.name!r} is not shaped at all its levels yet: press Shape Now first, which runs "
+            "beside the window."
+        )
+
+
 def _check_is_seen(obj, depsgraph) -> None:
     if obj.hide_render and not obj.visible_get(view_layer=depsgraph.view_layer):
         raise TerrainError(

@@ -17,9 +17,11 @@ from .imported import imported_of
 from .land_properties import EVERYWHERE
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
+FAILED = "Failed"
 SMALL_M = 500.0
 NOTES = {
     SOURCE: "Not shown: hidden, frozen, or without Live Update",
+    FAILED: "Not shown: read why, above",
     PREVIEW: "Gets finer where you look when it rests; a render has all of it",
 }
 
@@ -92,7 +94,7 @@ def _as_updated(obj, numbers: list[int]) -> State:
             return State(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
     made = _made_of(_shown(request)) if request is not None and _shown(request) else None
     if made is None:
-        return State(True, note=NOTES[SOURCE])
+        return State(True, note=NOTES[FAILED if session.record_of(obj).status.error else SOURCE])
     tiles, note = (sum(map(len, made.tiles)), sum(made.tile_counts)), ""
     if made.left_out_most_m > 0.0:
         note = (

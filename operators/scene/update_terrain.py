@@ -6,6 +6,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from . import session
+from .polls import on_terrain_object
 
 WAIT_S = 0.1
 
@@ -19,7 +20,7 @@ class UpdateTerrain(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
 
     def invoke(self, context, event):
         """A click during the first start waits for the kernels beside the window."""

@@ -13,7 +13,8 @@ from ...cbt_terrain.run import launch
 from ..mesh.writer import write_mesh
 from . import session
 from .land_request import land_of, raster_of
-from .polls import on_terrain
+from .polls import on_terrain_object
+from .shape_land import check_is_shaped
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
 MATERIAL = "Terrain Water"
@@ -33,7 +34,15 @@ class AddWaterSurface(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return on_terrain(cls, context) and context.mode == "OBJECT"
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, _event):
+        try:
+            check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return self.execute(context)
 
     def execute(self, context):
         terrain = context.object

@@ -17,6 +17,20 @@ def plain(value: float, digits: int = 3) -> str:
     return f"{Decimal(f'{value:.{digits}g}').normalize():,f}"
 
 
+def time_text(ms: float | None) -> str:
+    """`35 ms`, `4.2 s`; `-` where it is not known."""
+    if ms is None:
+        return "-"
+    return f"{plain(ms)} ms" if ms < 1000.0 else f"{plain(ms / 1000.0)} s"
+
+
+def unit_text(unit: str) -> str:
+    """A declaration's unit as panels show it: `m3/s` and `m^3/s` as `m³/s`."""
+    for exponent, sign in (("2", "²"), ("3", "³")):
+        unit = unit.replace(f"m^{exponent}", f"m{sign}").replace(f"m{exponent}", f"m{sign}")
+    return unit
+
+
 def length_text(metres: float) -> str:
     """A length with the unit that suits it: `31.9 km`, `20 m`, `2.5 mm`."""
     for unit, size in (("km", 1000.0), ("m", 1.0)):

@@ -13,10 +13,10 @@ from ..scene import live, session
 from ..scene.effect_properties import is_number
 from ..scene.map_properties import label
 from ..text.effect_lines import cost_text, readers_text
-from ..text.numbers import plain
+from ..text.numbers import plain, time_text
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
-NAME_WIDTH, COST_WIDTH = 0.55, 0.62  # parts of a row, and of what is left of it
+NAME_WIDTH, COST_WIDTH = 0.62, 0.58  # parts of a row, and of what is left of it
 ABOUT_LINES, READER_LINES = 3, 3
 _shown = next(iter(EFFECTS))
 
@@ -53,7 +53,7 @@ def _draw_row(rows, settings, name: str, status) -> None:
     right = row.split(factor=COST_WIDTH, align=True)
     cost = right.row()
     cost.active = computed
-    cost.label(text=f"{plain(status.ms)} ms" if computed else "-")
+    cost.label(text=time_text(status.ms if computed else None))
     right.prop(getattr(settings, name), "when", text="", icon_only=True)
 
 
@@ -72,7 +72,7 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     return [
         ("Computed", f"{len(made)} of {len(EFFECTS)}"),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
-        ("Held", f"{plain(nbytes / 1e6)} MB, limit {plain(MOST_BYTES / 1e6)} MB"),
+        ("Held", f"{plain(nbytes / 1e6)} of {plain(MOST_BYTES / 1e6)} MB"),
     ]
 
 

@@ -11,8 +11,7 @@ from ...cbt_terrain.land.catalogue import LAND_EFFECTS
 from ..effects.land_presets import PRESET_PANEL, PRESETS
 from ..scene import land_jobs, land_stack, session, shaped_land
 from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
-from ..text.effect_lines import readers_text
-from ..text.numbers import length_text, plain
+from ..text.numbers import length_text, time_text, unit_text
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
 
 NAME_WIDTH = 0.7  # of a row of the list
@@ -38,13 +37,6 @@ class LandList(bpy.types.UIList):
         took = row.row()
         took.alignment = "RIGHT"
         took.label(text=time_text(shaped_land.state_of(context.object).ms.get(index)))
-
-
-def time_text(ms: float | None) -> str:
-    """`35 ms`, `4.2 s`; `-` where it is not known."""
-    if ms is None:
-        return "-"
-    return f"{plain(ms)} ms" if ms < 1000.0 else f"{plain(ms / 1000.0)} s"
 
 
 class LandPresets(PresetPanel, bpy.types.Panel):
@@ -176,11 +168,19 @@ class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
         column = self.layout.column(align=True)
         layers = shaped_land.layers_of(context.object.adaptive_terrain.land)
         for layer in layers:
-            row = column.split(factor=0.4)
-            row.label(text=f"{layer.name} ({layer.unit})" if layer.unit else layer.name)
-            row.label(text=readers_text(statuses.get(layer.name)))
+            row = column.split(factor=0.55)
+            row.label(text=f"{layer.name} ({unit_text(layer.unit)})" if layer.unit else layer.name)
+            row.label(text=_reading(statuses.get(layer.name)))
         if not layers:
             column.label(text="None", icon="INFO")
+
+
+def _reading(status) -> str:
+    """In a few words; the panel *Effects* says who it is."""
+    if status is None:
+        return "No update yet"
+    count = len(status.readers)
+    return "Not computed" if status.skipped else f"{count} reader{'s' if count > 1 else ''}"
 
 
 class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):

@@ -32,13 +32,12 @@ def switched(column, settings, switch: str, name: str) -> None:
 
 
 def draw_band(column, band, names: tuple[str, ...]) -> None:
-    """A switch, and below it, in one row, the numbers of what is switched on."""
+    """A switch, and below it the numbers of what is switched on."""
     column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
     if band.use:
-        numbers = column.row(align=True)
-        numbers.use_property_split = False
+        numbers = column.column(align=True)
         for name in names:
-            numbers.prop(band, name, text="")
+            numbers.prop(band, name)
 
 
 def draw_ground(column, ground) -> None:

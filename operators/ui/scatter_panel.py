@@ -7,11 +7,12 @@ from mathutils import Matrix
 from ..scene import session
 from ..scene.scatter_properties import MESH
 from ..scene.scatters import ScatterRecord, is_scatter, scatters_of
-from ..text.numbers import plain
+from ..text.numbers import time_text
 from ..text.shown_bounds import bound_text
 from .layers_panel import draw_rules
 from .panel_parts import TerrainSubpanel, figures
 
+LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
 STANDING = Matrix()  # where a scatter stands in its terrain's space: points are written in that
 
 
@@ -25,12 +26,11 @@ class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
         terrain = context.object
         column = self.layout.column(align=True)
         for obj in scatters_of(terrain):
-            points, ms = summary(session.record_of(terrain).scatters.get(obj.session_uid))
-            row = column.split(factor=0.4)
+            points, took = summary(session.record_of(terrain).scatters.get(obj.session_uid))
+            row = column.row()
             row.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
-            row.label(text=points)
-            row.label(text=ms)
             row.prop(obj, "hide_viewport", text="", emboss=False)
+            column.label(text=f"{points} points, {took}", icon="BLANK1")
         self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
 
 
@@ -56,7 +56,7 @@ class ScatterPanel(bpy.types.Panel):
         figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
         column = self.layout.column()
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
-            column.prop(settings, name)
+            column.prop(settings, name, **LABELS.get(name, {}))
         row = column.row()
         row.active = settings.roots != MESH
         row.prop(settings, "cull_hidden")
@@ -67,15 +67,15 @@ class ScatterPanel(bpy.types.Panel):
 
 
 def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
-    """How many points there are, and milliseconds of the last that were made."""
+    """How many points there are, and what the last that were made took."""
     if scatter is None or scatter.points is None:
         return "-", "-"
-    return f"{len(scatter.points):,}", f"{plain(sum(scatter.ms.values()))} ms"
+    return f"{len(scatter.points):,}", time_text(sum(scatter.ms.values()))
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
     """The lines at the panel's top: as many whatever there is."""
-    points, ms = summary(scatter)
+    points, took = summary(scatter)
     tested, off = "-", "-"
     if points != "-":
         tested = f"{scatter.points.tested:,}"
@@ -83,7 +83,7 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
         off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
         if settings.id_data.matrix_local != STANDING:
             off = "moved: clear its transforms"
-    return [("Points", points), ("Looked at", tested), ("Update", ms), ("Off the mesh", off)]
+    return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
 
 
 CLASSES = (ScattersPanel,)

@@ -20,7 +20,8 @@ NUMBERS = [1, 2, 3, 4, 15, 17, 19, 30]
 # What a strict check of Deadline's Blender adaptor (`strict_error_checking`) takes for a failure.
 STRICT = re.compile(r".*Exception:.*|.*Error:.*|.*Warning.*")
 BLENDERS_OWN = "Falling back to the standard locale"
-# The terrain is turned and stretched, the store of it is not there, and the file itself would let stale frames pass.
+# The terrain is turned and stretched, has a stack, and a material that reads what that leaves and a map. Neither the
+# store nor the map is there, and the file itself would let stale frames pass.
 PREPARE = """
 import bpy
 scene = bpy.context.scene
@@ -35,8 +36,21 @@ for frame, y in ((1, -9000.0), (30, -7000.0)):
     scene.camera.keyframe_insert("location", frame=frame)
 scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 320, 180, 50
 scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+bpy.context.view_layer.objects.active = terrain
+bpy.ops.adaptive_terrain.land_add(effect="snow")
+settings.land.entries[0].snow.line = 0.0
+material = bpy.data.materials.new("Ground")
+material.use_nodes = True
+nodes, link = material.node_tree.nodes, material.node_tree.links.new
+snow, normal = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeTexImage")
+snow.attribute_name, normal.image = "snow", bpy.data.images.new("normal", 1, 1)
+link(snow.outputs["Fac"], nodes["Principled BSDF"].inputs["Roughness"])
+link(normal.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
+terrain.data.materials.append(material)
 bpy.ops.wm.save_as_mainfile(filepath=PATH)
 settings.store = "//dem.store"
+settings.maps.folder, settings.maps.mark = "//maps/", "shot"
+normal.image.source, normal.image.filepath = "FILE", "//maps/Terrain_shot/detail_normal.png"
 bpy.ops.wm.save_mainfile()
 """
 
@@ -101,6 +115,7 @@ def test_meshes_cancelled_resumed_and_made_again(farm):
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=300)[0]
     assert process.returncode != 0 and "imported, 403 x 344 samples" in said, said
+    assert "Terrain: its land is shaped" in said and "Terrain: 1 image baked, 0 kept" in said, said
     assert "openjd_env: BLENDER_USER_RESOURCES=" in said and not (bare / "extensions").exists()
     before = contents(out)
     assert 2 <= len(list(out.glob("frame_*.json"))) < len(NUMBERS)
@@ -108,6 +123,9 @@ def test_meshes_cancelled_resumed_and_made_again(farm):
     code, said = farm.run(job, "Verify", "--run-dependencies", user=farm.program.user, ExtensionZip="")
     assert code == 0, said
     assert said.count("complete before") >= 2 and "its store is there" in said
+    assert "Terrain: 0 images baked, 1 kept" in said and len(list(farm.folder.glob("dem.store_land/*/store.json"))) == 1
+    with np.load(out / "Terrain_0001.npz") as mesh:
+        assert mesh["snow"].max() > 0.1, "what the stack leaves is in the frames"
     assert f"openjd_status: {len(NUMBERS)} frames are whole" in said
     assert {int(path.stem[-4:]) for path in out.iterdir()} == set(NUMBERS), "nothing is left of what was cancelled"
     strict = [line for line in said.splitlines() if STRICT.match(line) and BLENDERS_OWN not in line]

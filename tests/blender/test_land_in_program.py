@@ -32,6 +32,8 @@ def test_land_is_shaped_beside_the_window(program, tmp_path):
     assert said["previews_a_step"] == 1 and said["tiles"] is None
     assert said["progress"] and said["after_cancel"] == "Preview"
     assert said["tiles_shaped"][0] == said["tiles_shaped"][1] > 1, "without views to choose by, all are built"
+    assert "press Shape Now first" in said["not_baked"], "it would hold up the window"
+    assert said["baked"] == [True, 0] and said["baked_differs_m"] == 0.0
     assert said["stores_for_undo"] == 0, "what was shaped before is found again"
     assert said["hidden_cost"] == [0, 0] and said["shown_cost"] == [1, 0]
     assert said["slider_ends_it"] and 0 < said["tiles_of_views"][0] < said["tiles_of_views"][1]

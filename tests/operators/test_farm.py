@@ -318,7 +318,7 @@ global.author = { Task: (name, kind) => new Task(name, kind), Command: (name, pa
 global.frameChunker = (frames, size) => frames.split(",");
 const globals = ";globalThis.compileJob = compileJob; globalThis.type = JOB_TYPE;";
 (0, eval)(fs.readFileSync(process.argv[1], "utf8") + globals);
-const settings = { frames: "1-10,20", blendfile: "/x/a.blend", render_output_path: "/o/#", format: "PNG" };
+const settings = { frames: process.argv[2], blendfile: "/x/a.blend", render_output_path: "/o/#", format: "PNG" };
 compileJob({ settings, addTask: (task) => tasks.push(task) });
 console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) => item.key) }));
 """
@@ -329,7 +329,10 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     """By a stand-in for the manager: there is none here."""
     assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
     command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO)]
-    said = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    for frames in ("-5", "1-4, -2", "-3-8", "-4..-1"):
+        refused = subprocess.run([*command, frames], capture_output=True, text=True)
+        assert refused.returncode == 1 and f'The frames "{frames}" go below 0' in refused.stderr
+    said = json.loads(subprocess.run([*command, "1-10,20"], capture_output=True, text=True, check=True).stdout)
     assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(said["keys"])
     prepare, *chunks = said["tasks"]
     assert prepare["commands"][0]["parameters"]["args"][:3] == ["--command", "adaptive_terrain", "prepare"]

@@ -94,8 +94,10 @@ def test_lengths_and_angles_have_their_units():
         elif parameter.unit == land_properties.DEGREES:
             assert item["subtype"] == "ANGLE" and item["max"] <= 2 * np.pi + 1e-6, (name, parameter.name)
         elif parameter.unit:
-            said = "unit" in item or parameter.unit == parameter.name or f"({parameter.unit})" in item["name"]
-            assert said or "2" in parameter.unit, (name, parameter.name)
+            unit = parameter.unit.replace("m2", "m²")
+            said = "unit" in item or parameter.unit == parameter.name or f"({unit})" in item["name"]
+            assert said or item["description"].endswith(unit), (name, parameter.name)
+            assert len(item["name"]) <= 15, "what is longer is cut off on a panel of the usual width"
         assert item["options"] == set(), "another number is another land: nothing is animated"
 
 
@@ -394,7 +396,7 @@ def test_baked_land_needs_no_stack(terrain):
     shutil.rmtree(land_request.folder_beside(source))
     session.update_object(terrain)
     assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
-    with pytest.raises(RuntimeError, match="has nothing to shape"):
+    with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
         bpy.ops.adaptive_terrain.bake_land()
 
 
@@ -566,6 +568,7 @@ def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
         getattr(only, of).use = of == "sediment"
     with pytest.raises(session.TerrainError, match="about sediment, which is not there"):
         session.update_object(terrain)
+    assert shaped_land.state_of(terrain).note == "Not shown: read why, above"
     add("rivers")
     assert bpy.ops.adaptive_terrain.land_move(by=-1) == {"FINISHED"}
     session.update_object(terrain)

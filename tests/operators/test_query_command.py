@@ -71,7 +71,8 @@ def test_a_profile_into_a_file(query, tmp_path):
     heights = hills(31, 22)
     imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED["metres"]))
     y = 4_000_000 - 20 * 4.5  # the middle of row 4
-    code, rows, said = query(["x,y", f"500005,{y}", f"500305,{y}"], "--profile", "--out", tmp_path / "out.csv")
+    lines = ["x,y,height_m", f"500005,{y},7", f"500305,{y},8"]  # those of the points themselves are not written
+    code, rows, said = query(lines, "--profile", "--out", tmp_path / "out.csv")
     assert (code, said.err) == (0, "") and said.out.startswith("31 places, x and y in EPSG:32616; 0 have")
     assert [float(row["along_m"]) for row in rows] == pytest.approx(10.0 * np.arange(31))
     assert [float(row["height_m"]) for row in rows] == pytest.approx(heights[4], abs=1e-3)
@@ -87,6 +88,7 @@ def test_a_profile_into_a_file(query, tmp_path):
         (["x,y", "1,nan"], "is 1, nan; expected 2 values"),
         (["x,y", "1,2,3"], "expected 2 values"),
         (["x,y", '1,"2'], "cannot be read (unexpected end of data)"),
+        (["x,y,height_m", "1,2,3"], "has a column height_m already; expected none of what is added"),
     ],
 )
 def test_bad_points_are_refused(query, tmp_path, lines, said):

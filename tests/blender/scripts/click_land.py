@@ -116,7 +116,9 @@ def steps():
     result["source"] = mean_height()
     yield from rivers_are_shown_at_once()
     yield from a_slider_never_blocks()
+    yield from it_is_baked_by_a_button()
     yield from shaping_runs_beside_the_window()
+    yield from it_is_baked_by_a_button()
     yield from undo_and_hide()
     yield from it_gets_finer_while_it_rests()
     (folder / "done.json").write_text(json.dumps(result))
@@ -174,6 +176,24 @@ def shaping_runs_beside_the_window():
     result["tiles_shaped"] = shaped_land.state_of(terrain()).tiles
     yield 1.0
     yield from picture("shaped")
+
+
+def it_is_baked_by_a_button():
+    """The store beside it is the terrain's own then, and looks the same; Undo brings the stack back."""
+    settings, before = terrain().adaptive_terrain, mean_height()
+    try:
+        run(bpy.ops.adaptive_terrain.bake_land, "INVOKE_DEFAULT")
+    except RuntimeError as error:
+        result["not_baked"] = str(error)
+        return
+    bpy.ops.ed.undo_push(message="Bake")
+    result["baked"] = [settings.store.endswith("_baked"), len(settings.land.entries)]
+    yield from until(lambda: session.record_of(terrain()).status.request.land is None)
+    result["baked_differs_m"] = abs(mean_height() - before)
+    window, area, region = parts()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.ed.undo()
+    yield from until(lambda: len(terrain().adaptive_terrain.land.entries) == 3 and shown() == "Shaped")
 
 
 def undo_and_hide():

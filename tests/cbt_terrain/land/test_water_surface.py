@@ -131,6 +131,20 @@ def test_a_large_field_is_thinned_from_its_south_western_corner(side):
     assert abs(found.positions[:, 2]).max() < 1e-4 and found.attributes["water_depth"].array.max() > 10.0
 
 
+def test_a_field_without_water_has_that_of_a_metre_of_rain_a_year():
+    """A sea at 0, and a hollow on the cone's flank that is full to its rim."""
+    heights = cone(60, 50)
+    row, column = np.argwhere((heights > 15.0) & (heights < 20.0))[0]
+    heights[row - 1 : row + 2, column - 1 : column + 2] = 5.0
+    found = water_of(from_array(heights, STEP_X, STEP_Y))
+    assert_welded(found)
+    z, deep = found.positions[:, 2], found.attributes["water_depth"].array
+    sea = abs(z) < 1e-4
+    assert sea.sum() > 100 and deep[sea].max() == pytest.approx(-heights.min(), rel=1e-5)
+    lake = deep[~sea].argmax()
+    assert 5.0 < z[~sea][lake] < 20.0 and z[~sea][lake] - deep[~sea][lake] == pytest.approx(5.0, abs=1e-3)
+
+
 def test_the_water_of_a_field_is_that_of_its_layers():
     heights = cone(60, 50)
     depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))

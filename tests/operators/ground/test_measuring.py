@@ -157,6 +157,21 @@ def test_a_viewshed_is_an_image_and_an_attribute(askew):
     assert np.array(image.pixels[:]).reshape(-1, 4)[:, 0].mean() < 0.1, "the camera is far away"
 
 
+def test_a_terrain_of_a_long_name_has_one_viewshed_and_its_copy_another(askew):
+    """Blender cuts names; what was made for a terrain is found all the same."""
+    askew.name = "\u00e9" * 31
+    only(askew)
+    for _ in range(2):
+        assert bpy.ops.adaptive_terrain.viewshed(radius=100.0) == {"FINISHED"}
+    assert len(bpy.data.images) == len(bpy.data.node_groups) == 1
+    copy = askew.copy()
+    copy.data = askew.data.copy()
+    bpy.context.collection.objects.link(copy)
+    only(copy)
+    assert bpy.ops.adaptive_terrain.viewshed(radius=100.0) == {"FINISHED"}
+    assert len(bpy.data.images) == 2 and copy.modifiers[0].node_group != askew.modifiers[0].node_group
+
+
 def test_a_collider_holds_its_bound_and_is_made_again(askew):
     askew.adaptive_terrain.collider_error_m = 2.0
     only(askew)

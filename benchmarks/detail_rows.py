@@ -4,15 +4,13 @@
 import numpy as np
 
 from ..cbt_terrain.ask.view import View
-from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.detail import Detail
 from ..cbt_terrain.field.heightfield import HeightField, with_detail
-from ..cbt_terrain.field.island import SIDE, island
+from ..cbt_terrain.field.island import SIDE
 from ..cbt_terrain.terrain import Terrain
 from . import scenes
 from .measure import Row, alternate
 
-SAMPLES = 4097
 AMPLITUDE = 0.05  # metres
 # So low that a mesh for it has no more triangles than one without.
 UNSEEN = 1e-5
@@ -20,11 +18,11 @@ UNSEEN = 1e-5
 
 def detail_rows():
     """Of the built-in island at 1 px, seen from over its rim and from two metres above its ground."""
-    heights = island(SAMPLES)
-    field = from_array(heights, SIDE / (SAMPLES - 1))
+    field = scenes.built_in_island()
+    last = len(field.samples) - 1
     from_air = View.look(scenes.eye_over(0, SIDE), (0, 0, 0), clip=(0.1, 1e6))
     eye = np.array([0.05, -0.1, 0.0]) * SIDE
-    eye[2] = heights[round(0.4 * (SAMPLES - 1)), round(0.55 * (SAMPLES - 1))] + 2.0
+    eye[2] = field.samples[round(0.4 * last), round(0.55 * last)] + 2.0
     from_ground = View.look(eye, (0.0, 0.0, 0.1 * SIDE), clip=(0.1, 1e6))
     yield _triangles("detail_from_air", field, from_air)
     yield _triangles("detail_from_ground", field, from_ground)

@@ -3,7 +3,6 @@
 
 import statistics
 from collections.abc import Callable, Iterator
-from functools import cache
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from ..cbt_terrain.effects.plan import plan
 from ..cbt_terrain.effects.pyramid import ground
 from ..cbt_terrain.effects.scale import footprint_levels
 from ..cbt_terrain.effects.splat import SPLATS
-from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
-from ..cbt_terrain.field.island import SIDE, island
 from ..cbt_terrain.terrain import Terrain
 from . import scenes
 from .in_blender import flight_scene, new_object
@@ -36,9 +33,8 @@ EYES = (np.array([1500.0, -2300.0, 420.0]), np.array([-2600.0, 900.0, 700.0]))
 FLIGHT_M = 8.0  # a frame
 
 
-@cache
 def ground_of_island() -> HeightField:
-    field = from_array(island(), SIDE / 4096)
+    field = scenes.built_in_island()
     ground(field, 1.0, 0.0, 1)  # made once for a store
     return field
 

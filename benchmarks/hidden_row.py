@@ -10,14 +10,12 @@ from statistics import median
 from ..cbt_terrain.ask.camera_path import read_camera_path
 from ..cbt_terrain.ask.criterion import Criterion
 from ..cbt_terrain.ask.view import View
-from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
-from ..cbt_terrain.field.island import SIDE, island
 from ..cbt_terrain.terrain import Terrain
 from ..operators.demo.demo import FLIGHT, FRAMES
+from . import scenes
 from .measure import Row
 
-SAMPLES = 4097
 FACTOR = 8.0
 RESOLUTION = (1920, 1080)
 SHOWN = FRAMES[::3]
@@ -26,7 +24,7 @@ LOW_M, AROUND_M = 20.0, 1500.0  # metres above the ground, and from the middle
 
 def hidden_row(folder: Path) -> Row:
     """Its ratio is of triangles, at 1 px; all threads."""
-    field = from_array(island(SAMPLES), SIDE / (SAMPLES - 1))
+    field = scenes.built_in_island()
     file = folder / "flight.json"
     file.write_text(json.dumps(FLIGHT), encoding="utf-8")
     path = read_camera_path(file)

@@ -14,9 +14,8 @@ from ..cbt_terrain.effects.effect import Places
 from ..cbt_terrain.effects.light import AZIMUTHS, azimuths
 from ..cbt_terrain.effects.occluder import every_crossing, occluder_of
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
-from ..cbt_terrain.field.island import SIDE, island
+from ..cbt_terrain.field.island import SIDE
 from ..cbt_terrain.run import launch
 from ..cbt_terrain.run.buffers import flat
 from ..cbt_terrain.terrain import Terrain
@@ -24,14 +23,13 @@ from ..kernels.effects.light import sky_seen
 from . import scenes
 from .measure import Row, alternate, stopwatch
 
-SAMPLES = 4097
 # Rays start from runs of vertices that follow one another, as those of a mesh do.
 RUNS, RUN = 10, 30
 
 
 def light_rows():
     """Of the built-in island, as a camera over its rim sees it at 1 px."""
-    field = from_array(island(SAMPLES), SIDE / (SAMPLES - 1))
+    field = scenes.built_in_island()
     view = View.look(scenes.eye_over(0, SIDE), (0, 0, 0))
     update = Terrain(field).update(Criterion(error_px=1.0), [view])
     positions = update.surface.positions.copy()

@@ -3,11 +3,12 @@
 
 import json
 
+from ..operators.text.numbers import number
 from . import profiles
 from .goals import ANY_SIZE, ATTEMPTS, SLACK, goal_of, missed_by, recorded_of
 from .measure import BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
 from .plot import write_bars, write_plot
-from .report import MEANING, as_json, number
+from .report import MEANING, as_json
 
 PAGE, TABLE, DATA = "performance.md", "performance_table.md", "performance.json"
 PLOT, BARS = "images/performance.svg", "images/performance_frame.svg"

@@ -5,15 +5,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
-from ..cbt_terrain.field.island import SIDE, island
+from ..cbt_terrain.field.island import SIDE
 from ..cbt_terrain.query.ground import ground_at
 from ..cbt_terrain.query.rays import pick
 from ..cbt_terrain.query.viewshed import viewshed
+from . import scenes
 from .measure import Row, alternate, stopwatch
 
-SAMPLES, PLACES = 4097, 1_000_000
+PLACES = 1_000_000
 RAYS = 640, 360
 MARCHED = 500  # of the rays: numpy visits a thousand places of each
 ABOVE = 300.0  # metres over the ground, from where rays are cast
@@ -22,7 +22,7 @@ SEEN_M = 500.0  # how far an eye looks
 
 def query_rows() -> Iterator[Row]:
     """Heights and normals at places in order, the first hits of a camera's rays, and what an eye sees."""
-    field = from_array(island(SAMPLES), SIDE / (SAMPLES - 1))
+    field = scenes.built_in_island()
     yield _heights(field)
     eye = np.array([0.1, -0.4, 0.0]) * SIDE
     eye[2] = ground_at(field, eye[:2]).heights[0] + ABOVE

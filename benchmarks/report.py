@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
+from ..operators.text.numbers import number
 from .goals import goal_of, missed_by
 from .measure import Row
 
@@ -126,13 +127,6 @@ def line(row: Row) -> str:
     if row.attempts > 1:
         parts.append(f"attempt {row.attempts}")
     return "  ".join(parts).rstrip()
-
-
-def number(value: float | None) -> str:
-    """Three digits that count, and none beyond the point from 100 on."""
-    if value is None:
-        return ""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def as_json(row: Row) -> dict:

@@ -3,12 +3,14 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
 from ..cbt_terrain.ask.criterion import Criterion
 from ..cbt_terrain.ask.view import PANORAMIC, View
 from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.field import island
 from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.heightfield import HeightField
 from ..cbt_terrain.terrain import Terrain, Update
@@ -43,6 +45,16 @@ def noise(samples: int) -> np.ndarray:
 
 def rough() -> HeightField:
     return from_array(noise(SAMPLES), SIDE / (SAMPLES - 1))
+
+
+def built_in_island() -> HeightField:
+    """The same one for every row that asks."""
+    return _island(SAMPLES)
+
+
+@cache
+def _island(samples: int) -> HeightField:
+    return from_array(island.island(samples), island.SIDE / (samples - 1))
 
 
 def around(frame: int, height: float = EYE_HEIGHT) -> View:

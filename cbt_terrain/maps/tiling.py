@@ -3,7 +3,8 @@
 
 Renderers interpolate within a tile's image, not across its rim, and EEVEE, which packs tiles of several sizes side by
 side, mixes in texels of a stranger. So every image shows a margin of its neighbours' ground: MARGIN of its side all
-round, which is at least one texel. What looks a tile up keeps clear of it: see `lookup`.
+round, which is at least one texel. What looks a tile up keeps clear of it
+(operators/effects/map_images.py).
 
 A terrain that fits into one image is not cut: EEVEE takes the jump from tile to tile for the derivative of the place,
 and shows the coarsest mip in a line of a pixel or two where tiles meet; the terrain's own material takes no mips there
@@ -68,15 +69,6 @@ class Tiling:
         step_x, step_y = self.texel(resolution)
         beyond = resolution * self.margin - 0.5
         return west - beyond * step_x, north + beyond * step_y
-
-    def lookup(self, u: float, v: float) -> tuple[float, float]:
-        """Where in the images the ground at `u`, `v` is, 0 .. 1 over the raster: what a material has to reckon."""
-        found = []
-        for at, count in ((u, self.columns), (v, self.rows)):
-            place = at * count
-            tile = min(math.floor(place), count - 1)
-            found.append(place * self.inner + (tile * 2.0 + 1.0) * self.margin)
-        return found[0], found[1]
 
 
 def tiling_of(lattice: Lattice) -> Tiling:

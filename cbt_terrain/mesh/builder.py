@@ -91,7 +91,7 @@ class SurfaceBuilder:
         _check_memory(triangles * 4**meshlet)
         if meshlet:
             self._buffers.swap("leaf_level", "last_leaf_level")
-        self._weld_slices(leaves, domain, triangles, vertices, edges)
+        self._weld_slices(leaves, domain, triangles, edges)
         prefix, point, slots = "leaf_", "point", None
         # Points lie slice by slice; those of meshlets in one row, what is inside of leaves last.
         parts = [(int(base), n) for base, (_, n, _) in zip(leaves.base, slices, strict=True)]
@@ -135,7 +135,7 @@ class SurfaceBuilder:
         surface, self._swapped = borders.end(surface, self._field, domain, room=room, threads=self._threads)
         return surface
 
-    def _weld_slices(self, leaves: Leaves, domain: Domain, triangles: int, vertices: int, edges: int) -> None:
+    def _weld_slices(self, leaves: Leaves, domain: Domain, triangles: int, edges: int) -> None:
         """Number vertices and edges along the curve, each slice from its exact base, and join the slices."""
         get, w = self._buffers.get, self._weld
         slices, squares = len(leaves.counts), domain.columns * domain.rows

@@ -20,7 +20,7 @@ import warp as wp
 from . import stopping
 
 DEVICE = "cpu"
-# Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work (shared/facts.md).
+# Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work.
 SLICE_ITEMS = 20_000
 
 _pool: ThreadPoolExecutor | None = None

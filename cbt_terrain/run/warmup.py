@@ -21,7 +21,21 @@ from types import ModuleType
 
 import warp as wp
 
-from ...kernels import accuracy, budget, detail, effects, field, land, mesh, morph, query, refine, scatter
+from ...kernels import (
+    accuracy,
+    bicubic,
+    budget,
+    detail,
+    effects,
+    field,
+    fitting,
+    land,
+    mesh,
+    morph,
+    query,
+    refine,
+    scatter,
+)
 from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
@@ -170,9 +184,9 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Those that are compiled when a scene first asks for them: effects, land, a detail, points that rise, queries, a
-    scatter, what ground hides."""
-    rooms = effects, land, detail, morph, query, scatter
+    """Those that are compiled when they are first asked for: effects, land, a detail, points that rise, queries, a
+    scatter, the bicubic surface, the fit, what ground hides."""
+    rooms = effects, land, detail, morph, query, scatter, bicubic, fitting
     return [*(module for room in rooms for module in _modules_of(room)), horizon_map]
 
 

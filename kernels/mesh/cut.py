@@ -24,11 +24,10 @@ class Cut:
     ends: wp.array(dtype=wp.vec2i)  # of each new vertex' edge: the positive end and the negative one
     parent: wp.array(dtype=wp.int32)  # of each new triangle
     gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 where it goes
-    counts: wp.array(dtype=wp.int32)  # [COUNTS]: how many there are, and how many triangles are listed
+    counts: wp.array(dtype=wp.int32)  # [VERTEX .. LISTED]: how many there are, and how many triangles are listed
 
 
 VERTEX, EDGE, TRIANGLE, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
-COUNTS = 4
 
 
 @wp.kernel

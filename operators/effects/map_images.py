@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked maps as Blender's images, and how a material finds its place in them.
 
-    if map_image(obj, "detail_normal") is not None:
-        color = map_texture(tree, obj, "detail_normal", map_vector(tree, obj)).outputs["Color"]
+    node.image, node.extension = map_image(obj, "detail_normal"), "EXTEND"
+    tree.links.new(map_vector(tree, obj), node.inputs["Vector"])
 
-The values are 0 .. 1; `coding_of_map` says what they stand for. A normal map goes through a Normal Map node whose space
-is Object.
+The values are 0 .. 1; the "coding" of `index_of` says what they stand for. A normal map goes through a Normal Map node
+whose space is Object.
 """
 
 import secrets
@@ -50,18 +50,13 @@ def index_of(obj) -> dict | None:
     return index
 
 
-def coding_of_map(obj, name: str) -> dict | None:
-    """What the numbers of a map stand for: "zero" and "one" are what 0 and 1 mean, in the map's "unit"."""
-    entry = _entry(obj, name)
-    return None if entry is None else entry["coding"] | {"unit": entry["unit"]}
-
-
 def map_image(obj, name: str) -> bpy.types.Image | None:
     """The image of a terrain's map of the effect `name`; None where it is not baked, or its files are gone.
 
     It is a tiled image with the source TILED unless the terrain is one tile.
     """
-    entry, folder = _entry(obj, name), map_folder(obj)
+    index, folder = index_of(obj), map_folder(obj)
+    entry = index and index["maps"].get(name)
     if entry is None or not (folder / entry["tiles"][0]["file"]).is_file():
         return None
     image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(folder / entry["tiles"][0]["file"]))
@@ -85,14 +80,6 @@ def reload(folder: Path, files: set[str]) -> None:
             image.reload()
 
 
-def map_texture(tree, obj, name: str, vector: bpy.types.NodeSocket) -> bpy.types.Node:
-    """An image texture node of a map that is there; `vector`: of `map_vector`."""
-    node = tree.nodes.new("ShaderNodeTexImage")
-    node.image, node.extension = map_image(obj, name), "EXTEND"
-    tree.links.new(vector, node.inputs["Vector"])
-    return node
-
-
 def map_vector(tree, obj) -> bpy.types.NodeSocket:
     """A node that gives the place in the maps of `obj`, for the Vector of its image textures; its output."""
     index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
@@ -111,17 +98,12 @@ def tile_metres(obj) -> float:
     return across / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
 
 
-def _entry(obj, name: str) -> dict | None:
-    index = index_of(obj)
-    return None if index is None else index["maps"].get(name)
-
-
 def _loaded(path: Path) -> bpy.types.Image | None:
     return next((i for i in bpy.data.images if i.filepath and Path(bpy.path.abspath(i.filepath)) == path), None)
 
 
 def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
-    """Nodes that reckon as `Tiling.lookup` does, from the mesh's UV."""
+    """Nodes that find, from the mesh's UV, the place in the images: within the tile, clear of its margin."""
     name = f"{GROUP} {columns} x {rows}"
     group = bpy.data.node_groups.get(name)
     if group is not None and group.nodes:

@@ -10,6 +10,7 @@ from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..text.numbers import number
 from ..text.page_blocks import (
     Figures,
     Heading,
@@ -350,10 +351,3 @@ def row_line(row: Row) -> str:
         f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
         f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
     )
-
-
-def number(value: float | None) -> str:
-    """Three digits that count, and none beyond the point from 100 on; nothing for what was not measured."""
-    if value is None:
-        return ""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

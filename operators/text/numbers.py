@@ -31,6 +31,13 @@ def unit_text(unit: str) -> str:
     return unit
 
 
+def number(value: float | None) -> str:
+    """In a table: three digits that count, and none beyond the point from 100 on; nothing for what was not measured."""
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 def length_text(metres: float) -> str:
     """A length with the unit that suits it: `31.9 km`, `20 m`, `2.5 mm`."""
     for unit, size in (("km", 1000.0), ("m", 1.0)):

@@ -90,9 +90,9 @@ def test_no_triangle_in_a_cell_misses_more_of_a_masked_detail_than_is_said():
         for depth in range(2 * lattice.levels + 1, 2 * lattice.levels + 14):
             half = np.array(steps) * 2.0 ** (lattice.levels - (depth - 1) // 2) / 2
             shape = np.array(TRIANGLES[depth % 2]) * half
-            cell = np.stack([rng.integers(0, 17, 4000), rng.integers(0, 12, 4000)], 1)
+            cell = np.stack([rng.integers(0, 17, 1500), rng.integers(0, 12, 1500)], 1)
             # a triangle's middle in its cell so that all of it is
-            middle = (cell - np.array([8.5, 6.0]) + 0.5 + rng.uniform(-0.5, 0.5, (4000, 2))) * steps
+            middle = (cell - np.array([8.5, 6.0]) + 0.5 + rng.uniform(-0.5, 0.5, (1500, 2))) * steps
             low, high = (cell - [8.5, 6.0]) * steps, (cell - [7.5, 5.0]) * steps
             middle = np.clip(middle, low + half, high - half)[:, None]
             places = (np.einsum("wc,cx->wx", WEIGHTS, shape)[None] + middle).reshape(-1, 2)

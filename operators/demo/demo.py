@@ -39,12 +39,12 @@ WEIGHT = {"import": 8.0, "land": 15.0, "meshes": 10.0, "crops": 5.0, "maps": 14.
 # What the page shows side by side.
 CROPS_PX = (4.0, 2.0, 1.0, 0.5)
 FLIGHT = {
-    "fov": 50,
+    "fov": 45,
     "clip": [1, 100000],
     "keyframes": [
-        {"frame": 1, "eye": [-4100, -3500, 650], "target": [-200, 100, 440]},
-        {"frame": 12, "eye": [-2850, -1350, 800], "target": [200, 0, 430]},
-        {"frame": 24, "eye": [1650, -4750, 240], "target": [650, 0, 470]},
+        {"frame": 1, "eye": [-3500, -4700, 520], "target": [50, 0, 370]},
+        {"frame": 12, "eye": [-3100, -1480, 840], "target": [200, 0, 410]},
+        {"frame": 24, "eye": [1750, -4800, 220], "target": [520, 0, 450]},
     ],
 }
 

@@ -22,7 +22,6 @@ from ..text.console import quiet
 from . import ground
 from .materials import (
     SKY_STRENGTH,
-    WATER_DEPTH,
     ZENITH,
     LandNodes,
     level_material,
@@ -31,14 +30,13 @@ from .materials import (
     put_haze,
     water_material,
 )
-from .water import add_water
+from .water import add_rivers, add_sea
 
 PAPER = (0.93, 0.925, 0.90, 1.0)
 # The azimuth is counted from the east northwards.
-SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 20.0, 188.0
+SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 21.0, 182.0
 # Waves of clouds to the east, north and up, over the height of the sky that they are in.
 CLOUDS = (0.35, 0.9, 0.0)
-SEA_SIZE_M, SEA_DEEPER_M = 400_000.0, 8.0
 SAMPLES = 6
 MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 
@@ -55,7 +53,6 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     scene.render.use_lock_interface = True
     scene.camera = _add_camera(scene, path, frames)
     add_sky(scene)
-    add_sea(scene, SEA_SIZE_M)
     set_up_render(scene, resolution)
     obj = bpy.data.objects.new("Island", bpy.data.meshes.new("Island"))
     scene.collection.objects.link(obj)
@@ -70,14 +67,14 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     material = dress(obj, sources_of(obj, ()))
     put_grain(material)
     put_haze(material, sun_direction())
-    field = open_store(store)
-    if "water_depth" in field.layers:
-        add_water(scene, field, scene.objects["Sea"].data.materials[0])
+    field, water = open_store(store), water_material(sun_direction())
+    add_sea(scene, field, water)
+    add_rivers(scene, field, water)
     file = str((out / "island.blend").resolve())
     with quiet():
-        bpy.ops.wm.save_as_mainfile(filepath=file)
+        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
         settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
-        bpy.ops.wm.save_as_mainfile(filepath=file)
+        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
     Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
     return scene, obj
 
@@ -142,26 +139,10 @@ def add_sky(scene) -> None:
     background = n.add("ShaderNodeBackground", {"Color": sky, "Strength": SKY_STRENGTH}).outputs[0]
     n.add("ShaderNodeOutputWorld", {"Surface": background})
     light = bpy.data.lights.new("Sun", "SUN")
-    light.energy, light.angle, light.color = 6.5, math.radians(0.6), (1.0, 0.83, 0.62)
+    light.energy, light.angle, light.color = 6.5, math.radians(0.6), (1.0, 0.81, 0.58)
     sun = bpy.data.objects.new("Sun", light)
     sun.matrix_world = sun_direction().to_track_quat("Z", "Y").to_matrix().to_4x4()
     scene.collection.objects.link(sun)
-
-
-def add_sea(scene, size_m: float) -> None:
-    """The open sea: a plane below the water along the coast, and so far that no coarse beach dips under it."""
-    half = size_m / 2
-    mesh = bpy.data.meshes.new("Sea")
-    corners = [
-        (-half, -half, -SEA_DEEPER_M),
-        (half, -half, -SEA_DEEPER_M),
-        (half, half, -SEA_DEEPER_M),
-        (-half, half, -SEA_DEEPER_M),
-    ]
-    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    mesh.attributes.new(WATER_DEPTH, "FLOAT", "POINT").data.foreach_set("value", [1000.0] * 4)
-    mesh.materials.append(water_material(sun_direction()))
-    scene.collection.objects.link(bpy.data.objects.new("Sea", mesh))
 
 
 def set_up_render(scene, resolution: tuple[int, int]) -> None:

@@ -17,8 +17,8 @@ DEEP, SHALLOW, FOAM = (0.004, 0.020, 0.032, 1.0), (0.050, 0.135, 0.120, 1.0), (0
 CLEAR_M = 3.5
 SKY_STRENGTH = 0.8
 WATER_DEPTH = "water_depth"
-# Metres, of the largest grain; bends of the ground, 1 / m, from hollow to flat; what light is left in a hollow.
-GRAIN_M, HOLLOW, MOIST = 12.0, (-0.010, 0.002), 0.6
+# Metres, of the largest grain.
+GRAIN_M = 12.0
 # Coarse to fine: pale stone to deep blue, and what is finest in orange.
 LEVEL_COLOURS = ((0.72, 0.71, 0.64), (0.36, 0.56, 0.47), (0.07, 0.33, 0.38), (0.05, 0.10, 0.28), (0.85, 0.22, 0.03))
 INK = (0.01, 0.015, 0.04, 1.0)
@@ -84,19 +84,18 @@ def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
 
 
 def put_grain(material: bpy.types.Material) -> None:
-    """Stones and tufts, which are smaller than the heights' samples, in the light on a material, and darker ground in
-    hollows, where it is moist, by the effect mean_curvature."""
+    """Stones and tufts, which are smaller than the heights' samples, in the light on a material; and the sheen of snow,
+    by the effect snow."""
     n = LandNodes(material.node_tree)
     shader = next(node for node in n.tree.nodes if node.type == "BSDF_PRINCIPLED")
     inputs = {"Vector": n.add("ShaderNodeTexCoord").outputs["Object"], "Scale": 1.0 / GRAIN_M, "Detail": 3.0}
     grain = n.add("ShaderNodeTexNoise", inputs | {"Roughness": 0.65}).outputs[0]
     bump = n.add("ShaderNodeBump", {"Height": grain, "Strength": 0.6, "Distance": 0.35 * GRAIN_M})
-    bends = n.add("ShaderNodeAttribute", attribute_name="mean_curvature").outputs["Fac"]
-    lighter = n.math("MULTIPLY_ADD", n.smooth(bends, *HOLLOW), 1.0 - MOIST, MOIST)
-    [color], [normal] = (shader.inputs[name].links for name in ("Base Color", "Normal"))
-    n.tree.links.new(normal.from_socket, bump.inputs["Normal"])
-    n.tree.links.new(n.scaled(color.from_socket, lighter), shader.inputs["Base Color"])
+    for link in shader.inputs["Normal"].links:
+        n.tree.links.new(link.from_socket, bump.inputs["Normal"])
     n.tree.links.new(bump.outputs[0], shader.inputs["Normal"])
+    snow = n.smooth(n.add("ShaderNodeAttribute", attribute_name="snow").outputs["Fac"], 0.2, 0.8)
+    n.tree.links.new(n.math("MULTIPLY_ADD", snow, -0.35, 0.9), shader.inputs["Roughness"])
 
 
 def put_haze(material: bpy.types.Material, sun) -> None:

@@ -121,7 +121,7 @@ def water_material(sun) -> bpy.types.Material:
     clear = n.math("POWER", math.e, n.math("DIVIDE", depth, -CLEAR_M))
     body = n.mix(clear, DEEP, SHALLOW)
     surf = n.math("ADD", depth, n.math("MULTIPLY", noise(26.0, 3.0), 2.6))
-    body = n.mix(n.smooth(surf, 2.0, 1.3), body, FOAM)
+    body = n.mix(n.smooth(surf, 1.8, 1.2), body, FOAM)
     under = n.add("ShaderNodeBsdfDiffuse", {"Color": body}).outputs[0]
     rough = n.math("MULTIPLY_ADD", n.smooth(noise(900.0, 4.0), 0.4, 0.65), 0.16, 0.10)
     over = n.add("ShaderNodeBsdfGlossy", {"Color": (1.0, 1.0, 1.0, 1.0), "Roughness": rough}).outputs[0]

@@ -160,7 +160,7 @@ def set_up_render(scene, resolution: tuple[int, int]) -> None:
     scene.cycles.max_bounces = 1
     scene.cycles.diffuse_bounces = 1
     scene.view_settings.view_transform = "AgX"
-    scene.view_settings.exposure = 0.45
+    scene.view_settings.exposure = 0.6
     scene.view_settings.look = "AgX - High Contrast"
 
 

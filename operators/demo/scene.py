@@ -37,7 +37,7 @@ PAPER = (0.93, 0.925, 0.90, 1.0)
 SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 21.0, 182.0
 # Waves of clouds to the east, north and up, over the height of the sky that they are in.
 CLOUDS = (0.35, 0.9, 0.0)
-SAMPLES = 5
+SAMPLES = 4
 MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 
 

@@ -33,10 +33,12 @@ def demand_rows(rough: HeightField):
             kept.demand_of(obj, depsgraph, "VIEWPORT")
         return {"total": elapsed[0]}
 
-    from ..operators.demo.scene import add_sea, add_sky
+    from ..operators.demo.materials import water_material
+    from ..operators.demo.scene import add_sky, sun_direction
+    from ..operators.demo.water import add_sea
 
     add_sky(scene)
-    add_sea(scene, 1e5)
+    add_sea(scene, rough, water_material(sun_direction()))
     for name, ours, nodes in (
         ("demand", gathered, 20),
         ("demand_large", gathered, LARGE_MATERIAL),

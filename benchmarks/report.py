@@ -62,8 +62,8 @@ MEANING = {
     "land_routing": "Receivers, depressions, order and areas of the same samples beside fastscapelib's; one thread.",
     "land_rivers": "A step of rivers of 20,000 years beside fastscapelib's, without creep and sediment; one thread.",
     "land_sediment": "The same step with sediment beside itself without.",
-    "land_stack": "The demo's stack (rivers, frost, rock, snow, water) over the whole island: heights and layers, all "
-    "threads; its steps are effects by level.",
+    "land_stack": "The demo's stack (uplift, rivers, frost, rock, water, snow) over the whole island: heights and "
+    "layers, all threads; its steps are effects by level.",
     "land_demanded": "Relief on one tile of the island of 2,049 x 2,049 samples, with all that it starts from, beside "
     "relief on every tile. tiles, of: how many were made, of how many there are.",
     "land_scree": "A sweep of scree over the island, twice as steep, rock that breaks in beds and all, beside numpy's, "

@@ -58,6 +58,8 @@ adds detail and does not change the shape. What they leave behind (depth of scre
 layers, which materials, splats and maps may read; `adaptive-terrain shape --store DIR --stack FILE.json --out DIR`
 applies a stack, and so does the panel Land.
 
+![The demo's island: lifted while rivers cut it, beds of basalt, snow on their ledges](images/land_whole.jpg)
+
 ![A valley of the demo's island: a lake, scree below cliffs, snow above](images/land_valley.jpg)
 
 Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture

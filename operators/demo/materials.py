@@ -8,8 +8,17 @@ import bpy
 from ...cbt_terrain.mesh.attributes import LEVEL
 from ..effects.nodes import Nodes
 
-HAZE = (0.52, 0.66, 0.86, 1.0)
-HAZE_DISTANCE_M = 38_000.0
+# The sky at the horizon, away from the sun and towards it, and above.
+AWAY, SUNWARD, ZENITH = (0.40, 0.53, 0.72, 1.0), (1.00, 0.80, 0.60, 1.0), (0.055, 0.15, 0.40, 1.0)
+# Metres over which air takes 63 % of red, green and blue light: short waves are scattered most.
+AIR_M = (90_000.0, 60_000.0, 34_000.0)
+DEEP, SHALLOW, FOAM = (0.004, 0.020, 0.032, 1.0), (0.050, 0.135, 0.120, 1.0), (0.75, 0.78, 0.80, 1.0)
+# Metres of water that hide the ground to 63 %.
+CLEAR_M = 3.5
+SKY_STRENGTH = 0.8
+WATER_DEPTH = "water_depth"
+# Metres, of the largest grain.
+GRAIN_M = 12.0
 # Coarse to fine: pale stone to deep blue, and what is finest in orange.
 LEVEL_COLOURS = ((0.72, 0.71, 0.64), (0.36, 0.56, 0.47), (0.07, 0.33, 0.38), (0.05, 0.10, 0.28), (0.85, 0.22, 0.03))
 INK = (0.01, 0.015, 0.04, 1.0)
@@ -30,12 +39,31 @@ class LandNodes(Nodes):
     def emission(self, colour, strength: float = 1.0):
         return self.add("ShaderNodeEmission", {"Color": colour, "Strength": strength}).outputs[0]
 
-    def hazy(self, surface):
-        """The surface through air: what is far away takes the colour of the horizon."""
+    def smooth(self, value, low: float, high: float):
+        """0 below `low`, 1 above `high`, a cubic between."""
+        limits = {"Value": value, "From Min": low, "From Max": high}
+        return self.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
+
+    def horizon(self, direction, sun):
+        """The colour of the air in a direction: warm towards the sun (both unit vectors)."""
+        towards = self.vector("DOT_PRODUCT", direction, tuple(sun))
+        return self.mix(self.math("POWER", self.smooth(towards, -0.4, 1.0), 2.5), AWAY, SUNWARD)
+
+    def hazy(self, surface, sun):
+        """The surface through air, which takes of its light and adds light of the sky, blue at first."""
         distance = self.add("ShaderNodeCameraData").outputs["View Distance"]
-        clear = self.math("POWER", math.e, self.math("DIVIDE", distance, -HAZE_DISTANCE_M))
-        inputs = {0: self.math("SUBTRACT", 1.0, clear), 1: surface, 2: self.emission(HAZE, 0.9)}
-        return self.add("ShaderNodeMixShader", inputs).outputs[0]
+        taken = [
+            self.math("SUBTRACT", 1.0, self.math("POWER", math.e, self.math("DIVIDE", distance, -length)))
+            for length in AIR_M
+        ]
+        # A mix of shaders has one share: that of green, and the air's colour has what red and blue differ.
+        parts = [self.math("DIVIDE", part, self.math("MAXIMUM", taken[1], 1e-6)) for part in taken]
+        shares = self.add("ShaderNodeCombineXYZ", dict(enumerate(parts))).outputs[0]
+        ahead = self.scaled(self.add("ShaderNodeNewGeometry").outputs["Incoming"], -1.0)
+        air = self.vector("MULTIPLY", self.horizon(ahead, sun), shares)
+        return self.add("ShaderNodeMixShader", {0: taken[1], 1: surface, 2: self.emission(air, SKY_STRENGTH)}).outputs[
+            0
+        ]
 
     def finish(self, surface) -> None:
         self.add("ShaderNodeOutputMaterial", {"Surface": surface})
@@ -55,22 +83,50 @@ def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
     return material, LandNodes(material.node_tree)
 
 
-def put_haze(material: bpy.types.Material) -> None:
+def put_grain(material: bpy.types.Material) -> None:
+    """Stones and tufts, which are smaller than the heights' samples, in the light on a material; and the sheen of snow,
+    by the effect snow."""
+    n = LandNodes(material.node_tree)
+    shader = next(node for node in n.tree.nodes if node.type == "BSDF_PRINCIPLED")
+    inputs = {"Vector": n.add("ShaderNodeTexCoord").outputs["Object"], "Scale": 1.0 / GRAIN_M, "Detail": 3.0}
+    grain = n.add("ShaderNodeTexNoise", inputs | {"Roughness": 0.65}).outputs[0]
+    bump = n.add("ShaderNodeBump", {"Height": grain, "Strength": 0.6, "Distance": 0.35 * GRAIN_M})
+    for link in shader.inputs["Normal"].links:
+        n.tree.links.new(link.from_socket, bump.inputs["Normal"])
+    n.tree.links.new(bump.outputs[0], shader.inputs["Normal"])
+    snow = n.smooth(n.add("ShaderNodeAttribute", attribute_name="snow").outputs["Fac"], 0.2, 0.8)
+    n.tree.links.new(n.math("MULTIPLY_ADD", snow, -0.35, 0.9), shader.inputs["Roughness"])
+
+
+def put_haze(material: bpy.types.Material, sun) -> None:
     """Air before the surface of any material."""
     n = LandNodes(material.node_tree)
     output = next(node for node in n.tree.nodes if node.type == "OUTPUT_MATERIAL")
     [link] = output.inputs["Surface"].links
-    n.tree.links.new(n.hazy(link.from_socket), output.inputs["Surface"])
+    n.tree.links.new(n.hazy(link.from_socket, sun), output.inputs["Surface"])
     n.arrange()
 
 
-def sea_material() -> bpy.types.Material:
-    material, n = _material("Sea")
-    inputs = {"Color": (0.012, 0.055, 0.085, 1), "Roughness": 0.0}
-    deep = n.add("ShaderNodeBsdfDiffuse", inputs).outputs[0]
-    glint = n.add("ShaderNodeBsdfGlossy", {"Color": (0.9, 0.95, 1.0, 1), "Roughness": 0.22}).outputs[0]
-    mirrored = n.add("ShaderNodeFresnel", {"IOR": 1.33}).outputs[0]
-    n.finish(n.hazy(n.add("ShaderNodeMixShader", {0: mirrored, 1: deep, 2: glint}).outputs[0]))
+def water_material(sun) -> bpy.types.Material:
+    """Water that is dark where it is deep, by the attribute WATER_DEPTH, with foam along shores, a sky in it that gusts
+    dull here and there, and air before it."""
+    material, n = _material("Water")
+    depth = n.add("ShaderNodeAttribute", attribute_name=WATER_DEPTH).outputs["Fac"]
+    place = n.add("ShaderNodeNewGeometry").outputs["Position"]
+
+    def noise(metres: float, detail: float):
+        inputs = {"Vector": n.scaled(place, 1.0 / metres), "Scale": 1.0, "Detail": detail}
+        return n.add("ShaderNodeTexNoise", inputs).outputs[0]
+
+    clear = n.math("POWER", math.e, n.math("DIVIDE", depth, -CLEAR_M))
+    body = n.mix(clear, DEEP, SHALLOW)
+    surf = n.math("ADD", depth, n.math("MULTIPLY", noise(26.0, 3.0), 2.6))
+    body = n.mix(n.smooth(surf, 1.8, 1.2), body, FOAM)
+    under = n.add("ShaderNodeBsdfDiffuse", {"Color": body}).outputs[0]
+    rough = n.math("MULTIPLY_ADD", n.smooth(noise(900.0, 4.0), 0.4, 0.65), 0.16, 0.10)
+    over = n.add("ShaderNodeBsdfGlossy", {"Color": (1.0, 1.0, 1.0, 1.0), "Roughness": rough}).outputs[0]
+    mirrored = n.math("MULTIPLY", n.add("ShaderNodeFresnel", {"IOR": 1.33}).outputs[0], 0.75)
+    n.finish(n.hazy(n.add("ShaderNodeMixShader", {0: mirrored, 1: under, 2: over}).outputs[0], sun))
     return material
 
 

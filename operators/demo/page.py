@@ -87,8 +87,9 @@ def write_page(
         Heading("What the material reads"),
         Text(
             "The colours are layers by rules of height and slope, and of the scree and snow that the island's effects "
-            "have left; rivers and lakes are a mesh of their own. Normals and the sky that each place sees are "
-            "baked maps, as fine as the flight shows them, so shading does not depend on the triangles. What "
+            "have left; rivers and lakes are a mesh of their own. Colours, normals and the sky that each place sees "
+            "are baked maps, as fine as the flight shows them, so shading does not depend on the triangles. Snow's "
+            "depth, for its sheen, is read at the vertices. What "
             f"nothing reads is not computed: {', '.join(_skipped(effects))}."
         ),
         _effects_table(effects),

@@ -2,7 +2,6 @@
 """The demo's Blender scene: an island in low sun, a camera in flight, and drawings of the levels of detail."""
 
 import math
-import runpy
 from pathlib import Path
 
 import bpy
@@ -12,9 +11,7 @@ from mathutils import Matrix, Vector
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.run.partial_files import written_beside
-from ..effects import splat_layers
 from ..effects.material import dress
-from ..effects.nodes import Nodes
 from ..effects.terrain_material import sources_of
 from ..output.frame_sources import open_empty_file
 from ..scene import session
@@ -22,16 +19,26 @@ from ..scene.map_properties import SHOT
 from ..scene.properties import CHOSEN_CAMERA
 from ..scene.request import RENDER
 from ..text.console import quiet
-from .materials import HAZE, level_material, plain_material, put_haze, sea_material
-from .water import add_water
+from . import ground
+from .materials import (
+    SKY_STRENGTH,
+    ZENITH,
+    LandNodes,
+    level_material,
+    plain_material,
+    put_grain,
+    put_haze,
+    water_material,
+)
+from .water import add_rivers, add_sea
 
-ZENITH = (0.07, 0.20, 0.56, 1.0)
 PAPER = (0.93, 0.925, 0.90, 1.0)
-SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 28.0, 285.0
-SEA_SIZE_M = 400_000.0
-SAMPLES = 6
-MAPS, MAPS_MB = ("detail_normal", "sky"), 64.0
-BEACH_M = 8.0
+# The azimuth is counted from the east northwards.
+SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 21.0, 182.0
+# Waves of clouds to the east, north and up, over the height of the sky that they are in.
+CLOUDS = (0.35, 0.9, 0.0)
+SAMPLES = 4
+MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 
 
 def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
@@ -46,7 +53,6 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     scene.render.use_lock_interface = True
     scene.camera = _add_camera(scene, path, frames)
     add_sky(scene)
-    add_sea(scene, SEA_SIZE_M)
     set_up_render(scene, resolution)
     obj = bpy.data.objects.new("Island", bpy.data.meshes.new("Island"))
     scene.collection.objects.link(obj)
@@ -56,16 +62,19 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         detail.error_px, detail.smooth_transitions = criterion.error_px, criterion.morph > 1.0
     scene.frame_set(frames[0])
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
+    ground.lay(settings)
     bake_island_maps(obj)
-    wear_material(obj)
-    field = open_store(store)
-    if "water_depth" in field.layers:
-        add_water(scene, field, scene.objects["Sea"].data.materials[0])
+    material = dress(obj, sources_of(obj, ()))
+    put_grain(material)
+    put_haze(material, sun_direction())
+    field, water = open_store(store), water_material(sun_direction())
+    add_sea(scene, field, water)
+    add_rivers(scene, field, water)
     file = str((out / "island.blend").resolve())
     with quiet():
-        bpy.ops.wm.save_as_mainfile(filepath=file)
+        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
         settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
-        bpy.ops.wm.save_as_mainfile(filepath=file)
+        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
     Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
     return scene, obj
 
@@ -78,25 +87,6 @@ def bake_island_maps(obj) -> None:
     maps.use_budget, maps.budget_mb = True, MAPS_MB
     with quiet():
         bpy.ops.adaptive_terrain.bake_maps()
-
-
-def wear_material(obj) -> None:
-    """The preset *Alpine* above a beach, snow and scree where they lie, and what the button *Terrain Material* makes of
-    these layers, in haze."""
-    runpy.run_path(str(Path(splat_layers.FOLDER, "presets", splat_layers.PRESETS, "alpine.py")))
-    layers = obj.adaptive_terrain.layers
-    layers.remove(layers.find("Stream"))  # its water is a mesh
-    for name, metres in (("Scree", 1.0), ("Snow", 0.3)):
-        layer = layers[name]
-        depth = getattr(layer, name.lower())
-        layer.relief.use = layer.slope.use = False
-        depth.use, depth.low, depth.edge = True, metres, metres
-    layers["Meadow"].color, layers["Forest"].color = (0.11, 0.145, 0.04), (0.04, 0.072, 0.02)
-    layers["Forest"].strength = 0.6
-    beach = layers.add()
-    beach.name, beach.color, beach.noise_size = "Beach", (0.46, 0.38, 0.25), 120.0
-    beach.height.use, beach.height.high, beach.height.edge = True, BEACH_M, BEACH_M
-    put_haze(dress(obj, sources_of(obj, ())))
 
 
 def _add_camera(scene, path, frames: range):
@@ -125,32 +115,34 @@ def sun_direction():
 
 
 def add_sky(scene) -> None:
-    """A sun and a gradient from the horizon's haze to the zenith."""
+    """A low sun, and a sky from the horizon's air to the zenith."""
     world = bpy.data.worlds.new("Sky")
     scene.world = world
     world.use_nodes = True
-    world.cycles.sampling_method = "NONE"  # a plain gradient needs no importance map
+    world.cycles.sampling_method = "NONE"  # it is smooth and needs no importance map
     world.node_tree.nodes.clear()
-    n = Nodes(world.node_tree)
+    n = LandNodes(world.node_tree)
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
-    up = n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"]
-    sky = n.mix(n.math("POWER", n.math("MAXIMUM", up, 0.0), 0.55), HAZE, ZENITH)
-    background = n.add("ShaderNodeBackground", {"Color": sky, "Strength": 0.9}).outputs[0]
+    up = n.math("MAXIMUM", n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"], 0.0)
+    sky = n.mix(n.math("POWER", up, 0.5), n.horizon(direction, sun_direction()), ZENITH)
+    # High thin clouds, drawn out by the wind.
+    high = n.vector("DIVIDE", direction, n.math("ADD", up, 0.12))
+    inputs = {
+        "Vector": n.vector("MULTIPLY", high, CLOUDS),
+        "Scale": 1.0,
+        "Detail": 6.0,
+        "Roughness": 0.6,
+        "Distortion": 0.5,
+    }
+    cloud = n.math("MULTIPLY", n.smooth(n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.46, 0.8), 0.55)
+    sky = n.mix(n.math("MULTIPLY", cloud, n.smooth(up, 0.0, 0.25)), sky, (1.0, 0.95, 0.9, 1.0))
+    background = n.add("ShaderNodeBackground", {"Color": sky, "Strength": SKY_STRENGTH}).outputs[0]
     n.add("ShaderNodeOutputWorld", {"Surface": background})
     light = bpy.data.lights.new("Sun", "SUN")
-    light.energy, light.angle, light.color = 4.2, math.radians(0.8), (1.0, 0.87, 0.70)
+    light.energy, light.angle, light.color = 6.5, math.radians(0.6), (1.0, 0.81, 0.58)
     sun = bpy.data.objects.new("Sun", light)
     sun.matrix_world = sun_direction().to_track_quat("Z", "Y").to_matrix().to_4x4()
     scene.collection.objects.link(sun)
-
-
-def add_sea(scene, size_m: float) -> None:
-    """A plane at height 0, much larger than the island."""
-    half = size_m / 2
-    mesh = bpy.data.meshes.new("Sea")
-    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
-    mesh.materials.append(sea_material())
-    scene.collection.objects.link(bpy.data.objects.new("Sea", mesh))
 
 
 def set_up_render(scene, resolution: tuple[int, int]) -> None:
@@ -168,8 +160,8 @@ def set_up_render(scene, resolution: tuple[int, int]) -> None:
     scene.cycles.max_bounces = 1
     scene.cycles.diffuse_bounces = 1
     scene.view_settings.view_transform = "AgX"
-    scene.view_settings.exposure = 0.55
-    scene.view_settings.look = "AgX - Medium High Contrast"
+    scene.view_settings.exposure = 0.6
+    scene.view_settings.look = "AgX - High Contrast"
 
 
 def render(scene, path: Path) -> None:

@@ -1,19 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What shapes the demo's island: rivers, frost, snow and water."""
+"""What shapes the demo's island: it is lifted while rivers cut it, then frost, streams and snow work on it."""
 
+from ...cbt_terrain.land.mask import GroundRule, Mask
 from ...cbt_terrain.land.stack import Entry, Stack
+
+# A volcano of this seed, whose coast has bays and islets.
+ISLAND_SEED = 5
 
 STACK = Stack(
     (
         Entry(
             "rivers",
-            {"years": 2.5e5, "erodibility": 4e-6, "hillslope": 1.5e4, "creep": 0.001, "steepest": 42.0},
+            {"years": 2.5e6, "rise": 1.1e-3, "erodibility": 5e-6, "hillslope": 1e4, "creep": 0.001, "steepest": 55.0},
             seed=1,
+            name="Uplift",
+            mask=Mask(rules=(GroundRule("height", low=300.0, edge=600.0),)),
+        ),
+        Entry(
+            "rivers",
+            {"years": 1.5e5, "erodibility": 5e-6, "hillslope": 6e3, "creep": 0.001, "steepest": 46.0},
+            seed=6,
             name="Rivers",
         ),
-        Entry("thermal", {"depth": 18.0, "bed": 45.0}, seed=2, name="Frost"),
-        Entry("relief", {"wave": 60.0, "roughness": 0.22, "plains": 0.0, "gain": 0.42}, seed=3, name="Rock"),
-        Entry("snow", {"line": 720.0, "fall": 2.5}, seed=4, name="Snow"),
+        Entry("thermal", {"depth": 20.0, "bed": 60.0}, seed=2, name="Frost"),
+        Entry(
+            "relief",
+            {"wave": 80.0, "roughness": 0.22, "plains": 0.0, "gain": 0.45, "beds": 40.0, "ledges": 0.6, "dip": 4.0},
+            seed=3,
+            name="Rock",
+        ),
         Entry("water", {"rain": 1.5}, seed=5, name="Streams"),
+        Entry("snow", {"line": 760.0, "fall": 2.5}, seed=4, name="Snow"),
     )
 )

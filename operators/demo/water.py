@@ -1,27 +1,67 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The water on the demo's island."""
+"""The sea about the demo's island, which knows its depth, and the island's lakes and rivers."""
 
 import bpy
 import numpy as np
 
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.land.water_surface import water_surface
+from ...cbt_terrain.field.lattice import Lattice, fit
+from ...cbt_terrain.land.water_surface import NAMES, sea_depth, water_surface
 from ..mesh.writer import write_mesh
 
-# Metres of water that are drawn, at least: less is a wet bed.
+# Metres of water that are drawn of rivers, at least: less is a wet bed.
 DRAWN_M = 0.25
+# Metres: how far the open sea reaches, and its depth, of which nothing is seen.
+OPEN_SEA_M, OPEN_DEPTH_M = 200_000.0, 1000.0
+# Metres above it up to which the sea goes on behind its shore: a terrain that is shown coarsely dips below it there.
+BEHIND_M = 4.0
+# Samples along a side, at most.
+SEA_SAMPLES, RIVER_SAMPLES = 513, 2049
 
 
-def add_water(scene, field: HeightField, material: bpy.types.Material):
-    """Rivers and lakes as an object of their own; the sea has another. Returns it, or None where there is no water."""
-    heights = field.heights(slice(None), slice(None))
-    depth = np.where(heights > 0.0, field.layers["water_depth"], np.float32(0.0))
-    surface = water_surface(field.lattice, heights, depth, field.layers["water_speed"], least=DRAWN_M)
+def add_sea(scene, field: HeightField, material: bpy.types.Material):
+    """The sea at height 0 as an object: a grid with the attribute `water_depth`, without what is all land, and four
+    faces for the open sea. One level plane: the shore is where the ground comes out of it."""
+    heights, _ = _thinned(field.heights(), field.lattice, SEA_SAMPLES)
+    rows, columns = heights.shape
+    west, south, east, north = field.lattice.rectangle()
+    x, y = np.meshgrid(np.linspace(west, east, columns), np.linspace(south, north, rows))
+    far = OPEN_SEA_M * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    places = np.concatenate([np.stack([x.ravel(), y.ravel()], -1), far])
+    number = np.arange(rows * columns).reshape(rows, columns)
+    cells = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], -1).reshape(-1, 4)
+    cells = cells[(heights.ravel()[cells] < BEHIND_M).any(axis=1)]
+    near, last = number[[0, 0, -1, -1], [0, -1, -1, 0]], len(places) - 4
+    sides = [(near[k], last + k, last + (k + 1) % 4, near[(k + 1) % 4]) for k in range(4)]
+    mesh = bpy.data.meshes.new("Sea")
+    mesh.from_pydata(np.pad(places, ((0, 0), (0, 1))).tolist(), [], [*cells.tolist(), *sides])
+    depth = np.append(sea_depth(heights, 0.0), np.full(4, OPEN_DEPTH_M)).astype(np.float32)
+    mesh.attributes.new("water_depth", "FLOAT", "POINT").data.foreach_set("value", depth)
+    return _linked(scene, mesh, material)
+
+
+def add_rivers(scene, field: HeightField, material: bpy.types.Material):
+    """Rivers and lakes as an object of their own. Returns it, or None where there is no water."""
+    heights, lattice = _thinned(field.heights(), field.lattice, RIVER_SAMPLES)
+    depth, speed = (_thinned(field.layers[name], field.lattice, RIVER_SAMPLES)[0] for name in NAMES[:2])
+    depth = np.where(heights > 0.0, depth, np.float32(0.0))
+    surface = water_surface(lattice, heights, depth, speed, least=DRAWN_M)
     if not len(surface.positions):
         return None
     mesh = bpy.data.meshes.new("Water")
     write_mesh(mesh, surface)
+    return _linked(scene, mesh, material)
+
+
+def _thinned(samples: np.ndarray, lattice: Lattice, most: int) -> tuple[np.ndarray, Lattice]:
+    """Every second sample, or third and so on, at most so many along a side; and their lattice."""
+    every = -(-(max(lattice.width, lattice.height) - 1) // (most - 1))
+    found = np.ascontiguousarray(samples[::every, ::every])
+    return found, fit(found.shape[1], found.shape[0], lattice.step_x * every, lattice.step_y * every)
+
+
+def _linked(scene, mesh: bpy.types.Mesh, material: bpy.types.Material):
     mesh.materials.append(material)
-    water = bpy.data.objects.new("Water", mesh)
-    scene.collection.objects.link(water)
-    return water
+    obj = bpy.data.objects.new(mesh.name, mesh)
+    scene.collection.objects.link(obj)
+    return obj

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What lies on the demo's island: layers by height, slope, and what rivers, frost and snow have left."""
+
+import math
+from dataclasses import dataclass, field
+
+UP_TO_34, FROM_43, FROM_53 = (math.radians(degrees) for degrees in (34.0, 43.0, 53.0))
+NARROW = math.radians(7.0)
+
+
+@dataclass(frozen=True)
+class Cover:
+    """A layer. `color`: linear RGB, of nature. `noise`: metres. `bands`: limits by quantity, (low, high, edge), a limit
+    that is None is open."""
+
+    name: str
+    color: tuple[float, float, float]
+    noise: float
+    bands: dict[str, tuple[float | None, float | None, float]] = field(default_factory=dict)
+    ragged: float = 1.0
+    strength: float = 1.0
+
+
+# From below to above: basalt is grey, grass away from farms is brownish.
+COVERS = (
+    Cover("Grass", (0.085, 0.098, 0.033), 300.0),
+    Cover("Heath", (0.098, 0.078, 0.042), 420.0, {"height": (330.0, None, 220.0)}, 1.4, 0.85),
+    Cover(
+        "Forest", (0.030, 0.044, 0.017), 260.0, {"height": (14.0, 360.0, 90.0), "slope": (None, UP_TO_34, NARROW)}, 1.6
+    ),
+    Cover("Meadow", (0.098, 0.108, 0.034), 150.0, {"sediment": (1.5, None, 1.5), "height": (3.0, None, 3.0)}, 0.8),
+    Cover("Scree", (0.135, 0.124, 0.114), 120.0, {"scree": (2.0, None, 3.0)}, 0.8),
+    Cover("Rock", (0.086, 0.077, 0.069), 90.0, {"slope": (FROM_43, None, NARROW)}, 1.2),
+    Cover("Cliff", (0.050, 0.047, 0.046), 60.0, {"slope": (FROM_53, None, NARROW)}, 1.0),
+    Cover("Beach", (0.25, 0.21, 0.155), 80.0, {"height": (None, 1.1, 1.0), "slope": (None, UP_TO_34, NARROW)}, 0.6),
+    Cover("Snow", (0.84, 0.87, 0.92), 60.0, {"snow": (0.4, None, 0.2)}, 0.6),
+)
+
+
+def lay(settings) -> None:
+    """Make these the layers of a terrain's settings."""
+    settings.layers.clear()
+    for number, cover in enumerate(COVERS):
+        layer = settings.layers.add()
+        layer.name, layer.color, layer.noise_size = cover.name, cover.color, cover.noise
+        layer.ragged, layer.strength, layer.seed = cover.ragged, cover.strength, number
+        for quantity, (low, high, edge) in cover.bands.items():
+            band = getattr(layer, quantity)
+            ends = band.bl_rna.properties["low"]
+            band.use, band.edge = True, edge
+            band.low = ends.hard_min if low is None else low
+            band.high = ends.hard_max if high is None else high

@@ -32,8 +32,8 @@ def displace_rising(
     rising: Rising,
     memory: Memory,
 ):
-    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new, but for those that were in
-    their places and are."""
+    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new, but for
+    those that were in their places and are."""
     forget_all(memory)
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

@@ -181,12 +181,13 @@ def least_of_windows(
 
 
 @wp.func
-def steady_least(domain: Domain, blocks: Blocks, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
-    """A lower bound of the ground over a rectangle of the lattice, metres, that goes on evenly as the rectangle moves:
-    the least itself of few bilinear cells, else by windows of blocks."""
+def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
+    """A lower bound of the ground over a rectangle of the lattice, and `grown` units around it, metres, that goes on
+    evenly as the rectangle moves: the least itself of few bilinear cells, else by windows of blocks."""
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    corner = corner / cell
-    size = size / cell
+    margin = wp.float64(grown + 2)
+    corner = (corner - wp.vec2d(margin, margin)) / cell
+    size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
     longest = wp.max(size[0], size[1])
     up = wp.where(domain.height_scale < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
     least = wp.float64(0.0)
@@ -325,15 +326,11 @@ def fill_horizon(
                 begun = 1
                 rise = -least_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
                 floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
-            low = wp.float64(0.0)
-            if view.ramp > low:
-                margin = wp.float64(grown + 2)
-                corner = wp.vec2d(u0 - margin, v0 - margin)
-                sizes = radius * wp.vec2d(per1[0] - per0[0], per1[1] - per0[1])
-                low = steady_least(domain, blocks, corner, sizes + wp.vec2d(margin, margin) * wp.float64(2.0))
+            rise = -view.eye[2]
+            if view.ramp > wp.float64(0.0):
+                rise += steady_least(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
             else:
-                low = least_over(domain, blocks, x0, y0, x1, y1, one)
-            rise = low - view.eye[2]
+                rise += least_over(domain, blocks, x0, y0, x1, y1, one)
             if rise > best * radius:
                 best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
         elif not inside and begun == 1 and best > NOTHING:

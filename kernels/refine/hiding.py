@@ -170,7 +170,7 @@ def covered(
     near = nearest_of(low, high)
     ring = wp.min(ring_of(near) - rings.first, rings.count - 1)
     part = zero
-    if ring > 0:  # there is one before it
+    if ring >= 0:
         part = one
         far = farthest_of(low, high)
         top = wp.where(high[2] > zero, high[2] / near, high[2] / far)
@@ -191,8 +191,9 @@ def covered(
                 k = wp.int32(first) - 1
                 while part > zero and k <= wp.int32(last) + 1:
                     i = k & (ROW - 1)
-                    here = share_of(top, wp.float64(slopes[row + i]), ramp) - to_come
-                    here = wp.max(share_of(top, wp.float64(slopes[row - ROW + i]), ramp), here)
+                    here = wp.max(share_of(top, wp.float64(slopes[row + i]), ramp) - to_come, zero)
+                    if ring > 0:  # there is one before it
+                        here = wp.max(share_of(top, wp.float64(slopes[row - ROW + i]), ramp), here)
                     here = wp.min(share_of(wp.float64(slopes[rings.at + i]), bottom, ramp), here)
                     beside = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)
                     part = wp.min(here + wp.max(beside, zero), part)

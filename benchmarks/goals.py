@@ -105,7 +105,7 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "it, and the half percent that is computed.",
     ),
     ("morph_flight", ANY_SIZE): (
-        3.4,
+        3.9,
         "1.45 of it are triangles, a tenth of them in the fringe of the frame, where the walk copies nothing. A point "
         "that was in its place and is takes one comparison, but almost half of the points are on their way and move "
         "with every frame.",

@@ -21,7 +21,7 @@ from .mesh.rising import Rising
 from .mesh.surface import Surface
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
-from .refine.horizon import horizon_of, place_rings
+from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, Refinement
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
@@ -228,7 +228,7 @@ class Terrain:
             for view, scale in zip(spans.views, spans.scales, strict=True)
         ]
         if criterion.hides and self.field.valid is None:  # through holes one sees what ground beside them hides
-            place_rings(domain, local, criterion.hidden_factor)
+            place_rings(domain, local, criterion.hidden_factor, RAMP if rises_until > 1 else 0.0)
         asked = pack(criterion, local, spans, domain.source)
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None

@@ -13,6 +13,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.output.exporting import write_text
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Text, as_markdown
+from animation_hidden import hidden_section
 from animation_popping import popping_section
 from animation_scatter import scatter_section
 from fly_over import farm_section
@@ -28,7 +29,8 @@ INTRODUCTION = (
 def main() -> int:
     try:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-animation-") as folder:
-            blocks = [Text(INTRODUCTION), *popping_section(Path(folder)), *scatter_section(Path(folder))]
+            blocks = [Text(INTRODUCTION), *popping_section(Path(folder)), *hidden_section()]
+            blocks += scatter_section(Path(folder))
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -17,14 +17,18 @@ from ..run import launch
 from ..run.buffers import Buffers, flat
 
 BIN_COST = 2000.0  # of a bin's rings, in lookups
+# Where points rise, ground gets coarser as rays to it pass deeper below what hides it, up to this slope (height over
+# distance), not at once.
+RAMP = 0.15
 
 
-def place_rings(domain: Domain, views: list[LocalView], factor: float) -> int:
-    """Give each view its rings, for ground that may be `factor` times coarser where it is hidden; returns how many
-    entries all maps have. Orthographic views have no eye, and no map: nothing is hidden from them."""
-    entries = 0
+def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: float = 0.0) -> int:
+    """Give each view its rings, for ground that may be `factor` times coarser where it is hidden: by degrees up to a
+    slope of `ramp` below what hides it, 0: at once. Returns how many entries all maps have. Orthographic views have no
+    eye, and no map: nothing is hidden from them."""
+    entries, factor = 0, min(factor, LARGEST)
     for view in views:
-        view.hidden2 = min(factor, LARGEST) ** 2
+        view.hidden2, view.veil, view.ramp = factor**2, math.sqrt(math.sqrt(factor)) - 1, ramp
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
             view.rings.first, view.rings.count, view.rings.at = first, count, entries

@@ -176,6 +176,7 @@ def points_that_stay(
                 runs[found].first = wp.int64(first) + wp.int64(points) * wp.int64(i)
                 runs[found].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
                 runs[found].count = wp.int64(0)
+                runs[found].coarse = wp.float64(wp.inf)
                 found += wp.int64(1)
             runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
         goes_on = stays

@@ -6,7 +6,7 @@ import warp as wp
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
 from ..unchecked import pair_at
-from .residual import Memory, Rising, forget_all, risen
+from .residual import Memory, Rising, forget_all, has_settled, risen, settled_from
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,7 +32,8 @@ def displace_rising(
     rising: Rising,
     memory: Memory,
 ):
-    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new."""
+    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new, but for
+    those that were in their places and are."""
     forget_all(memory)
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
@@ -40,19 +41,26 @@ def displace_rising(
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
         take_run(points, at, begin, stop, vertex_base)
+        settled = wp.float64(wp.inf)
+        if stop > begin:
+            settled = settled_from(rising, points.taken.runs[run].coarse)
         run += wp.int64(1)
         for u in range(v, stop):
             k = point_base + wp.int64(u)
-            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             p = pair_at(points.point, k)
             last_vertex = wp.int64(-1)
+            rises = wp.bool(True)
             if u >= begin:
                 last_vertex = at + wp.int64(u - begin)
-            there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
-            height = there.surface[0] - there.residual
-            if u < begin:
-                g = wp.vec3d(height, there.surface[1], there.surface[2])
-                put_vertex(points, vertex_base + u, domain, p, g)
+                rises = not has_settled(rising, memory, p, vertex_base + u, last_vertex, settled)
             else:
-                put_height(points, vertex_base + u, domain, height)
+                fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            if rises:
+                there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
+                height = there.surface[0] - there.residual
+                if u < begin:
+                    g = wp.vec3d(height, there.surface[1], there.surface[2])
+                    put_vertex(points, vertex_base + u, domain, p, g)
+                else:
+                    put_height(points, vertex_base + u, domain, height)
         v = stop

@@ -17,6 +17,7 @@ from ..detail.displace import with_detail
 from ..field.detail import Coats
 from ..field.domain import Domain
 from ..mesh.displace import surface_at
+from ..refine.band import ABOVE
 from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of
 from ..refine.pixels import Asked, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
@@ -49,7 +50,8 @@ class Known:
     high: wp.float64
     rise: wp.float64  # as in Diamond
     metres2: wp.float64  # see `metres2_of`
-    surplus: wp.float64  # metres, before scaling; NaN: not known yet
+    height: wp.float64  # of the surface at the point itself, metres before scaling, as the surplus
+    surplus: wp.float64  # NaN: not known, and where the vertex itself is meant, it is in its place
 
 
 @wp.struct
@@ -195,22 +197,23 @@ def take_deepest(memory: Memory, count: wp.int32) -> Ahead:
 
 @wp.func
 def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex: wp.int32, last: wp.int64):
-    """The lag of a point, metres before scaling; and if it is that of the vertex at hand itself, the surface there, and
-    what is known of it is kept."""
+    """The lag of a point, metres before scaling; and if it is that of the vertex at hand itself, the surface there (of
+    one that was in the last frame the height alone), and what is known of it is kept."""
     lag = wp.float64(wp.inf)
     part = wp.float64(0.0)
     known = Known()
+    was_there = is_own and last >= wp.int64(0)
+    if was_there:
+        known = rising.last_known[last]
     if v.depth > rising.ramp.bisections:
         judged = above(domain.unit_bits, v, rising.ramp.bisections)
-        if is_own and last >= wp.int64(0):
-            known = rising.last_known[last]
-        else:
+        if not was_there:
             known = known_of(domain, judged)
         part = missing(rising.ramp, ratio2_of(domain, rising.asked, judged, known) / rising.ramp.limit)
-    own = wp.vec3d()
-    surplus = wp.float64(0.0)
+    own = wp.vec3d(known.height, wp.float64(0.0), wp.float64(0.0))
+    surplus = known.height
     is_new = part > wp.float64(0.0) and wp.isnan(known.surplus)
-    for place in range(wp.where(is_new, 3, wp.int32(is_own))):
+    for place in range(wp.int32(was_there), wp.where(is_new, 3, wp.int32(is_own))):
         p = v.point
         weight = wp.float64(1.0)
         if place > 0:
@@ -220,13 +223,37 @@ def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex:
         surplus += weight * g[0]
         if place == 0:
             own = g
+    known.height = own[0]
     if is_new:
         known.surplus = surplus
     if part > wp.float64(0.0):
         lag = part * known.surplus
+    else:
+        known.surplus = wp.float64(wp.nan)
     if is_own:
         rising.known[vertex] = known
     return lag, own
+
+
+@wp.func
+def settled_from(rising: Rising, coarse: wp.float64) -> wp.float64:
+    """From how many `metres2` on points are in their places where no pixel spans more than `coarse` metres."""
+    return coarse * coarse * rising.ramp.end2 * rising.ramp.limit * rising.asked.error_px2 * ABOVE
+
+
+@wp.func
+def has_settled(
+    rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
+) -> wp.bool:
+    """Whether the vertex `last` of the last frame was in its place, and is: then what is known of it is kept."""
+    known = rising.last_known[last]
+    found = wp.isnan(known.surplus) and known.metres2 > settled
+    if found:
+        entry = entry_of(memory, p)
+        memory.points[entry] = p
+        memory.lags[entry] = IN_PLACE
+        rising.known[vertex] = known
+    return found
 
 
 @wp.func

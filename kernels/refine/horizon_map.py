@@ -4,6 +4,8 @@
 An entry's arc is straight: x or y is the ring's radius. A mesh over it is no lower than the least height about it less
 what the mesh may be off, and no ray of the bin passes beside it. Raster and mesh have no gap, so a ray that was above
 the mesh on a nearer arc, and is below it on this one, has met it in between. Beyond the raster nothing hides.
+
+Where ground is hidden by degrees (`LocalView.ramp`), least heights go on evenly as the eye moves: see `steady_least`.
 """
 
 import warp as wp
@@ -14,7 +16,7 @@ from ..field.layout import tile_index
 from ..unchecked import code_at, height_at, number_at
 from .diamond import larger, smaller
 from .excess import heights_between
-from .hiding import BINS, ROW, radius_of
+from .hiding import BINS, ROW, bin_of, radius_of
 from .pixels import Asked, LocalView
 
 wp.set_module_options({"enable_backward": False})
@@ -95,9 +97,112 @@ def least_over(
                 h = height_at(blocks.least, wp.int64(2 * (row + i) + side))
                 low = wp.where(h < low, h, low)
         least = wp.float64(low)
+    return placed(domain, least, sign)
+
+
+@wp.func
+def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
+    """A least height of the raster, before scaling, as that of the surface with its detail, in metres."""
     if domain.detailed == 1:
         least -= domain.detail_most
     return least * domain.error_scale + sign * domain.height_offset
+
+
+@wp.func
+def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Height at a place, in cells from the south-west corner, before scaling."""
+    i = wp.min(wp.int32(x), domain.width - 2)
+    j = wp.min(wp.int32(y), domain.height - 2)
+    s = x - wp.float64(i)
+    at = wp.int64(j) * wp.int64(domain.width) + wp.int64(i)
+    north = at + wp.int64(domain.width)
+    one = wp.float64(1.0)
+    a = wp.float64(sample_at(domain.samples, at)) * (one - s)
+    a += wp.float64(sample_at(domain.samples, at + wp.int64(1))) * s
+    b = wp.float64(sample_at(domain.samples, north)) * (one - s)
+    b += wp.float64(sample_at(domain.samples, north + wp.int64(1))) * s
+    t = y - wp.float64(j)
+    return a * (one - t) + b * t
+
+
+@wp.func
+def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
+    """Least of up * height, before scaling, over a rectangle, in cells: in each cell it is at a corner."""
+    least = wp.float64(wp.inf)
+    for j in range(wp.int32(low[1]), wp.int32(high[1]) + 2):
+        y = wp.clamp(wp.float64(j), low[1], high[1])
+        for i in range(wp.int32(low[0]), wp.int32(high[0]) + 2):
+            least = smaller(up * bilinear_at(domain, wp.clamp(wp.float64(i), low[0], high[0]), y), least)
+    return least
+
+
+@wp.func
+def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
+    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
+    least = wp.float64(0.0)
+    if level > 0:
+        row = number_at(blocks.first, level) + j * number_at(blocks.wide, level)
+        least = wp.float64(height_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
+    else:
+        least = least_of_cells(domain, i, j, i, j, up)
+    return least
+
+
+@wp.func
+def least_of_windows(
+    domain: Domain, blocks: Blocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
+) -> wp.float64:
+    """Of two neighbouring windows of whole blocks along each axis, all of which hold a rectangle, the mean by where in
+    a block its corner is: it is that of one window where the other one changes. Lengths in blocks."""
+    inf = wp.float64(wp.inf)
+    i = wp.int32(wp.floor(corner[0]))
+    j = wp.int32(wp.floor(corner[1]))
+    i_end = i + wp.int32(size[0]) + 1  # the last of the first window
+    j_end = j + wp.int32(size[1]) + 1
+    south = wp.vec2d(inf, inf)  # least of the windows: the western, the eastern
+    north = wp.vec2d(inf, inf)
+    for y in range(wp.max(j - 1, 0), wp.min(j_end + 1, (domain.height - 2) >> level) + 1):
+        row = wp.vec2d(inf, inf)
+        for x in range(wp.max(i - 1, 0), wp.min(i_end + 1, (domain.width - 2) >> level) + 1):
+            h = least_of_block(domain, blocks, level, x, y, up)
+            if x <= i_end:
+                row[0] = smaller(h, row[0])
+            if x >= i:
+                row[1] = smaller(h, row[1])
+        if y <= j_end:
+            south = wp.min(south, row)
+        if y >= j:
+            north = wp.min(north, row)
+    right = corner[0] - wp.float64(i)
+    a = south[0] + right * (south[1] - south[0])
+    b = north[0] + right * (north[1] - north[0])
+    most = larger(larger(south[0], south[1]), larger(north[0], north[1]))
+    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), most)
+
+
+@wp.func
+def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
+    """A lower bound of the ground over a rectangle of the lattice, and `grown` units around it, metres, that goes on
+    evenly as the rectangle moves: the least itself of few bilinear cells, else by windows of blocks."""
+    cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    margin = wp.float64(grown + 2)
+    corner = (corner - wp.vec2d(margin, margin)) / cell
+    size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
+    longest = wp.max(size[0], size[1])
+    up = wp.where(domain.height_scale < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+    least = wp.float64(0.0)
+    if longest <= wp.float64(FEW_CELLS) and domain.bicubic == 0:
+        last = wp.vec2d(wp.float64(domain.width - 1), wp.float64(domain.height - 1))
+        least = least_bilinear(domain, wp.max(corner, wp.vec2d()), wp.min(corner + size, last), up)
+    else:
+        level = wp.int32(0)
+        if longest > wp.float64(FEW_CELLS):
+            level = FINEST
+            while longest >= wp.float64(wp.int32(MOST_BLOCKS) << level):
+                level += 1
+        part = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
+        least = least_of_windows(domain, blocks, level, corner * part, size * part, up)
+    return placed(domain, least, wp.float64(1.0))
 
 
 @wp.func
@@ -174,7 +279,7 @@ def fill_horizon(
     rings = view.rings
     reach2 = reach2_of(view)
     side = k / BINS
-    t0 = wp.float64(k - side * BINS) / wp.float64(BINS / 2) - one
+    t0 = wp.float64(bin_of(side, k - side * BINS) - side * BINS) / wp.float64(BINS / 2) - one
     t1 = t0 + one / wp.float64(BINS / 2)
     most_t = wp.max(wp.abs(t0), wp.abs(t1))
     slant2 = one + most_t * most_t
@@ -221,7 +326,11 @@ def fill_horizon(
                 begun = 1
                 rise = -least_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
                 floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
-            rise = least_over(domain, blocks, x0, y0, x1, y1, one) - view.eye[2]
+            rise = -view.eye[2]
+            if view.ramp > wp.float64(0.0):
+                rise += steady_least(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
+            else:
+                rise += least_over(domain, blocks, x0, y0, x1, y1, one)
             if rise > best * radius:
                 best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
         elif not inside and begun == 1 and best > NOTHING:

@@ -11,6 +11,7 @@ class Run:
     first: wp.int64  # entry in the new stream
     before: wp.int64  # ... and in the old one
     count: wp.int64
+    coarse: wp.float64  # metres that a pixel spans at most on the diamonds of points; infinity: not known
 
 
 @wp.struct

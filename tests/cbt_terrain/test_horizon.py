@@ -8,20 +8,29 @@ from itertools import product
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.local_view import localise
+from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.ask.spans import Plan, spans_of
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
+from adaptive_terrain.cbt_terrain.refine.domain import pack
+from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill, place_rings
 from adaptive_terrain.cbt_terrain.refine.refinement import Refinement
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.terrain import Terrain
-from fields import rough
+from adaptive_terrain.cbt_terrain.run.buffers import Buffers
+from adaptive_terrain.cbt_terrain.terrain import Terrain, box_of
+from adaptive_terrain.kernels.refine.hiding import BINS, RING_BITS, ROW
+from fields import extent, reference_heights, rough
 from first_hits import as_keys, first_hits
 from horizon_scenes import behind_a_ridge, scenes, updated
 from invariants import arrays
 
 VIEWS = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 50)
+FEW = 8  # of so many entries one is looked at
 
 
 def check_what_is_seen(scene) -> tuple[int, int]:
@@ -69,6 +78,56 @@ def test_what_one_of_several_views_sees_is_not_hidden():
     """Case 71, with two and three views."""
     counts = [check_what_is_seen(scene) for views in (2, 3) for scene in scenes(views, 15, views)]
     assert sum(a < b for a, b in counts) > 5
+
+
+def test_nothing_that_a_view_sees_is_covered_where_points_rise():
+    """Case 71, by degrees: what is in front has the heights, too, that it has with nothing hidden."""
+    z, view = behind_a_ridge()
+    ridge = from_array(z, 8.0), Criterion(error_px=1.0), [view], np.eye(4), (1.0, 0.0)
+    for scene in (ridge, *scenes(71, 5)):
+        culled, whole = check_what_is_seen((scene[0], replace(scene[1], morph=SMOOTH), *scene[2:]))
+        assert culled < 0.9 * whole or scene is not ridge
+
+
+@pytest.mark.parametrize(("interpolation", "depth"), [("bilinear", 20), ("bilinear", 12), ("bicubic", 20)])
+def test_horizons_go_on_evenly_with_the_eye_where_points_rise(interpolation, depth):
+    """No entry is above the lowest ground on its arc, or on a nearer one; and heights there change by a quarter for a
+    quarter of a step. By cells and, of so coarse leaves, by blocks of them."""
+    z = np.cumsum(np.random.default_rng(5).normal(size=(200, 180)), axis=1).astype(np.float32)
+    field, eye = interpolated(from_array(z * 4, 10.0), interpolation), np.array([210.0, -330.0, 180.0])
+    steps = [0, 0, 0], [0.05, 0.03, 0], [0.2, 0.12, 0]
+    (radii, slopes), *others = (horizon_map(field, eye + step, depth) for step in steps)
+    assert (slopes[:, ::FEW] <= highest_arcs(field, eye, radii) + 1e-6).all()
+    known = slopes > -10
+    small, large = (np.abs((moved - slopes) * radii[:, None])[known].max() for _, moved in others)
+    assert known.sum() > 10_000 and small < 0.3 * large, (small, large)
+
+
+def horizon_map(field, eye: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
+    """The radii of the rings that an eye's map has where points rise, and its slopes, float32 [rings, entries]; the
+    terrain is turned over."""
+    view = View.look(eye, eye + [1.0, 1.0, -0.3], resolution=(960, 540))
+    criterion, placed, buffers = Criterion(error_px=1.0, hidden_factor=8.0), (-1.0, 300.0), Buffers()
+    domain = Terrain(field, 1)._placed_domain(0, depth, *placed)
+    spans = spans_of(criterion, [view], np.eye(4), Plan((domain.unit_x, domain.unit_y), domain.unit_bits, depth, 0.0))
+    local = localise(view, np.eye(4), box_of(field, *placed), criterion, spans.scales[0])
+    place_rings(domain, [local], 8.0, RAMP)
+    fill(field, domain, asked := pack(criterion, [local], spans, 0.0), depth, 1.0, buffers, 1)
+    rings = np.arange(local.rings.first, local.rings.first + local.rings.count).astype(np.int64)
+    slopes = buffers.numpy("horizons")[int(ROW) : (len(rings) + 1) * int(ROW)]
+    assert asked.view_count == 1
+    return (rings << int(RING_BITS)).view(np.float64), slopes.reshape(-1, int(ROW)).copy()
+
+
+def highest_arcs(field, eye: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """float64 [rings, entries / FEW]: the highest slope of the lowest of five points on an arc, of all up to each."""
+    t = -1 + (np.arange(int(BINS))[:, None] + np.linspace(0, 1, 5)) / (int(BINS) / 2)
+    one = np.ones_like(t)
+    around = np.concatenate([np.stack(side, -1) for side in ((one, t), (-t, one), (-one, -t), (t, -one))])[::FEW]
+    plane = eye[:2] + radii[:, None, None, None] * around
+    z = 300.0 - reference_heights(field, plane.reshape(-1, 2)).reshape(plane.shape[:-1])
+    z[(np.abs(plane) >= extent(field)[:2] / 2).any(axis=-1)] = -np.inf
+    return np.maximum.accumulate((z.min(axis=-1) - eye[2]) / radii[:, None], axis=0)
 
 
 def test_orthographic_views_hide_nothing():

@@ -17,6 +17,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import mesh_heights, rough, scattered
+from horizon_scenes import behind_a_ridge
 from invariants import arrays
 from morphs import mean_of_meshes, mean_ratio, risen_heights
 
@@ -223,6 +224,21 @@ def test_what_leaves_the_frame_gets_coarser_by_degrees():
             heights.append(mesh_heights(terrain.update(Criterion(error_px=4.0, morph=SMOOTH), [view]).surface, plane))
         most.append(np.abs(np.diff(heights, axis=0)).max())
     assert most[0] > 3 * most[1] > 9 * most[2] > 0
+
+
+def test_what_nearer_ground_hides_gets_coarser_by_degrees():
+    """A camera that rises behind a ridge: the ground that comes into its sight moves by less, the less it rises."""
+    z, _ = behind_a_ridge(129)
+    field, most = from_array(z, 8.0), []
+    plane = scattered(field, 600)
+    for step in (1.6, 0.4, 0.1):
+        terrain, heights = Terrain(field, 1), []
+        for rise in 100 + step * np.arange(5):
+            view = View.look((0, -8.0 * 64, rise), (0, 0, 60.0), resolution=(960, 540))
+            criterion = Criterion(error_px=4.0, morph=SMOOTH, hidden_factor=16.0, off_screen_factor=1.0)
+            heights.append(mesh_heights(terrain.update(criterion, [view]).surface, plane))
+        most.append(np.abs(np.diff(heights, axis=0)).max())
+    assert most[0] > 3 * most[1] > 9 * most[2] > 0, most
 
 
 @pytest.mark.parametrize("wrong", [0.5, -1.0, 4.5, float("nan"), float("inf")])

@@ -28,9 +28,10 @@ STEPS = 0.4 * 0.5 ** np.arange(4)
 
 def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
     """How far points in the frame jump in a flight that goes on by `step` hundredths of the terrain's width a frame:
-    pixels at most, and metres of second differences."""
+    pixels at most, and metres of second differences that 99.9 % stay within: the way of a few has a bend, where the
+    distance takes over from the depth."""
     terrain, plane, wide = Terrain(field, 1), scattered(field, POINTS), field.lattice.step_x * field.lattice.width
-    heights, first, second = [], 0.0, 0.0
+    heights, first, second = [], 0.0, []
     for frame in range(FRAMES):
         eye = np.array([0.1, -0.6, 0.2]) * wide + [0, 0, field.max_height]
         eye += np.array([0.2, 1.0, -0.1]) * wide * 0.01 * step * frame
@@ -40,18 +41,18 @@ def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
             (now, seen), (before, _) = (project(view, np.c_[plane, z]) for z in heights[:-3:-1])
             first = max(first, np.linalg.norm(now - before, axis=1)[seen].max())
         if frame > 1:
-            second = max(second, np.abs(heights[2] - 2 * heights[1] + heights[0])[seen].max())
-    return first, second
+            second.append(np.abs(heights[2] - 2 * heights[1] + heights[0])[seen])
+    return first, np.percentile(np.concatenate(second), 99.9)
 
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_case_60_jumps_fall_with_the_step_of_the_camera(name):
-    """On three fields, at four steps of the camera: jumps in pixels fall as the step does, log-log slope 1 +- 0.1; what
-    bends falls twice as fast."""
+    """On three fields, at four steps of the camera: jumps in pixels fall as the step does, log-log slope 1 +- 0.1;
+    second differences fall twice as fast. 4 frames a flight, 200 where ADAPTIVE_TERRAIN_FUZZ is 10,000."""
     field = FIELDS[name]()
     found = np.array([jumps(field, Criterion(**ASKED, morph=SMOOTH), step) for step in STEPS])
     slope, bend = np.polyfit(np.log(STEPS), np.log(found), 1)[0]
-    assert abs(slope - 1) < 0.1 and bend > 1.7 and found[0, 0] < 0.15
+    assert abs(slope - 1) < 0.1 and bend > 1.7 and found[0, 0] < 0.15, found
 
 
 def test_case_60_a_point_begins_on_its_edge_and_ends_in_its_place():

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A kernel for test_hiding.py: which boxes are hidden, and which are said to have nothing hidden in them."""
+"""Kernels for test_hiding.py: which boxes are hidden, have nothing hidden in them, are covered how far."""
 
 import warp as wp
 
-from .hiding import Rings, is_bare, is_hidden
+from .hiding import Rings, covered, is_bare, is_hidden
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,3 +19,16 @@ def veils_of_boxes(
         hidden = wp.int32(is_hidden(rings, slopes, low, high))
         bare = wp.int32(is_bare(rings, slopes, low, high))
         found[k] = wp.vec2i(hidden, bare)
+
+
+@wp.kernel
+def covers_of_boxes(
+    rings: Rings,
+    ramp: wp.float64,
+    slopes: wp.array(dtype=wp.float32),
+    boxes: wp.array(dtype=wp.vec3d),
+    found: wp.array(dtype=wp.float64),
+):
+    """boxes: as above."""
+    for k in range(found.shape[0]):
+        found[k] = covered(rings, ramp, slopes, boxes[2 * k], boxes[2 * k + 1])

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is hidden is nested: a box inside a hidden box is hidden, and none inside a bare one is, to the last bit."""
+"""What is hidden is nested: a box inside a hidden box is hidden, and none inside a bare one is, to the last bit; and by
+degrees it goes on evenly."""
 
 from pathlib import Path
 
@@ -12,12 +13,18 @@ from adaptive_terrain.kernels.refine.hiding import BINS, RING_BITS, ROW, Rings
 from twins import load
 
 RINGS = 60
+RAMP = 0.05
 FLOOR, NONE = -0.3, 1e30
 
 
 @pytest.fixture(scope="module")
-def kernel():
-    return load("refine.hidden_boxes", Path(__file__).with_name("hidden_boxes.py")).veils_of_boxes
+def kernels():
+    return load("refine.hidden_boxes", Path(__file__).with_name("hidden_boxes.py"))
+
+
+@pytest.fixture(scope="module")
+def kernel(kernels):
+    return kernels.veils_of_boxes
 
 
 def a_map(rng) -> tuple[Rings, np.ndarray]:
@@ -54,6 +61,15 @@ def veils(kernel, rings: Rings, slopes: np.ndarray, boxes: np.ndarray) -> np.nda
     return found.reshape(*boxes.shape[:-2], 2) > 0
 
 
+def covers(kernels, rings: Rings, slopes: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """float64 [...]: how far boxes are covered."""
+    corners = np.ascontiguousarray(boxes.reshape(-1, 3))
+    found = np.empty(len(corners) // 2)
+    arrays = shared(slopes, wp.float32), shared(corners, wp.vec3d), shared(found, wp.float64)
+    wp.launch(kernels.covers_of_boxes, 1, inputs=[rings, RAMP, *arrays], device="cpu")
+    return found.reshape(boxes.shape[:-2])
+
+
 def test_what_is_hidden_is_nested(kernel):
     rng = np.random.default_rng(0)
     hidden_below = bare_below = 0
@@ -85,7 +101,44 @@ def test_a_hidden_box_is_below_every_ray_that_is_drawn_through_it(kernel):
         far = np.maximum(np.abs(x), np.abs(y))
         t = np.where(quarter % 2 == 0, y, x) / far
         bins = np.minimum(((t + 1) * int(BINS) / 2).astype(int), int(BINS) - 1)
+        bins = np.where((quarter == 1) | (quarter == 2), int(BINS) - 1 - bins, bins)  # once around the eye
         nearest = np.max([low[0], -high[0], low[1], -high[1]])
         ring = np.searchsorted(radii, nearest, side="right") - 1
         assert ring >= 0 and (z / far < table[ring + 1, quarter, bins]).all()
         assert (z / far >= table[0, quarter, bins]).all()
+
+
+def test_what_is_covered_is_hidden_and_nested(kernels):
+    """To the last bit: a box inside another is covered no less, and none that is not hidden or inside a bare one is."""
+    rng = np.random.default_rng(2)
+    partly = wholly = 0
+    for _ in range(5):
+        rings, slopes = a_map(rng)
+        boxes = nested_boxes(rng, 5000)
+        found, veil = covers(kernels, rings, slopes, boxes), veils(kernels.veils_of_boxes, rings, slopes, boxes)
+        assert (np.diff(found, axis=1) >= 0).all() and 0 <= found.min() and found.max() <= 1
+        assert not (found[~veil[..., 0]] > 0).any()
+        for child in range(1, 4):
+            assert not ((found[:, child, None] > 0) & veil[:, :child, 1]).any()
+        partly, wholly = partly + ((found > 0) & (found < 1)).sum(), wholly + (found == 1).sum()
+    assert partly > 1000 and wholly > 100, (partly, wholly)
+
+
+def test_what_covers_goes_on_evenly_with_the_eye(kernels):
+    """Of a small step of the eye no cover changes by more than crossing a ring's gap (a 64th of the distance at least),
+    a bin (a 128th) and the ramp's slope allow, also across the diagonals; hidden at once it does."""
+    rng = np.random.default_rng(3)
+    rings, slopes = a_map(rng)
+    boxes, step = nested_boxes(rng, 40_000)[:, 1:].reshape(-1, 2, 3), 1e-4  # of the distance
+    boxes[::3, :, 1] += (boxes[::3, 0, 0] - boxes[::3, 1, 1])[:, None]  # just at the north-eastern diagonal
+    near = np.maximum(boxes[:, 0, :2], -boxes[:, 1, :2]).max(axis=1)
+    boxes, near = boxes[near > 0], near[near > 0]
+    ring = (near[1::3].view(np.int64) >> int(RING_BITS) << int(RING_BITS)).view(np.float64)
+    boxes[1::3] *= (ring / near[1::3])[:, None, None]  # just at a ring
+    near[1::3] = ring
+    moved = boxes + (step * near * rng.uniform(-1, 1, (3, len(boxes)))).T[:, None]
+    at_once = np.abs(np.diff(veils(kernels.veils_of_boxes, rings, slopes, np.stack([boxes, moved]))[..., 0], axis=0))
+    found = covers(kernels, rings, slopes, np.stack([boxes, moved]))
+    steep = 1 + np.abs(boxes[..., 2]).max(axis=1) / near
+    assert (np.abs(found[1] - found[0]) < 2 * step * (64 + 128 + 2 * steep / RAMP)).all()
+    assert at_once.sum() > 0 and ((found > 0) & (found < 1)).sum() > 500

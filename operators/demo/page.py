@@ -89,8 +89,8 @@ def write_page(
             "The colours are layers by rules of height and slope, and of the scree and snow that the island's effects "
             "have left; rivers and lakes are a mesh of their own. Colours, normals and the sky that each place sees "
             "are baked maps, as fine as the flight shows them, so shading does not depend on the triangles. Snow's "
-            "depth, for its sheen, is read at the vertices. What "
-            f"nothing reads is not computed: {', '.join(_skipped(effects))}."
+            "depth, for its sheen, is read at the vertices. There nothing reads the others, so none of them is "
+            f"computed: {', '.join(_skipped(effects))}."
         ),
         _effects_table(effects),
         Heading("Frame by frame"),

@@ -356,7 +356,10 @@ def missing_folders(path: Path) -> list[Path]:
 
 
 def discard(path: Path, folder: str, made: list[Path]) -> None:
-    """Take away the folder of arrays of an unfinished version, and the folders that were made for it."""
+    """Take away the folder of arrays of an unfinished version, and the folders that were made for it. One that has
+    been published stays, whatever has failed since."""
+    if _named_folder(path) == path / folder:
+        return
     shutil.rmtree(path / folder, ignore_errors=True)
     with suppress(OSError):  # another import has put something there
         for parent in made:

@@ -16,7 +16,6 @@ UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""} | {name: effect.unit for nam
 LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(ATTRIBUTES, 1e15)
 # Of these an edge is in powers of ten: they go from a square metre to a continent.
 BY_TENS = ("flow", "discharge")
-LEAST_EDGE = 1e-9
 STEEPEST = 1e30  # metres a metre
 BAND_ROWS = 256
 
@@ -24,6 +23,7 @@ BAND_ROWS = 256
 @dataclass(frozen=True)
 class GroundRule:
     """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
+    Without an edge a limit itself is inside: ground without snow is that with snow from 0 to 0.
 
     `of`: height in metres; slope in degrees; aspect, the cosine of the angle between downhill and `direction` (degrees,
     clockwise from north), which is 0 on level ground; or one of ATTRIBUTES in its own unit, of those in BY_TENS with
@@ -146,7 +146,7 @@ def _ruled(rules: list[GroundRule], level: Level, rows: slice, heights: Callable
 
 
 def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
-    half = 0.5 * max(edge, LEAST_EDGE)
+    half = 0.5 * edge
     return _rising(values, low - half, low + half) * _rising(-values, -high - half, -high + half)
 
 
@@ -160,11 +160,17 @@ def _read(rule: GroundRule, values: np.ndarray) -> np.ndarray:
 def _between_places(values: np.ndarray, rule: GroundRule, place: Callable[[float], float]) -> np.ndarray:
     """Limits and edges are in degrees or in powers of ten, whose `place` among the values is given. Soft edges are
     straight in the values on each side of a limit: these need no function that differs from machine to machine."""
-    half = 0.5 * max(rule.edge, LEAST_EDGE)
+    half = 0.5 * rule.edge
     low, high = ([place(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
-    up = np.interp(values, low, (0.0, 0.5, 1.0)).astype(np.float32)
-    down = np.interp(values, high, (1.0, 0.5, 0.0)).astype(np.float32)
-    return _smooth(up) * _smooth(down)
+    down = [-limit for limit in reversed(high)]
+    return _rising_by(values, low) * _rising_by(-values, down)
+
+
+def _rising_by(values: np.ndarray, at: list[float]) -> np.ndarray:
+    """As `_rising`, half at the second of three places."""
+    if not np.float32(at[0]) < np.float32(at[2]):
+        return (values >= np.float32(at[1])).astype(np.float32)
+    return _smooth(np.interp(values, at, (0.0, 0.5, 1.0)).astype(np.float32))
 
 
 def _power(tens: float) -> float:
@@ -177,9 +183,9 @@ def _tangent(degrees: float) -> float:
 
 
 def _rising(values: np.ndarray, first: float, last: float) -> np.ndarray:
-    """0 up to `first`, 1 from `last` on, float32, smooth in between."""
-    if math.isinf(first) or math.isinf(last):
-        return np.full_like(values, 0.0 if first == math.inf else 1.0 if first == -math.inf else 0.0)
+    """0 up to `first`, 1 from `last` on, float32, smooth in between; where they are one number in float32, a step."""
+    if not np.float32(first) < np.float32(last):
+        return (values >= np.float32(first)).astype(np.float32)
     return _smooth(np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32))
 
 

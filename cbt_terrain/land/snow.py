@@ -39,7 +39,10 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
         fallen[_bare(ground) != 0] = 0.0
         stuck = np.minimum(stuck, fallen)
         loose = fallen - stuck
-        start = _brought(loose, coarser.layers["slides"], before - clung, all(ground.rims))
+        slides = coarser.layers["slides"]
+        if ground.missing is not None:  # what slid to the rim of a hole is not in it
+            slides = np.where(ground.missing, np.float32(0.0), slides)
+        start = _brought(loose, slides, before - clung, all(ground.rims))
     ground.progress(0.5)
     sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
     slides = _slid(ground, values, stuck, start.copy(), sweeps) - loose
@@ -227,5 +230,5 @@ SNOW = LandEffect(
     converges="depth to 0.27, 0.16, 0.09 m rms from 513 to 2,049 samples of the island",
     cost_ns=640,
     source="Winstral et al. 2002 (shelter from wind); Timonen and Westerholm 2010 (horizons)",
-    version=2,
+    version=3,
 )

@@ -52,20 +52,23 @@ class TileCache:
         return made
 
     def trim(self, most_bytes: int = MOST_BYTES) -> None:
-        """Remove the files that were not used longest, until the rest takes no more."""
+        """Remove the files that were not used longest, until the rest takes no more; one that cannot be removed, or a
+        folder that is gone by now, is left as it is: the store is there, and nothing may take it back."""
         if self.folder is None:
             return
         files = []
-        for file in self.folder.iterdir():
-            with suppress(OSError):
-                files.append((file.stat().st_mtime, file.stat().st_size, file))
+        with suppress(OSError):
+            for file in self.folder.iterdir():
+                with suppress(OSError):
+                    files.append((file.stat().st_mtime, file.stat().st_size, file))
         total = sum(size for _, size, _ in files)
         for _, size, file in sorted(files):
             if total <= most_bytes:
                 break
             if file.name not in self._used and _NAME.fullmatch(file.name):
-                file.unlink(missing_ok=True)
-                total -= size
+                with suppress(OSError):
+                    file.unlink()
+                    total -= size
 
 
 def content_key(*parts) -> str:

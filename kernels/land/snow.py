@@ -97,8 +97,8 @@ _SLIDE = """
         const float drop = between + (si - sj), size = drop < 0.0f ? -drop : drop;
         const float upper = drop < 0.0f ? sj : si, lower = drop < 0.0f ? si : sj;
         float q = 0.5f * (size - fall);
-        q = q < upper ? q : upper;
         q = q > 0.0f ? q : 0.0f;  // and for NaN, which nothing passes
+        q = q < upper ? q : upper;
         const float kept = upper - q, got = lower + (upper - kept);
         si = drop < 0.0f ? got : kept;
         sj = drop < 0.0f ? kept : got;

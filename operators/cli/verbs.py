@@ -248,8 +248,9 @@ def run_maps(arguments) -> None:
 def run_shape(arguments) -> None:
     from . import shape_command
 
-    if arguments.frames and not arguments.path:
-        raise UsageError("--frames are those of a --path FILE.json")
+    for option in () if arguments.path else ("frames", "resolution", "pixel_error"):
+        if getattr(arguments, option):
+            raise UsageError(f"--{option.replace('_', '-')} is of a --path FILE.json: without one every tile counts")
     if arguments.whole and arguments.path:
         raise UsageError("--whole and --path contradict each other: all tiles, or those that the camera sees")
     if arguments.export:

@@ -140,10 +140,10 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     For any thread. Raises TerrainError."""
     if land is None:
         return open_field(store)
-    if land.waits and (land.seen or not land.is_shaped):
+    if land.waits and (land.seen or not _is_whole(land, open_field)):
         with _shaping:  # two renders of one land make it once
             wanted = wanted_tiles(land, open_field)
-            if not land.is_shaped or not land_tiles.has(land.folder, wanted):
+            if not _is_whole(land, open_field) or not land_tiles.has(land.folder, wanted):
                 wanted = land_tiles.with_known(land.folder, wanted)
                 shape_store(land.source, land.stack, land.folder, wanted, tiles=land.tiles)
                 land_tiles.note(land.folder, wanted)
@@ -152,6 +152,14 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     if land.is_shaped:
         return open_field(land.folder)
     return previewed(land, open_field).field
+
+
+def _is_whole(land: Land, open_field) -> bool:
+    """Whether the shaped store can be opened: one that was damaged is made again, as nothing of it is anyone's own."""
+    try:
+        return land.is_shaped and open_field(land.folder) is not None
+    except TerrainError:
+        return False
 
 
 def wanted_tiles(land: Land, open_field) -> land_tiles.Tiles | None:

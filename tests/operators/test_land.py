@@ -371,6 +371,20 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     assert there() == {shown, second}
 
 
+def test_shaped_land_that_was_damaged_is_made_again(terrain):
+    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
+    add("thermal")
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    folder = land_request.shaped_stores(terrain.adaptive_terrain.store)[0][0]
+    samples = next(folder.glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    session.clear()
+    samples.unlink()
+    samples.write_bytes(whole[: len(whole) // 2])
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
+
+
 def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     add("thermal")
     bpy.ops.adaptive_terrain.shape()

@@ -63,7 +63,9 @@ def test_finishing_early(run, tmp_path):
 
 
 def test_wrong_usage_is_told(run, island, tmp_path, monkeypatch):
-    assert run("--frames", "1")[0] == 2
+    for option, value in (("--frames", "1"), ("--resolution", "400x300"), ("--pixel-error", "2")):
+        code, printed = run(option, value)
+        assert code == 2 and f"{option} is of a --path" in printed.err, "without one it would do nothing"
     assert run("--whole", "--path", tmp_path / "flight.json")[0] == 2
     assert run("--finish-early", "0")[0] == 2
     for arguments, said in (

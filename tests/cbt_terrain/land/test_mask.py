@@ -34,6 +34,23 @@ def test_heights_between_limits_with_soft_edges():
     assert found[50] == found[150] == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("edge", [0.0, 1e-9])
+def test_limits_with_next_to_no_edge_are_inside_however_far(edge):
+    """Dry ground, whose water is 0 m deep, is all of that from 0 to 0; samples of whole metres meet limits exactly; and
+    an edge that is lost beside a limit of 1e9 m divides nothing by 0."""
+    heights = np.tile(np.float32([-1e9, -3.0, 999.0, 1000.0, 1001.0, 4e6, 1e9, 2e9]), (300, 25))
+    for low, high in ((1000.0, 1001.0), (-3.0, 1e9), (-1e9, 4e6), (1e9, 1e9)):
+        inside = (heights >= low) & (heights <= high)
+        assert (ruled(heights, GroundRule("height", low, high, edge)) == inside).all()
+    depth = np.tile(np.float32([0.0, 1e-6, 1.0, 10.0]), (300, 50))
+    for of in ("water_depth", "discharge"):
+        found = whole_mask(Mask("", (GroundRule(of, 0.0, 1.0),)), None, LEVEL, None, {of: depth})
+        assert (found == (depth <= 1.0)).all()
+    dry = whole_mask(Mask("", (GroundRule("water_depth", 0.0, 0.0),)), None, LEVEL, None, {"water_depth": depth})
+    assert (dry == (depth == 0.0)).all()
+    assert (ruled(plane(0.0, 0.0), GroundRule("slope", 0.0, 0.0, 0.0)) == 1.0).all(), "level ground"
+
+
 @pytest.mark.parametrize(("east", "north"), [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
 def test_slopes_in_degrees(east, north):
     heights = plane(east, north)
@@ -95,6 +112,15 @@ def test_any_file_that_an_import_reads_is_a_mask(tmp_path, name):
     found = load_image(str(tmp_path / name), tmp_path / "kept")
     assert found.shape == (5, 7) and abs(found - part[::-1]).max() <= (0.501 / 255 if name == "m.png" else 1e-5)
     assert load_image(str(tmp_path / name), tmp_path / "kept").tobytes() == found.tobytes()
+
+
+def test_a_png_that_was_cut_off_is_refused(tmp_path):
+    """GDAL gives black, or noise, for the rows that are missing."""
+    write_raster(tmp_path / "m.png", np.random.default_rng(2).integers(0, 255, (64, 64), np.uint8))
+    with open(tmp_path / "m.png", "r+b") as file:
+        file.truncate(900)
+    with pytest.raises(TerrainError, match="m.png is damaged .*ends inside a chunk"):
+        load_image(str(tmp_path / "m.png"), tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"no image", None])

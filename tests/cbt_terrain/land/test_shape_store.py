@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
-from adaptive_terrain.cbt_terrain.field.store import open_store, read_json, verify
+from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json, verify
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
@@ -224,6 +225,23 @@ def test_a_foreign_folder_of_tiles_is_not_taken(source, tmp_path):
         run_shape(source, STACK, tmp_path / "out")
     os.replace(tmp_path / "out" / "tiles" / "floor.jpg", tmp_path / "floor.jpg")
     assert run_shape(source, STACK, tmp_path / "out")["samples"] == [700, 333]
+
+
+def test_a_store_stays_though_its_tiles_go_while_it_is_made(source, tmp_path):
+    """Someone clears the cache in the meantime: nothing is left to be trimmed, which is no reason to lose the store."""
+
+    def cleared(_fraction, _message):
+        shutil.rmtree(tmp_path / "tiles", ignore_errors=True)
+
+    run_shape(source, STACK, tmp_path / "out", on_progress=cleared, tiles=tmp_path / "tiles")
+    assert not (tmp_path / "tiles").exists()
+    verify(tmp_path / "out")
+
+
+def test_what_fails_after_a_store_is_there_does_not_take_it_back(source, tmp_path):
+    run_shape(source, STACK, tmp_path / "out")
+    discard(tmp_path / "out", read_json(tmp_path / "out")["data"], [])
+    verify(tmp_path / "out")
 
 
 def test_splat_rules_are_about_layers_too(source, tmp_path):

@@ -114,6 +114,29 @@ def test_no_snow_on_water_in_holes_or_where_the_mask_is_0():
     assert change.layers["snow"][rest].min() > 0.3
 
 
+def test_no_snow_in_a_hole_at_any_level():
+    """Two levels: snow that slid to the rim of the hole at the coarser one is not between its samples, in the hole."""
+    heights = 4.0 * smooth_hills(270, 261)
+    missing = np.zeros(heights.shape, bool)
+    missing[60:101, 131:180] = missing[200, 77] = True
+    layers = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0, missing=missing), VALUES | {"line": 0.0}).layers
+    assert (layers["slides"] > 0.5).any()
+    assert not layers["snow"][missing].any() and not layers["slides"][missing].any()
+    slid = layers["slides"].astype(np.float64)
+    assert abs(slid.sum()) < 1e-6 * abs(slid).sum()
+
+
+@pytest.mark.parametrize("shape", [(60, 80), (290, 270)])
+def test_no_snow_slides_over_a_hole(shape):
+    """A wall of holes from south to north keeps what is west of it there, at one level and at two."""
+    heights = 4.0 * smooth_hills(*shape[::-1]) + np.float32(5.0) * np.arange(shape[1], dtype=np.float32)[::-1]
+    missing = np.zeros(shape, bool)
+    missing[:, 30:33] = True
+    slides = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0, missing=missing), VALUES).layers["slides"]
+    for side in (slides[:, :30].astype(np.float64), slides[:, 33:].astype(np.float64)):
+        assert abs(side).max() > 0.3 and abs(side.sum()) < (1e-6 if shape == (60, 80) else 1e-2) * abs(side).sum()
+
+
 def test_snow_as_a_layer_only_leaves_the_heights():
     ground = Ground(smooth_hills(40, 40), 20.0, 20.0, whole=(40, 40))
     flat, raised = (snow.SNOW.apply(ground, VALUES | {"thickness": t}, None) for t in (0.0, 1.0))

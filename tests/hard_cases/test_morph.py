@@ -47,8 +47,10 @@ def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_case_60_jumps_fall_with_the_step_of_the_camera(name):
-    """On three fields, at four steps of the camera: jumps in pixels fall as the step does, log-log slope 1 +- 0.1;
-    second differences fall twice as fast. 4 frames a flight, 200 where ADAPTIVE_TERRAIN_FUZZ is 10,000."""
+    """Three fields, four steps of the camera: jumps fall as the step does, slope 1 +- 0.1; their differences twice so.
+
+    Of 4 frames a flight, 200 where ADAPTIVE_TERRAIN_FUZZ is 10,000.
+    """
     field = FIELDS[name]()
     found = np.array([jumps(field, Criterion(**ASKED, morph=SMOOTH), step) for step in STEPS])
     slope, bend = np.polyfit(np.log(STEPS), np.log(found), 1)[0]

@@ -26,7 +26,8 @@ from .tiles import Level, levels_of
 # Samples along the longer side of what is shown, at most: their errors are found in a fraction of a second.
 MOST_SHOWN = 1025
 SECONDS = 10.0  # after which a preview goes without the effects that are left
-# What entries have made is kept for later stacks that begin alike: of so many, those used last. One holds 1.4 MB.
+# What entries have made is kept for later stacks that begin alike: of so many, those used last. One holds 1 MB more of
+# 257 x 257 samples (measured, alpine), four times as much of 513 x 513.
 MOST_KEPT = 32
 _FOUND = ("land preview",)  # in HeightField.found
 

@@ -197,7 +197,7 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
 @pytest.mark.parametrize("meshlet", [1, 2])
 @pytest.mark.parametrize("kind", ["random", "spike", "hill"])
 def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
-    lattice = Lattice(2, 1, 1)
+    lattice = Lattice(3, 2, 1)
     samples = raster(kind, lattice)
     errors, *_ = compute(samples, lattice)
     expanded = errors.copy()

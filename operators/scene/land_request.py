@@ -96,6 +96,7 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     the viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):
+        _in_use.pop(obj.session_uid, None)
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None

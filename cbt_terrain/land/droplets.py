@@ -126,7 +126,8 @@ def _tiles(rain: kernels.Rain, down: int, colour: int) -> np.ndarray:
 
 
 def _halo(values: Mapping[str, float], step: float) -> float:
-    """Metres. Tiles of droplets that are cut change their neighbours, those the next: beyond 1.25 sides by 1e-3 m."""
+    """Metres. Tiles of droplets that are cut change their neighbours, those the next, four in a row. So single gullies
+    are others, by 4 to 7 % of what a level moves; with 2.5 sides 1 %, at 2.3 times the work."""
     if step < FINEST_STEP:
         return 2.0 * step
     return 1.25 * step * _tile(_steps(values, step), max(1, round(0.5 * BRUSH / step)))

@@ -153,11 +153,3 @@ def slide(
     western column is of the parity of `turn`. No two slabs share a row."""
     y = first + 2 * (offset + wp.tid())
     slide_slab(y, width, height, along, turn, falls[0], falls[1], falls[2], ground, snow)
-
-
-@wp.kernel
-def add_up(samples: wp.array(dtype=wp.float32), total: wp.array(dtype=wp.float64)):
-    """Serial. total[0]: the sum, one after the other on every machine."""
-    total[0] = wp.float64(0.0)
-    for i in range(samples.shape[0]):
-        total[0] = total[0] + wp.float64(samples[i])

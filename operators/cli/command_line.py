@@ -32,6 +32,18 @@ SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is be
 
   adaptive-terrain shape --store island.store --stack rivers.json --out old.store --export old.tif"""
 AT_MOST = "triangles at most, but not fewer than two for each root square"
+BETWEEN = "of the surface between samples"
+# What several verbs take.
+SIZE, PIXELS = pair("x", int, MAX_PIXELS), positive(MAX_ERROR_PX)
+PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
+DETAIL = {
+    "type": pair(",", float, MAX_DETAIL_M),
+    "metavar": "AMPLITUDE,WAVELENGTH",
+    "help": "metres of height and length of detail below the raster's cells",
+}
+CAMERA = {"metavar": "NAME", "help": "a camera of the scene, instead of its active one"}
+CAMERA_PATH = {"type": path, "metavar": "FILE.json", "help": "camera path for --store (docs/manual.md)"}
+RESOLUTION = {"type": SIZE, "metavar": "WxH", "help": "pixels (the scene's, or 1920x1080)"}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -82,16 +94,29 @@ def _with_frames_joined(argv: list[str]) -> list[str]:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-    from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
-    from ...cbt_terrain.field.lands import LANDS
-    from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
-    from ..output.exporting import FORMATS, parse_formats, parse_frames
-
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="A terrain of any size at exactly the detail that the camera can see."
     )
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    _add_import(subparsers)
+    _add_info(subparsers)
+    _add_bake(subparsers)
+    _add_export(subparsers)
+    _add_maps(subparsers)
+    _add_accuracy(subparsers)
+    _add_effects(subparsers)
+    _add_shape(subparsers)
+    _add_farm(subparsers)
+    _add_query(subparsers)
+    _add_demo(subparsers)
+    if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
+        _add_bench(subparsers)
+    return parser
+
+
+def _add_import(subparsers) -> None:
+    from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
+    from ...cbt_terrain.field.lands import LANDS
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     source = f"height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or a built-in land: {', '.join(LANDS)}"
@@ -110,18 +135,24 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--band", type=int, default=1, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", default="", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
-    project = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
-    verb.add_argument("--project", **project)
+    verb.add_argument("--project", **PROJECT)
     _add_raw(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
 
+
+def _add_info(subparsers) -> None:
     verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
     verb.add_argument("path", type=path, nargs="?")
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
     verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
-    verb.add_argument("--project", **project)
+    verb.add_argument("--project", **PROJECT)
     _add_raw(verb)
+
+
+def _add_bake(subparsers) -> None:
+    from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+    from ..output.exporting import FORMATS
 
     verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
@@ -129,33 +160,31 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST + "; the error reached is reported")
-    between = {"choices": INTERPOLATIONS, "help": "of the surface between samples"}
-    verb.add_argument("--interpolation", default=INTERPOLATIONS[0], **between)
-    detail = {"type": pair(",", float, MAX_DETAIL_M), "metavar": "AMPLITUDE,WAVELENGTH"}
-    detail["help"] = "metres of height and length of detail below the raster's cells"
-    verb.add_argument("--detail", **detail)
+    verb.add_argument("--interpolation", default=INTERPOLATIONS[0], choices=INTERPOLATIONS, help=BETWEEN)
+    verb.add_argument("--detail", **DETAIL)
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
+
+def _add_export(subparsers) -> None:
+    from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+    from ..output.exporting import FORMATS, parse_formats, parse_frames
+
     verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
-    source = verb.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
-    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path; npz needs no Blender")
+    _add_source(verb, "a store, seen along --path; npz needs no Blender")
     verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
     verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
-    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
-    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
-    size = pair("x", int, MAX_PIXELS)
-    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
-    pixels = positive(MAX_ERROR_PX)
-    verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="screen error (the scene's, or 1)")
+    verb.add_argument("--camera", **CAMERA)
+    verb.add_argument("--path", **CAMERA_PATH)
+    verb.add_argument("--resolution", **RESOLUTION)
+    verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="screen error (the scene's, or 1)")
     smooth = "points rise to their places from frame to frame, instead of popping (as the scene says; of a store off)"
     verb.add_argument("--morph", action=argparse.BooleanOptionalAction, help=smooth)
     verb.add_argument("--shading-floor", type=part, metavar="F", help="part of an error that counts from above, 0 to 1")
     verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
     verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
-    verb.add_argument("--interpolation", **between)
-    verb.add_argument("--detail", **detail)
+    verb.add_argument("--interpolation", choices=INTERPOLATIONS, help=BETWEEN)
+    verb.add_argument("--detail", **DETAIL)
     verb.add_argument(
         "--effects",
         type=argument(parse_effects),
@@ -165,38 +194,49 @@ def build_parser() -> argparse.ArgumentParser:
     verb.add_argument("--scatter", action="store_true", help="also the points of the scene's scatters, each as CSV")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
+
+def _add_maps(subparsers) -> None:
+    from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
+    from ..output.exporting import parse_frames
+
     verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
-    source = verb.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
-    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
+    _add_source(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
     verb.add_argument(
         "--maps", metavar="NAME,NAME", help=f"which (what the scene's settings say, or {verbs.DEFAULT_MAP})"
     )
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
-    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
-    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
-    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+    verb.add_argument("--camera", **CAMERA)
+    verb.add_argument("--path", **CAMERA_PATH)
+    verb.add_argument("--resolution", **RESOLUTION)
     verb.add_argument("--budget", type=positive(MAX_BUDGET_MB), metavar="MB", help="of all images together, in Blender")
     verb.add_argument("--format", choices=MAP_FORMS, help="png (8 and 16 bits) or exr (floats)")
 
-    verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
-    source = verb.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
-    source.add_argument("--store", type=path, metavar="DIR", help="a store, seen along --path, or as a whole")
-    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
-    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
-    verb.add_argument("--path", type=path, metavar="FILE.json", help="camera path for --store (docs/manual.md)")
-    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
-    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
 
+def _add_accuracy(subparsers) -> None:
+    from ..output.exporting import parse_frames
+
+    verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
+    _add_source(verb, "a store, seen along --path, or as a whole")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
+    verb.add_argument("--camera", **CAMERA)
+    verb.add_argument("--path", **CAMERA_PATH)
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
+    verb.add_argument("--resolution", **RESOLUTION)
+
+
+def _add_effects(subparsers) -> None:
     verb = _verb(
         subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
     )
     source = verb.add_mutually_exclusive_group()
     source.add_argument("--scene", type=path, metavar="X.blend", help="who reads what, and why the rest is skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
-    verb.add_argument("--camera", metavar="NAME", help="a camera of the scene, instead of its active one")
+    verb.add_argument("--camera", **CAMERA)
+
+
+def _add_shape(subparsers) -> None:
+    from ..output.exporting import parse_frames
 
     verb = _verb(subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape)
     verb.epilog = SHAPE_EXAMPLE
@@ -208,8 +248,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--path", type=path, metavar="FILE.json", help="only tiles that this camera sees (docs/manual.md)"
     )
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
-    verb.add_argument("--resolution", type=size, metavar="WxH", help="pixels of the camera (1920x1080)")
-    verb.add_argument("--pixel-error", type=pixels, metavar="PX", help="what a finer level has to change to count (1)")
+    verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")
+    verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="what a finer level has to change to count (1)")
     verb.add_argument("--whole", action="store_true", help="all tiles, of a raster of any size")
     verb.add_argument(
         "--finish-early", type=positive(1e9), metavar="SECONDS", help="then be content with the levels that are done"
@@ -218,7 +258,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--export", type=path, metavar="FILE", help="heights as .tif or .exr too; layers beside it, FILE_layer.tif"
     )
 
-    _add_farm(subparsers, parse_formats, argument(parse_frames))
+
+def _add_query(subparsers) -> None:
     verb = _verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
@@ -228,15 +269,16 @@ def build_parser() -> argparse.ArgumentParser:
         "--profile", action="store_true", help="along the line through the points, wherever it crosses the raster's"
     )
 
+
+def _add_demo(subparsers) -> None:
     verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
-    if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
-        _add_bench(subparsers)
-    return parser
 
+def _add_farm(subparsers) -> None:
+    from ..output.exporting import parse_formats, parse_frames
 
-def _add_farm(subparsers, formats, frames) -> None:
+    formats, frames = argument(parse_formats), argument(parse_frames)
     scene = {"type": path, "metavar": "X.blend", "required": True}
     verb = _verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
     verb.add_argument("--scene", **scene, help="the .blend file, as it is on disk")
@@ -247,7 +289,7 @@ def _add_farm(subparsers, formats, frames) -> None:
     verb.add_argument("--chunk", type=count, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
     what = verb.add_mutually_exclusive_group()
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
-    what.add_argument("--format", type=argument(formats), default=("npz",), metavar="F,F", help="of the meshes (npz)")
+    what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
     verb.add_argument(
         "--extension", metavar="ZIP", help="install this zip for the job alone; installed: pack the one that runs"
     )
@@ -289,6 +331,13 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     )
     verb.set_defaults(run=run)
     return verb
+
+
+def _add_source(verb: argparse.ArgumentParser, store: str) -> None:
+    """A scene or a store; what is said of the store."""
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
+    source.add_argument("--store", type=path, metavar="DIR", help=store)
 
 
 def _add_raw(verb: argparse.ArgumentParser) -> None:

@@ -63,7 +63,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
         settings.land.entries.clear()
         imported.tag_object(obj)
         obj.update_tag()
-        self.report({"INFO"}, f"The land is in {folder}, and the stack is empty")
+        self.report({"INFO"}, f"The land is in {folder}; Clear Land Cache frees what shaping it has left elsewhere")
         return {"FINISHED"}
 
 

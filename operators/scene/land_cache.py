@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ..text.numbers import plain
 from . import land_jobs
@@ -13,17 +14,32 @@ from .land_request import bytes_in, folder_beside, is_in_use, remove, shaped_sto
 from .polls import on_terrain
 
 
-def held(source: str) -> list[tuple[str, Path, int]]:
-    """What stacks on a source's store keep and could make again: what it is, where, and its bytes."""
-    found = [("shown", folder, size) for folder, size in shaped_stores(source) if is_in_use(folder)]
-    found += [("not shown now", folder, size) for folder, size in shaped_stores(source) if not is_in_use(folder)]
-    tiles = folder_beside(source) / stores.TILES
-    return found + ([("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else [])
+def held(store: str) -> list[tuple[str, Path, int]]:
+    """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
+    its bytes."""
+    found = []
+    for source in _sources(store):
+        found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
+        tiles = folder_beside(source) / stores.TILES
+        found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
+    return found
 
 
-def lines(source: str) -> list[str]:
+def _sources(store: str) -> list[str]:
+    """The store, and the one that it was baked from, which no terrain may have any more."""
+    try:
+        shaped = stores.read_json(Path(store))["provenance"]["shaped"]
+        before = str(shaped["source"])
+        if stores.read_json(Path(before))["key"] == shaped["source_key"]:
+            return [store, before]
+    except (TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
+        pass
+    return [store]
+
+
+def lines(store: str) -> list[str]:
     """What the dialog says: where, and what takes how much."""
-    parts, said = held(source), [str(folder_beside(source))]
+    parts, said = held(store), [str(folder_beside(source)) for source in _sources(store)]
     for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
                         ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
         sizes = [size for kind, _, size in parts if kind == what]
@@ -36,7 +52,8 @@ def megabytes(size: float) -> str:
 
 
 class ClearLandCache(bpy.types.Operator):
-    """Remove shaped land that no open terrain shows, and tiles; it can all be made again"""
+    """Remove shaped land that no open terrain shows, and tiles, also of what this one was baked from; it can all be
+    made again"""
 
     bl_idname = "adaptive_terrain.land_clear"
     bl_label = "Clear Land Cache"
@@ -51,7 +68,7 @@ class ClearLandCache(bpy.types.Operator):
         return True
 
     def invoke(self, context, _event):
-        self.said = lines(self._source(context))
+        self.said = lines(self._store(context))
         return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
 
     def draw(self, _context):
@@ -60,7 +77,7 @@ class ClearLandCache(bpy.types.Operator):
 
     def execute(self, context):
         freed = 0
-        for what, folder, size in held(self._source(context)):
+        for what, folder, size in held(self._store(context)):
             if what == "tiles":
                 shutil.rmtree(folder, ignore_errors=True)
             elif what != "shown":
@@ -69,7 +86,7 @@ class ClearLandCache(bpy.types.Operator):
         self.report({"INFO"}, f"{megabytes(freed)} freed")
         return {"FINISHED"}
 
-    def _source(self, context) -> str:
+    def _store(self, context) -> str:
         return bpy.path.abspath(context.object.adaptive_terrain.store)
 
 

@@ -96,6 +96,7 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     the viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):
+        _in_use.pop(obj.session_uid, None)
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
@@ -139,7 +140,7 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     """The height field of a request's store, or of its land: that is shaped first if it has to be, else a preview does.
     For any thread. Raises TerrainError."""
     if land is None:
-        return open_field(store)
+        return _opened(store, open_field)
     if land.waits and (land.seen or not _is_whole(land, open_field)):
         with _shaping:  # two renders of one land make it once
             wanted = wanted_tiles(land, open_field)
@@ -152,6 +153,16 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     if land.is_shaped:
         return open_field(land.folder)
     return previewed(land, open_field).field
+
+
+def _opened(store: str, open_field) -> HeightField:
+    """A source's store, or a shaped one, which nobody imports."""
+    try:
+        return open_field(store)
+    except TerrainError:
+        if not _NAME.fullmatch(Path(store).name):
+            raise
+        raise TerrainError(f"The shaped land in {store!r} is damaged: press Shape Now to make it again.") from None
 
 
 def _is_whole(land: Land, open_field) -> bool:

@@ -5,6 +5,7 @@ import hashlib
 import math
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -17,6 +18,7 @@ from ...cbt_terrain.ask.morph import SMOOTH
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, boundary_triangles
@@ -59,11 +61,12 @@ class Request:
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
     `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
-    folder of the height field, which is the shaped one where there is one. `land`: what is to be made of it first, or
-    None.
+    folder of the height field, which is the shaped one where there is one. `made_ns`: when that was written, which
+    tells it from one that is made again in its place. `land`: what is to be made of it first, or None.
     """
 
     store: str
+    made_ns: int
     land: Land | None
     interpolation: str
     ground: Ground | LayeredDetail | None
@@ -84,7 +87,7 @@ class Request:
     def key(self) -> tuple:
         """Equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
-        return self.store, self.land, self.interpolation, self.ground, *self._shape(), *shown
+        return self.store, self.made_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
@@ -145,6 +148,7 @@ def gather(
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=store,
+        made_ns=_made_ns(store),
         land=land,
         interpolation=interpolation,
         ground=overrides.ground or ground_of(settings, obj.name),
@@ -174,6 +178,14 @@ def _placement(name: str, evaluated) -> np.ndarray:
     if determinant(placement[:3, :3]) == 0.0:
         raise TerrainError(f"The terrain {name!r} has a scale of 0; expected another scale on each axis.")
     return placement
+
+
+def _made_ns(store: str) -> int:
+    """When a store was written; 0 of one that is not there, which an update tells."""
+    try:
+        return (Path(store) / stores.JSON_NAME).stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _shown_land(store: str, land, mode: str, frozen: str):

@@ -94,9 +94,9 @@ def _draw_shaping(row, obj, state) -> None:
     """One row: the button, or how far it is with what ends it."""
     progress = land_jobs.progress_of(obj)
     if progress is None:
-        row.enabled = state.wanted
-        text = "Shape Now" if state.wanted else "Shaped" if state.active else "Nothing to Shape"
-        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if state.wanted else "CHECKMARK")
+        row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
+        text = "Shape Now" if wanted else "Shaped" if state.active else "Nothing to Shape"
+        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
         return
     row.progress(factor=progress[0], text=progress[1])
     row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")

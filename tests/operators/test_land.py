@@ -407,8 +407,11 @@ def test_baked_land_needs_no_stack(terrain):
     baked = terrain.adaptive_terrain.store
     assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
     assert open_store(source).key == before != open_store(baked).key
-    shutil.rmtree(land_request.folder_beside(source))
     session.update_object(terrain)
+    beside = land_request.folder_beside(source)
+    assert (beside / "tiles").is_dir() and str(beside) in land_cache.lines(baked), "for Undo"
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert not land_request.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
     assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
     with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
         bpy.ops.adaptive_terrain.bake_land()

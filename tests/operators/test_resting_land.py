@@ -3,6 +3,7 @@
 
 import shutil
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -90,6 +91,29 @@ def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
     live.mark_dirty()
     turns(lambda: shaped_land.state_of(terrain).tiles[0] > built)
     turns(lambda: is_finished(terrain))
+    turns(lambda: session.record_of(terrain).field is session.open_field(shaped_land.store_of(terrain)))
+
+
+def test_a_damaged_store_is_shown_as_soon_as_it_is_whole_again(terrain):
+    """Nothing else changes: neither the settings nor the view nor the store's folder."""
+    until(terrain, "Shaped")
+    turns(lambda: is_finished(terrain))
+    folder, record = Path(shaped_land.store_of(terrain)), session.record_of(terrain)
+    session._fields.clear()
+    samples = next(folder.glob("data-*/samples.npy"))
+    half = samples.read_bytes()[: samples.stat().st_size // 2]
+    samples.unlink()  # the old one is still mapped
+    samples.write_bytes(half)
+    terrain.adaptive_terrain.smooth = not terrain.adaptive_terrain.smooth
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(lambda: record.status.error)
+    assert record.status.error.endswith("_views' is damaged: press Shape Now to make it again.")
+    land = land_request.land_of(terrain, terrain, bpy.context.evaluated_depsgraph_get(), waits=True)
+    land_request.raster_of("", land.of_views_alone, session.open_field)
+    live.mark_dirty()
+    turns(lambda: not record.status.error)
+    assert record.field is session.open_field(str(folder))
 
 
 def test_another_slider_ends_it_and_begins_anew(terrain):

@@ -89,3 +89,12 @@ def bumpy(rows: int, columns: int, seed: int = 0) -> np.ndarray:
     y, x = np.mgrid[0:rows, 0:columns] / 97.0
     land = sum(np.sin(f * x + rng.uniform(0, 6)) * np.cos(f * y + rng.uniform(0, 6)) / f for f in (1, 2, 5, 11, 23))
     return (200 * land + 2 * rng.standard_normal((rows, columns))).astype(np.float32)
+
+
+def ragged(rows: int, columns: int, seed: int = 5) -> np.ndarray:
+    """float32 [rows, columns] m: waves of every length, of random phase, whose slopes grow towards the shortest."""
+    away = np.hypot(rows * np.fft.fftfreq(rows)[:, None], columns * np.fft.rfftfreq(columns))
+    away[0, 0] = np.inf
+    noise = np.fft.rfft2(np.random.default_rng(seed).standard_normal((rows, columns)))
+    land = np.fft.irfft2(noise * away**-1.4, s=(rows, columns))
+    return (800.0 + 250.0 / land.std() * land).astype(np.float32)

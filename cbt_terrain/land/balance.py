@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is gained or lost where a coarser level's change is brought to a finer one, made up for by what lies nearby.
+
+So nothing is lost over all levels, and no tile needs to know of samples far away: it has what the whole has there.
+"""
+
+import math
+
+import numpy as np
+
+from .land_effect import Ground
+from .levels import finer
+
+# A gain is taken from what was laid down within so many samples. A tile looks further than that.
+WITHIN = 16
+
+
+def balanced(laid: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground) -> np.ndarray:
+    """As much of what was laid down as keeps the sum: of a whole raster exactly, of a tile as far as it looks.
+
+    All float32 [rows, columns] m. net: what a coarser level has moved, whose sum over that level's samples is 0,
+    brought to this one. now: the same as it is to be here, of which `laid`, at least 0, may become less or more.
+    """
+    gain = now - _all_of(net, ground)
+    padding = [(first % WITHIN, 0) for first in ground.first]  # grids lie alike in a tile and in the whole
+    there, gained, shapes = np.pad(laid, padding), np.pad(gain, padding), []
+    for _ in range(int(math.log2(WITHIN))):
+        shapes.append(there.shape)
+        there, gained = _gathered(there), _gathered(gained)
+    part = _part(gained, there)
+    if all(ground.rims):  # nothing lay nearby, or the coarser level's sum was not quite 0
+        rest = now.sum(dtype=np.float64) - (part * there).sum()
+        part += (1.0 - part) * _part(rest, ((1.0 - part) * there).sum())
+    part = part.astype(np.float32)
+    for shape in reversed(shapes):
+        part = finer(part, shape)
+    return laid - part[padding[0][0] :, padding[1][0] :] * laid
+
+
+def _part(gained, there):
+    """The part of what is there that goes, at most all; negative for what comes, at most as much again."""
+    return np.clip(gained / np.maximum(there, 1e-12), -1.0, 1.0)
+
+
+def _gathered(samples: np.ndarray) -> np.ndarray:
+    """float64 [rows // 2 + 1, columns // 2 + 1], likewise: the samples of `finer`, each given back what it would give;
+    the sum stays."""
+    for axis in range(2):
+        along = np.moveaxis(samples, axis, 0)
+        some = np.zeros((len(along) // 2 + 1, along.shape[1]))
+        some[: (len(along) + 1) // 2] = along[::2]
+        between = 0.5 * along[1::2]
+        some[: len(between)] += between
+        some[1 : len(between) + 1] += between
+        samples = np.moveaxis(some, 0, axis)
+    return samples
+
+
+def _all_of(net: np.ndarray, ground: Ground) -> np.ndarray:
+    """What was brought to a finer level, with what is missing at the raster's rims: there a coarser sample has samples
+    of the finer level on one side of it only, or lies beyond the last one."""
+    net, rims = net.copy(), ground.rims
+    for axis, (start, end) in enumerate((rims[:2], rims[2:])):
+        along = np.moveaxis(net, axis, 0)
+        odd = (ground.first[axis] + len(along)) % 2 == 1
+        last = 0.5 * along[-1] if odd else 3.0 * along[-1] - 1.5 * along[-2]
+        if start:
+            along[0] *= np.float32(1.5)
+        if end:
+            along[-1] += last
+    return net

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sums that are kept from a coarser level to a finer one."""
+
+import math
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.land.balance import balanced
+from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land.levels import finer
+
+
+def moved(rows, columns, seed=0):
+    """What a coarser level has moved, float32, with a sum of 0, and what has become of it at this one: less was taken
+    here and more there. net, taken, laid."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.normal(size=(rows // 2 + 1, columns // 2 + 1))
+    coarse = np.float32(np.round(coarse - coarse.mean(), 3))
+    coarse[0, 0] -= np.float32(math.fsum(coarse.ravel().tolist()))
+    net = finer(coarse, (rows, columns))
+    return net, np.maximum(-net, 0) * np.float32(rng.uniform(0.6, 1.2, net.shape)), np.maximum(net, 0)
+
+
+@pytest.mark.parametrize("shape", [(301, 420), (300, 421), (33, 31), (16, 64), (3, 300)])
+def test_the_sum_of_a_whole_raster_is_kept(shape):
+    net, taken, laid = moved(*shape)
+    made = balanced(laid, laid - taken, net, Ground(net, 5.0, 9.0, whole=shape))
+    total = math.fsum((made - taken).ravel().tolist())
+    assert abs(total) < 1e-7 * taken.sum() < 1e-3 * abs(math.fsum((laid - taken).ravel().tolist()))
+    assert (made[laid == 0] == 0).all() and made.min() >= 0 and made.max() <= 2 * laid.max()
+
+
+def test_a_loss_is_made_up_for_nearby():
+    """A quarter of what a slope gave is not there any more: so much less lies below it, and as much as ever beyond."""
+    net = np.zeros((200, 260), np.float32)
+    net[90:120, 98:104], net[90:120, 104:110], net[100, 30], net[100, 170] = -4.0, 4.0, 2.0, -2.0
+    taken, laid = np.maximum(-net, 0), np.maximum(net, 0)
+    taken[90:120, 98:104] = 3.0
+    made = balanced(laid, laid - taken, net, Ground(net, 5.0, 5.0, whole=net.shape))
+    assert made[90:120, 104:110].mean() == pytest.approx(3.0, abs=1e-4) and made[100, 30] == pytest.approx(2.0)
+    assert 2.0 < made[90:120, 104:110].min() < made[90:120, 104:110].max() < 3.5
+
+
+@pytest.mark.parametrize("first", [(0, 96), (52, 77), (101, 121)])
+def test_a_part_has_what_the_whole_has(first):
+    """32 samples within the cut, also at the rim: but for rounding."""
+    net, taken, laid = moved(301, 420)
+    whole = balanced(laid, laid - taken, net, Ground(net, 5.0, 9.0, whole=net.shape))
+    window = tuple(slice(f, f + n) for f, n in zip(first, (150, 180), strict=True))
+    ground = Ground(net[window], 5.0, 9.0, first=first, whole=net.shape)
+    part = balanced(laid[window], (laid - taken)[window], net[window], ground)
+    south = 0 if first[0] == 0 else 32
+    off = abs(part - whole[window])[south:-32, 32:-32]
+    assert off.max() < 1e-3 < 0.05 < abs(whole - laid).max()

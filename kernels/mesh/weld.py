@@ -27,7 +27,7 @@ from ..refine.curve import (
     TAKE_LEFT,
     TO_CORNER,
 )
-from ..unchecked import code_at, number_at, packed_at, put, put_packed
+from ..unchecked import item_at, packed_at, put, put_packed
 from .weld_border import corner_below, enter, give_above, give_right, take_side
 from .weld_state import (
     END_FRONT,
@@ -179,7 +179,7 @@ def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: St
     torn = wp.int32(0)
     k = s.leaf
     while k < leaves:
-        code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
+        code = wp.int32(item_at(w.code, leaf_base + wp.int64(k)))
         side = side_of(code)
         shift = wp.int64(side << 5)
         new = wp.int64(1 - (code & 1))
@@ -197,7 +197,7 @@ def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: St
         # Where an edge that is closed, or the front, has another level, leaves do not fit together.
         third_level = level_of(code, THIRD_LEGS)
         torn = torn | (level ^ level_of(code, ENTRY_LEGS))
-        torn = torn | ((number_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
+        torn = torn | ((item_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
         put(w.stack_level, at, third_level)
         level = level_of(code, LEAVE_LEGS)
         write_triangle(
@@ -295,7 +295,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 def weld_rare(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
     """Weld one leaf: the first or last of a square, on a side that squares share, or with an import."""
     e = STATE_SIZE * slot
-    code = wp.int32(code_at(w.code, w.leaf_base[slot] + wp.int64(s.leaf)))
+    code = wp.int32(item_at(w.code, w.leaf_base[slot] + wp.int64(s.leaf)))
     side = side_of(code)
     last = ((code >> LAST) & 1) == 1
     level = level_of(code, ENTRY_LEGS)

@@ -167,11 +167,8 @@ def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 
 @wp.func
 def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: Strip) -> Strip:
-    """Weld leaves up to the first that is rare or meets an import.
-
-    Pairs share a register each: the front's vertices, the stacks' next places, the next edge and vertex. No branch on
-    `new`, which no processor foresees: what is written in vain is overwritten.
-    """
+    """Weld leaves up to the first that is rare or meets an import. Pairs share a register each: the front's vertices,
+    the stacks' next places, the next edge and vertex."""
     front = packed(s.front0, s.front1)
     open = packed(s.next0, s.next1)
     made = packed(s.edge, s.vertex)
@@ -185,7 +182,8 @@ def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: St
         new = wp.int64(1 - (code & 1))
         at = (open >> shift) & LOW
         closed = packed_at(w.stack, at - wp.int64(1))
-        across = closed ^ ((closed ^ made) & -new)  # third edge and far vertex; `where` would become a branch
+        # Third edge and far vertex: without a branch, as none could be foreseen. What is in vain is overwritten.
+        across = closed ^ ((closed ^ made) & -new)
         if (code & RARE) != 0 or ((front | across) & SIGNS) != wp.int64(0):
             break
         far64 = across >> wp.int64(32)

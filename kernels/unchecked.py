@@ -7,40 +7,30 @@ meshlets 7.0 and 30.0.
 
 import warp as wp
 
-# Loads and stores. `a[i]` in Warp tests for a negative index and multiplies by a stride that is read from the array:
-# half of the welding's time.
+# Loads, stores and copies. `a[i]` in Warp tests for a negative index and multiplies by a stride that is read from the
+# array: half of the welding's time, 3 to 5 % of a walk. Vertices in curve order jump over the raster: where nothing is
+# fetched ahead each waits for memory, 17.4 ms instead of 8.3. What the last frame has written of a subtree is copied in
+# rows: a tenth of a flight's walk for one error. The loops declare overloads, one for each type of items and indices.
+for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.float32, wp.vec2i, wp.vec4i, wp.vec2f, wp.vec3f):
+
+    @wp.func_native("__builtin_prefetch(a.data + i);")
+    def prefetch(a: wp.array(dtype=item), i: wp.int64): ...
+
+    for index in (wp.int32, wp.int64):
+
+        @wp.func_native("return a.data[i];")
+        def item_at(a: wp.array(dtype=item), i: index) -> item: ...
+
+        @wp.func_native("a.data[i] = value;")
+        def put(a: wp.array(dtype=item), i: index, value: item): ...
+
+        @wp.func_native("__builtin_memcpy(out.data + at, source.data + first, count * sizeof(*out.data));")
+        def copy_items(
+            source: wp.array(dtype=item), first: wp.int64, count: wp.int32, out: wp.array(dtype=item), at: index
+        ): ...
 
 
-@wp.func_native("return a.data[i];")
-def height_at(a: wp.array(dtype=wp.float32), i: wp.int64) -> wp.float32: ...
-
-
-@wp.func_native("return a.data[i];")
-def code_at(a: wp.array(dtype=wp.uint16), i: wp.int64) -> wp.uint16: ...
-
-
-@wp.func_native("return a.data[i];")
-def byte_at(a: wp.array(dtype=wp.uint8), i: wp.int64) -> wp.uint8: ...
-
-
-@wp.func_native("return a.data[i];")
-def pair_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.vec2i: ...
-
-
-@wp.func_native("__builtin_prefetch(a.data + i);")
-def prefetch_byte(a: wp.array(dtype=wp.uint8), i: wp.int64): ...
-
-
-@wp.func_native("__builtin_prefetch(a.data + i);")
-def prefetch_code(a: wp.array(dtype=wp.uint16), i: wp.int64): ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put(a: wp.array(dtype=wp.int32), i: wp.int64, value: wp.int32): ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put_pair(a: wp.array(dtype=wp.vec2i), i: wp.int64, value: wp.vec2i): ...
+# The front's and the stack's two numbers as one.
 
 
 @wp.func_native("return *(wp::int64*)(a.data + i);")
@@ -49,48 +39,6 @@ def packed_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.int64: ...
 
 @wp.func_native("*(wp::int64*)(a.data + i) = pair;")
 def put_packed(a: wp.array(dtype=wp.vec2i), i: wp.int64, pair: wp.int64): ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put_vec3(a: wp.array(dtype=wp.vec3f), i: wp.int32, value: wp.vec3f): ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put_vec2(a: wp.array(dtype=wp.vec2f), i: wp.int32, value: wp.vec2f): ...
-
-
-# The walk's stacks and leaves, and where the arrays hold a diamond: 3 to 5 % of a walk.
-
-
-@wp.func_native("a.data[i] = value;")
-def put_code(a: wp.array(dtype=wp.uint16), i: wp.int64, value: wp.uint16): ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put_corners(a: wp.array(dtype=wp.vec4i), i: wp.int32, value: wp.vec4i): ...
-
-
-@wp.func_native("return a.data[i];")
-def corners_at(a: wp.array(dtype=wp.vec4i), i: wp.int32) -> wp.vec4i: ...
-
-
-@wp.func_native("return a.data[i];")
-def number_at(a: wp.array(dtype=wp.int32), i: wp.int32) -> wp.int32: ...
-
-
-@wp.func_native("a.data[i] = value;")
-def put_cell(a: wp.array(dtype=wp.int64), i: wp.int64, value: wp.uint64): ...
-
-
-@wp.func_native("return a.data[i];")
-def entry_at(a: wp.array(dtype=wp.int64), i: wp.int32) -> wp.int64: ...
-
-
-# Vertices in curve order jump over the raster: without this each waits for memory, 17.4 ms instead of 8.3.
-
-
-@wp.func_native("__builtin_prefetch(a.data + i);")
-def prefetch(a: wp.array(dtype=wp.float32), i: wp.int64): ...
 
 
 # Rows. Warp's loops are not vectorised or unrolled: 11.9 ms for the meshlets of 1 M triangles even with the loads and
@@ -173,46 +121,6 @@ def place_legs(
 def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64): ...
 
 
-# What the last frame has written of a subtree (kernels/refine/coherence.py): a tenth of a flight's walk for one error.
-
-
-@wp.func_native(
-    "const wp::int64* from = (const wp::int64*)(points.data + first); "
-    "wp::int64* __restrict to = (wp::int64*)(out.data + at); "
-    "for (int k = 0; k < count; ++k) to[k] = from[k];"
-)
-def copy_points(
-    points: wp.array(dtype=wp.vec2i), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2i), at: wp.int64
-): ...
-
-
-@wp.func_native(
-    "const wp::int64* from = cells.data + first; wp::int64* __restrict to = out.data + at; "
-    "for (int k = 0; k < count; ++k) to[k] = from[k];"
-)
-def copy_cells(
-    cells: wp.array(dtype=wp.int64), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.int64), at: wp.int64
-): ...
-
-
-@wp.func_native(
-    "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
-    "for (int k = 0; k < 3 * count; ++k) to[k] = from[k];"
-)
-def copy_vec3s(
-    vectors: wp.array(dtype=wp.vec3f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec3f), at: wp.int32
-): ...
-
-
-@wp.func_native(
-    "const float* from = (const float*)(vectors.data + first); float* __restrict to = (float*)(out.data + at); "
-    "for (int k = 0; k < 2 * count; ++k) to[k] = from[k];"
-)
-def copy_vec2s(
-    vectors: wp.array(dtype=wp.vec2f), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.vec2f), at: wp.int32
-): ...
-
-
 # What a cut asks of every triangle (kernels/mesh/cut.py): half the time of the plain loop.
 
 
@@ -241,16 +149,3 @@ def count_same_vec3s(
 def count_same_floats(
     a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
 ) -> wp.int32: ...
-
-
-@wp.func_native(
-    "const float* from = values.data + first; float* __restrict to = out.data + at; "
-    "for (int k = 0; k < count; ++k) to[k] = from[k];"
-)
-def copy_floats(
-    values: wp.array(dtype=wp.float32),
-    first: wp.int64,
-    count: wp.int32,
-    out: wp.array(dtype=wp.float32),
-    at: wp.int64,
-): ...

@@ -3,7 +3,7 @@
 
 A raster seldom fits. One corner of the lattice is the raster's south-western one, and what reaches beyond the raster's
 rim in the east and in the north is padding: a vertex there has the height of the nearest sample of the rim. Diamonds
-whose box (see `reach_of` in kernels/criterion.py) is wholly beyond the rim are never split, and have no entry.
+whose box (`reach_of` in kernels/refine/stored_errors.py) is wholly beyond the rim are never split, and have no entry.
 
 A diamond is the pair of triangles that share a longest edge; splitting it makes one vertex, the edge's middle, so one
 entry per diamond is one entry per vertex. Above the raster's cells that vertex is a sample, and every sample is the

@@ -2,7 +2,7 @@
 """A static mesh whose vertices need not lie on the surface: fewer triangles for the same vertical error.
 
 The bound is that of greedy insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; how
-heights are fitted is in fitting.py.
+heights are fitted is in fitter.py.
 """
 
 import math

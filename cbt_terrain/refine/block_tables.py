@@ -10,8 +10,6 @@ from ...kernels.refine import curve
 from ...kernels.refine.block import MAX_BISECTIONS, Blocks
 
 STATES = 6
-# Of the children, off the leftmost spine of the tree (left_state and right_state in kernels/refine/curve.py).
-LEFT_STATE, RIGHT_STATE = (2, 3, 0, 1, 2, 2), (4, 5, 5, 5, 0, 1)
 
 
 def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, int]]]:
@@ -28,8 +26,8 @@ def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, in
                 legs.append(apex if state == curve.HYP_LEG else right)
             return
         middle = tuple((a + b) // 2 for a, b in zip(left, right, strict=True))
-        walk(left, middle, apex, LEFT_STATE[state], more - 1)
-        walk(apex, middle, right, RIGHT_STATE[state], more - 1)
+        walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, more - 1)
+        walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, more - 1)
 
     walk((unit, 0), (0, 0), (0, unit), state, bisections)
     return leaves, legs

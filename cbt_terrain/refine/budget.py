@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.budget.count import count
-from ...kernels.budget.count_state import CELLS, MARKS, MOST_HALVES, STEPS_PER_OCTAVE, Cell, Count
+from ...kernels.budget.count_state import CELLS, MARKS, STEPS_PER_OCTAVE, Cell, Count
 from ...kernels.field.domain import Domain
 from ...kernels.refine.pixels import Asked
 from ..field.lattice import Lattice
@@ -46,7 +46,6 @@ class Budget:
         answer. But without it, 0 is only a step that may fit: a refinement finds that out as soon as counting does.
         """
         roots = 2 * self._lattice.squares
-
         return lowest(partial(self._splits, domain, asked, max_depth), most - roots, start, low)
 
     def ramp_start(self, domain: Domain, asked: Asked, max_depth: int, most: int, step: int, leaves: int) -> float:
@@ -59,7 +58,7 @@ class Budget:
         if step > MAX_STEP or (step == 0 and leaves < NEAR * most):
             return last
         marks = self._marks
-        _, found = self._splits(domain, asked, max_depth, step, step, FAR_OVER * most, None, self._finer)
+        _, found = self._splits(domain, asked, max_depth, step, step, FAR_OVER * most, self._finer)
         self._marks = marks
         finer = int(found[0]) + roots if len(found) else FAR_OVER * most
         part = (finer - most) / (finer - leaves) if finer > most else 0.0
@@ -73,15 +72,12 @@ class Budget:
         finest: int,
         coarsest: int,
         most: int,
-        thinned: tuple[int, int] | None,
         limits: wp.array | None = None,
     ):
         """The first step from `finest` to `coarsest` with at most `most` triangles that are split, and how many there
         are at each step from it on; `coarsest` + 1 and none if there is no such step.
 
-        thinned: from which step on to finer ones a sample is counted, and after how many steps half as many cells of it
-        are left; all that is an estimate then. None: everything is counted. limits: of the steps, if other ones than
-        those of `limit_of`.
+        limits: of the steps, if other ones than those of `limit_of`.
         """
         cell_bits, steps = max_depth + max_depth % 2, len(self._limits)
         cuts = self._cuts(cell_bits, most)
@@ -93,18 +89,15 @@ class Budget:
             "last_steps": get("count_last_steps", slices * steps, wp.int64),
             "from_step": get("count_from_step", slices, wp.int32),
             "marks": get("count_marks", slices * MARKS, wp.uint64),
-            "turns": get("count_turns", slices * (MOST_HALVES + 1), wp.int32),
             "measured": get("count_measured", slices, wp.int64),
         }
         last_steps = numpy("count_last_steps")[: slices * steps].reshape(slices, steps)
         last_steps[:] = 0
-        numpy("count_turns")[:] = 0
         while len(self._structs) < slices:
             self._structs.append(Count())
         for slot, struct in enumerate(self._structs[:slices]):
             bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
             bind(struct, slot=slot, finest=finest, coarsest=coarsest, **arrays)
-            bind(struct, thin_from=thinned[0] if thinned else 0, thin_steps=thinned[1] if thinned else 1)
             bind(struct, most=most, spacing=spacing, has_errors=int(min(asked.error_px2, asked.metres2) < math.inf))
         inputs = [[domain, asked, struct] for struct in self._structs[:slices]]
         launch.slices(count, inputs, step="budget", recorded=self._recorded)

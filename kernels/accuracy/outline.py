@@ -3,9 +3,10 @@
 
 import warp as wp
 
+from ..query.rays import within
 from ..refine.pixels import PANORAMIC
 from .facets import Ground, Mesh
-from .rays import NOWHERE, Ray, within
+from .rays import NOWHERE, Ray
 from .screen import Eye, ray_through
 
 wp.set_module_options({"enable_backward": False})

@@ -13,6 +13,7 @@ of sides between two cells is a crossing, so that no ray slips through. All arit
 import warp as wp
 
 from ..field.codes import sample_at
+from ..query.rays import within
 from .cubic import heights_about
 from .facets import Ground, in_cell
 
@@ -48,20 +49,6 @@ class Ray:
     du: wp.float64
     dv: wp.float64
     dz: wp.float64
-
-
-@wp.func
-def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
-    """The part of a range of t in which at + t * step lies between low and high; empty where first > last."""
-    if step == wp.float64(0.0):
-        if at < low or at > high:
-            first = NOWHERE
-    else:
-        a = (low - at) / step
-        b = (high - at) / step
-        first = wp.max(first, wp.min(a, b))
-        last = wp.min(last, wp.max(a, b))
-    return first, last
 
 
 @wp.func

@@ -8,8 +8,6 @@ Diamonds are judged as the walk judges them: by bands, and measured where those 
 The pass does not follow the curve but the cells of a quadtree. A diamond of odd depth fills a cell, one of even depth
 lies on a side of two cells and is counted in the one north or east of it: each is met once, where a walk over triangles
 meets it twice. For a window of few steps it takes about half the time of a refinement.
-
-A window of many octaves is estimated by a sample: see `count_state.halves_of`.
 """
 
 import warp as wp
@@ -30,7 +28,7 @@ from ..refine.band import (
 )
 from ..refine.pixels import Asked, coarsest
 from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
-from .count_state import CELLS, Cell, Count, Part, Tally, add, halves_of, last_of_edges, last_split, note
+from .count_state import CELLS, Cell, Count, Part, Tally, add, last_of_edges, last_split, note
 
 wp.set_module_options({"enable_backward": False})
 
@@ -100,9 +98,7 @@ def is_whole(domain: Domain, w: Count, p: Part) -> wp.bool:
 
 
 @wp.func
-def add_alike(
-    domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m: Measured, band: Band, halves: wp.int32, t: Tally
-):
+def add_alike(domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m: Measured, band: Band, t: Tally):
     """Count all diamonds below a quadrant at once, if those of each depth are split for the last time at the same step.
 
     No error asks for anything there. So all are, but for one depth at most, where edges say for which steps.
@@ -121,8 +117,8 @@ def add_alike(
         )
     if alike:
         # 4 triangles at its sides, and twice as many at each depth from there on.
-        certain = wp.int64(4) << wp.int64(split_depth - p.depth - 1 + halves)
-        t = add(w, t, w.coarsest, certain - (wp.int64(4) << wp.int64(halves)))
+        certain = wp.int64(4) << wp.int64(split_depth - p.depth - 1)
+        t = add(w, t, w.coarsest, certain - wp.int64(4))
         if doubtful == 1:
             t = add(w, t, last, certain)
     return alike, t
@@ -151,7 +147,7 @@ def judge(
     # What is certain to be split is measured for what can be said below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
         m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.known)
-        t = note(w, t, p.code, cell.halves)
+        t = note(w, t, p.code)
         looks = wp.bool(False)
         if too_coarse(asked, asked.limit, m):
             last = last_split(asked, limits, w, t.step, m)
@@ -162,7 +158,7 @@ def judge(
                 if own <= band.leaf_up_to:
                     looks = p.depth + 1 < wp.min(band.leaf_depth, w.max_depth)
                     if looks and is_whole(domain, w, p):
-                        alike, t = add_alike(domain, asked, limits, w, p, m, band, cell.halves, t)
+                        alike, t = add_alike(domain, asked, limits, w, p, m, band, t)
                         looks = not alike
     return last, looks, t
 
@@ -206,16 +202,12 @@ def count(domain: Domain, asked: Asked, w: Count):
                 if p.triangles > 0 and p.depth < w.max_depth:
                     last, looks, t = judge(domain, asked, limits, coarse, w, cell, p, top, t)
                     if p.code >= w.first_cell:
-                        t = add(w, t, last, wp.int64(p.triangles) << wp.int64(cell.halves))
-                    halves = wp.int32(-1)
+                        t = add(w, t, last, wp.int64(p.triangles))
                     if looks:
-                        halves = halves_of(w, last, cell.halves)
-                    if halves >= 0:
                         w.stack[top].x = p.x
                         w.stack[top].y = p.y
                         w.stack[top].depth = p.depth
                         w.stack[top].code = p.code
-                        w.stack[top].halves = halves
                         fetch_quadrants(domain, p)
                         top += 1
                 number -= 1

@@ -13,9 +13,6 @@ CELLS = wp.constant(128)  # entries of a slice's stack: three for every second l
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
-# Of a sample a cell stands for 2**MOST_HALVES at most. Below a cell there are fewer than 2**curve.DEEPEST triangles, so
-# sums of a cell's parts stay far below 2**63.
-MOST_HALVES = wp.constant(16)
 MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured
 
 
@@ -26,7 +23,6 @@ class Cell:
     x: wp.int32  # its middle
     y: wp.int32
     depth: wp.int32
-    halves: wp.int32  # it stands for 2**halves cells of a sample
     code: wp.uint64  # its first deepest cell, all squares in a row
     band: Band  # certain at all steps that are counted
 
@@ -51,7 +47,7 @@ class Tally:
 
     step: wp.int32  # counts hold from here on
     total: wp.int64  # triangles that are split at it
-    measured: wp.int64  # diamonds, for which a sample stands
+    measured: wp.int64  # diamonds
     noted: wp.int32  # places
 
 
@@ -67,20 +63,15 @@ class Count:
     slot: wp.int32
     finest: wp.int32  # steps from this one
     coarsest: wp.int32  # ... to this one
-    # Of cells that are split at finer steps than `thin_from` alone, a sample is counted; of half as many again after
-    # every `thin_steps`. 0 or less: all are.
-    thin_from: wp.int32
-    thin_steps: wp.int32
     most: wp.int64  # steps at which more triangles than this are split are of no interest
     spacing: wp.int64  # diamonds that are measured from mark to mark
     limits: wp.array(dtype=wp.float64)  # of each step: what is asked is multiplied by it
     stack: wp.array(dtype=Cell)
     # Per slice and step: triangles for which it is the last at which they are split.
     last_steps: wp.array(dtype=wp.int64)
-    turns: wp.array(dtype=wp.int32)  # per slice, and `halves` of the cell above: cells that were to be thinned
     from_step: wp.array(dtype=wp.int32)  # per slice: counts hold from here on; more than `coarsest`: nowhere
     marks: wp.array(dtype=wp.uint64)  # per slice: places, see MARKS
-    measured: wp.array(dtype=wp.int64)  # per slice: diamonds, for which a sample stands
+    measured: wp.array(dtype=wp.int64)  # per slice: diamonds
 
 
 @wp.func
@@ -137,29 +128,10 @@ def last_of_edges(
 
 
 @wp.func
-def halves_of(w: Count, last: wp.int32, above: wp.int32) -> wp.int32:
-    """For 2**how many cells one stands in a sample, `last` the last step at which it is split; -1: it is left out.
-
-    above: those of the cell above it. Of as many as one then stands for, one after the other along the quadtree, one is
-    taken by chance (stratified sampling: neighbours have about as many splits below them).
-    """
-    halves = wp.clamp((w.thin_from - last) / w.thin_steps, above, MOST_HALVES)
-    if halves > above:
-        place = w.slot * (MOST_HALVES + 1) + above
-        turn = w.turns[place]
-        w.turns[place] = turn + 1
-        bits = halves - above
-        taken = wp.int32(wp.rand_init(above, turn >> bits) >> wp.uint32(16))
-        if ((taken ^ turn) & ((1 << bits) - 1)) != 0:
-            halves = -1
-    return halves
-
-
-@wp.func
-def note(w: Count, t: Tally, code: wp.uint64, halves: wp.int32) -> Tally:
-    """Count a diamond that is measured, and note its place as often as that is due."""
-    t.measured = t.measured + (wp.int64(1) << wp.int64(halves))
-    while t.measured >= wp.int64(t.noted + 1) * w.spacing and t.noted < MARKS:
+def note(w: Count, t: Tally, code: wp.uint64) -> Tally:
+    """Count a diamond that is measured, and note its place if that is due."""
+    t.measured = t.measured + wp.int64(1)
+    if t.measured >= wp.int64(t.noted + 1) * w.spacing and t.noted < MARKS:
         w.marks[w.slot * MARKS + t.noted] = code
         t.noted = t.noted + 1
     return t

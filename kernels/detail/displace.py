@@ -6,7 +6,7 @@ import warp as wp
 from ..field.detail import Coats, detail_at
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, Points, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
-from ..unchecked import pair_at
+from ..unchecked import item_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,7 +44,7 @@ def displace_detail(
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)
-            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
-            p = pair_at(points.point, k)
+            fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            p = item_at(points.point, k)
             put_vertex(points, vertex_base + u, domain, p, with_detail(domain, coats, p, surface_at(domain, p)))
         v = stop

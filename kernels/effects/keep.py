@@ -7,7 +7,7 @@ is (first place, first place of the last surface, how many). What is equal is so
 
 import warp as wp
 
-from ..unchecked import copy_floats, count_same_floats, count_same_vec3s, number_at, put
+from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
 
 wp.set_module_options({"enable_backward": False})
 
@@ -103,14 +103,14 @@ def match_anywhere(
         slot = slot_of(places[i], bits)
         if (slot & 63) == 0:
             common -= 5
-            if number_at(table, slot) >= 0:
-                common += 8 * count_same_vec3s(places, i, last, number_at(table, slot), 1)
+            if item_at(table, slot) >= 0:
+                common += 8 * count_same_vec3s(places, i, last, item_at(table, slot), 1)
     if common < 0:
         return
     for i in range(last_count):
         put(table, wp.int64(slot_of(last[i], bits)), i)
     while v < count:
-        at = number_at(table, slot_of(places[v], bits))
+        at = item_at(table, slot_of(places[v], bits))
         same = wp.int32(0)
         if at >= 0:
             same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
@@ -178,7 +178,7 @@ def copy_runs(
             stop = wp.min(run[0] + run[2], end)
             if begin < stop:
                 at = run[1] + begin - run[0]
-                copy_floats(
+                copy_items(
                     pair.last,
                     wp.int64(at) * wp.int64(pair.width),
                     (stop - begin) * pair.width,

@@ -10,7 +10,7 @@ two levels. At the rim heights go on in straight lines, h(-1) = 2 h(0) - h(1), s
 import warp as wp
 
 from ..field.codes import Samples, sample_at
-from ..unchecked import entry_at, height_at, number_at
+from ..unchecked import item_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,7 +45,7 @@ def filtered_height(ground: Ground, level: wp.int32, i: wp.int64) -> wp.float64:
     if level == 0:
         h = sample_at(ground.samples, i)
     else:
-        h = height_at(ground.coarser, ground.first[level] + i)
+        h = item_at(ground.coarser, ground.first[level] + i)
     return wp.float64(h)
 
 
@@ -194,8 +194,8 @@ def part_of(level: wp.int32) -> wp.float64:
 @wp.func
 def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
     """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
-    columns = number_at(ground.columns, level)
-    rows = number_at(ground.rows, level)
+    columns = item_at(ground.columns, level)
+    rows = item_at(ground.rows, level)
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), rows - 2)
     u = wp.float32(x - wp.float64(i))
@@ -209,7 +209,7 @@ def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> 
         first = wp.int64(0)
         if level > 0:
             floats = ground.coarser
-            first = entry_at(ground.first, level)
+            first = item_at(ground.first, level)
         q = jet_of_floats(floats, first, columns, rows, i - 1, j - 1, u, v)
     part = part_of(level)
     per_x = ground.per_x * part

@@ -8,7 +8,7 @@ float32.
 import warp as wp
 
 from ..field.noise import scramble
-from ..unchecked import height_at
+from ..unchecked import item_at
 from .logarithm import natural_log
 
 wp.set_module_options({"enable_backward": False})
@@ -190,11 +190,11 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                     needed = wp.int32(0)
                     if r.kind <= DIRECTION:
                         at = wp.int64(r.at) * s.count + wp.int64(v)
-                        q = height_at(s.values, at)
+                        q = item_at(s.values, at)
                         if r.kind == LOGARITHM:
                             q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
                         elif r.kind == DIRECTION:
-                            q = r.sine * q + r.cosine * height_at(s.values, at + s.count)
+                            q = r.sine * q + r.cosine * item_at(s.values, at + s.count)
                         near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
                         needed = wp.where(layer.ragged > 0.0 and near < (0.5 + layer.ragged) * r.edge, 1, 0)
                         if turn == 1:

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..unchecked import byte_at, code_at, height_at, prefetch, prefetch_code
+from ..unchecked import item_at, prefetch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,9 +25,9 @@ def sample_at(s: Samples, i: wp.int64) -> wp.float32:
     """Sample `i`, metres: a frame's kernels read none in another way."""
     h = wp.float32(0.0)
     if s.coded == 0:
-        h = height_at(s.floats, i)
+        h = item_at(s.floats, i)
     else:
-        h = wp.float32(wp.float64(wp.int32(code_at(s.numbers, i)) + s.first) * s.scale + s.offset)
+        h = wp.float32(wp.float64(wp.int32(item_at(s.numbers, i)) + s.first) * s.scale + s.offset)
     return h
 
 
@@ -37,7 +37,7 @@ def prefetch_sample(s: Samples, i: wp.int64):
     if s.coded == 0:
         prefetch(s.floats, i)
     else:
-        prefetch_code(s.numbers, i)
+        prefetch(s.numbers, i)
 
 
 @wp.func
@@ -45,7 +45,7 @@ def error_of(
     table: wp.array(dtype=wp.float32), group: wp.int32, codes: wp.array(dtype=wp.uint8), i: wp.int64
 ) -> wp.float32:
     """Metres that code `i` of a group of depths stands for."""
-    return height_at(table, wp.int64((group << 8) + wp.int32(byte_at(codes, i))))
+    return item_at(table, wp.int64((group << 8) + wp.int32(item_at(codes, i))))
 
 
 @wp.kernel

@@ -7,7 +7,7 @@ from ..bicubic.surface import in_patch
 from ..field.codes import Samples, prefetch_sample, sample_at
 from ..field.domain import Domain
 from ..refine.runs import Runs
-from ..unchecked import copy_vec2s, copy_vec3s, pair_at, put_vec2, put_vec3
+from ..unchecked import copy_items, item_at, put
 
 wp.set_module_options({"enable_backward": False})
 
@@ -105,10 +105,10 @@ def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.v
     # Samples of a damaged store may be anything; whatever is not finite makes the sum so.
     if not (wp.abs(pz + (nx + ny) * nz) < HIGHEST):
         points.not_finite[0] = 1
-    put_vec3(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
-    put_vec3(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
+    put(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
+    put(points.normals, o, wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz)))
     u = wp.float32(wp.float64(p[0]) * per_width)
-    put_vec2(points.uv, o, wp.vec2f(u, wp.float32(wp.float64(p[1]) * per_height)))
+    put(points.uv, o, wp.vec2f(u, wp.float32(wp.float64(p[1]) * per_height)))
 
 
 @wp.func
@@ -147,9 +147,9 @@ def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vert
     if stop > begin:
         count = stop - begin
         to = vertex_base + begin
-        copy_vec3s(points.last_positions, at, count, points.positions, to)
-        copy_vec3s(points.last_normals, at, count, points.normals, to)
-        copy_vec2s(points.last_uv, at, count, points.uv, to)
+        copy_items(points.last_positions, at, count, points.positions, to)
+        copy_items(points.last_normals, at, count, points.normals, to)
+        copy_items(points.last_uv, at, count, points.uv, to)
 
 
 @wp.func
@@ -210,7 +210,7 @@ def displace(
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)
-            fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
-            p = pair_at(points.point, k)
+            fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            p = item_at(points.point, k)
             put_vertex(points, vertex_base + u, domain, p, surface_at(domain, p))
         v = stop

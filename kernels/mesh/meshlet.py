@@ -12,7 +12,7 @@ import warp as wp
 
 from ..refine.curve import DEEPEST
 from ..refine.runs import Run
-from ..unchecked import look_up, look_up_pairs, number_row, pair_at, put_pair
+from ..unchecked import item_at, look_up, look_up_pairs, number_row, put
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,10 +63,10 @@ def expand_edge(e: wp.int32, n: wp.int32, source: Mesh, out: Mesh):
     behind = ends[0]
     for j in range(n - 1):
         p += d
-        put_pair(out.point, wp.int64(first + j), p)
-        put_pair(out.edges, wp.int64(e * n + j), wp.vec2i(behind, first + j))
+        put(out.point, wp.int64(first + j), p)
+        put(out.edges, wp.int64(e * n + j), wp.vec2i(behind, first + j))
         behind = first + j
-    put_pair(out.edges, wp.int64(e * n + n - 1), wp.vec2i(behind, ends[1]))
+    put(out.edges, wp.int64(e * n + n - 1), wp.vec2i(behind, ends[1]))
 
 
 @wp.func
@@ -134,8 +134,8 @@ def expand(
         to_apex = step_along(p, source.point[v1], n)
         to_right = step_along(p, source.point[v2], n)
         for k in range(t.inner_points):
-            w = pair_at(t.weights, wp.int64(k))
-            put_pair(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
+            w = item_at(t.weights, wp.int64(k))
+            put(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
         look_up_pairs(t.ends, t.inner_lines, numbers, points, out.edges, first_line)
         c = 3 * t.triangles
         look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)

@@ -27,7 +27,7 @@ from ..refine.curve import (
     TAKE_LEFT,
     TO_CORNER,
 )
-from ..unchecked import code_at, number_at, packed_at, put, put_packed
+from ..unchecked import item_at, packed_at, put, put_packed
 from .weld_border import corner_below, enter, give_above, give_right, take_side
 from .weld_state import (
     END_FRONT,
@@ -42,6 +42,8 @@ from .weld_state import (
     SQUARE,
     STATE_SIZE,
     TORN,
+    Base,
+    Strip,
     Weld,
     ask,
     ask_stack,
@@ -137,178 +139,219 @@ def write_triangle(
     put(w.level, wp.int64(t), (code >> DEPTH_SHIFT) & 63)
 
 
-@wp.kernel
-def weld(slot: wp.int32, w: Weld):
-    b = base_of(w.counts, slot)
-    leaves = wp.int32(w.counts[3 * slot])
-    leaf_base = w.leaf_base[slot]
+@wp.func
+def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
+    """Nothing is open yet; the front is an import, if the slice does not begin with a square."""
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):
         w.state[e + i] = 0
     for i in range(4):
         w.state[e + LEFT + i] = w.before[4 * slot + i]
-    vertices = b.vertex
-    edges = b.edge
-    # places of the next open edges of the two stacks
-    bottom0 = stack_base(b.room, leaves, 0)
-    bottom1 = stack_base(b.room, leaves, 1)
-    next0 = bottom0
-    next1 = bottom1
+    s = Strip()
+    s.vertex = b.vertex
+    s.edge = b.edge
+    s.next0 = stack_base(b.room, leaves, 0)
+    s.next1 = stack_base(b.room, leaves, 1)
     # what is below looks like an import, so that no leaf closes it unseen
-    w.stack[bottom0 - 1] = wp.vec2i(-1, -1)
-    w.stack[bottom1 - 1] = wp.vec2i(-1, -1)
-    front0 = wp.int32(0)
-    front1 = wp.int32(0)
-    entry = wp.int32(0)
-    starts = wp.int32(w.code[leaf_base]) >> FIRST & 1
-    if starts == 1:
-        w.state[e + SQUARE] = w.squares[slot] - 1
-        w.state[e + FIRST_OWN] = w.squares[slot]
-    else:
-        w.state[e + SQUARE] = w.squares[slot]
-        w.state[e + FIRST_OWN] = w.squares[slot] + 1
-        front0 = ask(w, b, e, FRONT, 0)
-        front1 = ask(w, b, e, FRONT, 1)
-        entry = ask(w, b, e, FRONT, 2)
-    left_at = wp.int32(0)  # the level of the edge of leave; 0: a square begins or ends
+    w.stack[s.next0 - 1] = wp.vec2i(-1, -1)
+    w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
+    starts = wp.int32(w.code[w.leaf_base[slot]]) >> FIRST & 1
+    w.state[e + SQUARE] = w.squares[slot] - starts
+    w.state[e + FIRST_OWN] = w.squares[slot] + 1 - starts
+    if starts == 0:
+        s.front0 = ask(w, b, e, FRONT, 0)
+        s.front1 = ask(w, b, e, FRONT, 1)
+        s.entry = ask(w, b, e, FRONT, 2)
+    return s
+
+
+@wp.func
+def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: Strip) -> Strip:
+    """Weld leaves up to the first that is rare or meets an import. Pairs share a register each: the front's vertices,
+    the stacks' next places, the next edge and vertex."""
+    front = packed(s.front0, s.front1)
+    open = packed(s.next0, s.next1)
+    made = packed(s.edge, s.vertex)
+    level = s.level
     torn = wp.int32(0)
-    k = wp.int32(0)
+    k = s.leaf
     while k < leaves:
-        # Ordinary leaves. Pairs share a register each: the front's vertices, the stacks' next places, the next edge and
-        # vertex. No branch on `new`, which no processor foresees: what is written in vain is overwritten.
-        front = packed(front0, front1)
-        open = packed(next0, next1)
-        made = packed(edges, vertices)
-        while k < leaves:
-            code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
-            side = side_of(code)
-            shift = wp.int64(side << 5)
-            new = wp.int64(1 - (code & 1))
-            at = (open >> shift) & LOW
-            closed = packed_at(w.stack, at - wp.int64(1))
-            across = closed ^ ((closed ^ made) & -new)  # third edge and far vertex; `where` would become a branch
-            if (code & RARE) != 0 or ((front | across) & SIGNS) != wp.int64(0):
-                break
-            far64 = across >> wp.int64(32)
-            moved64 = (front >> shift) & LOW
-            edge64 = made & LOW
-            leave64 = edge64 + new
-            put_packed(w.edges, edge64, moved64 | (far64 << wp.int64(32)))
-            put_packed(w.stack, at, (across & LOW) | (moved64 << wp.int64(32)))
-            # Where an edge that is closed, or the front, has another level, leaves do not fit together.
-            third_level = level_of(code, THIRD_LEGS)
-            torn = torn | (left_at ^ level_of(code, ENTRY_LEGS))
-            torn = torn | ((number_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
-            put(w.stack_level, at, third_level)
-            left_at = level_of(code, LEAVE_LEGS)
-            write_triangle(
-                w,
-                b.triangle + k,
-                code,
-                side,
-                low_of(front),
-                high_of(front),
-                high_of(across),
-                low_of(made) - 1,
-                low_of(across),
-                wp.int32(leave64),
-            )
-            front = (front & ~(LOW << shift)) | (far64 << shift)
-            put_packed(w.edges, leave64, front)
-            open += (new + new - wp.int64(1)) << shift
-            made += new * ONE_EACH + wp.int64(1)
-            k += 1
-        front0 = low_of(front)
-        front1 = high_of(front)
-        next0 = low_of(open)
-        next1 = high_of(open)
-        edges = low_of(made)
-        vertices = high_of(made)
-        entry = wp.where(k > 0, edges - 1, entry)
-        if k < leaves:
-            # The first or last of a square, on a side that squares share, or with an import.
-            code = wp.int32(code_at(w.code, leaf_base + wp.int64(k)))
-            passage = code & PASSAGE
-            entered_at = level_of(code, ENTRY_LEGS)
-            third_level = level_of(code, THIRD_LEGS)
-            leave_level = level_of(code, LEAVE_LEGS)
-            if ((code >> FIRST) & 1) == 1:
-                for i in range(4):
-                    w.state[e + LEFT + i] = 0
-                w.state[e + SQUARE] = w.state[e + SQUARE] + 1
-                w.state[e + RESTARTED] = 1
-                next0 = bottom0
-                next1 = bottom1
-                corner, end, entry, vertices, edges = enter(w, b, e, slot, code, entered_at, vertices, edges)
-                entered_at = 0
-                front0 = corner
-                front1 = end
-                if (passage == HYP_LEG) == (((code >> PARITY) & 1) == 1):
-                    front0 = end
-                    front1 = corner
-            if k == 0:
-                w.state[e + FIRST_LEVEL] = entered_at
-            else:
-                meet(w, e, entered_at, left_at)
-            side = side_of(code)
-            top = wp.where(side == 0, next0, next1)
-            moved = wp.where(side == 0, front0, front1)
-            pivot = wp.where(side == 0, front1, front0)
-            role = (code >> BORDER) & 7
-            third = edges
-            far = vertices
-            step = wp.int32(0)
-            if (code & 1) == 1:
-                step = -1
-                third = w.stack[top - 1][0]
-                far = w.stack[top - 1][1]
-                if top == wp.where(side == 0, bottom0, bottom1):
-                    step = 0
-                    third = ask_stack(w, b, e, side, third_level)
-                    far = third
-                else:
-                    meet(w, e, third_level, w.stack_level[top - 1])
-            elif role == TAKE_LEFT or role == TAKE_BELOW:
-                taken = take_side(w, b, e, slot, role, third_level)
-                third = taken[0]
-                far = taken[1]
-            else:
-                edges += 1
-                if role == TO_CORNER:
-                    far = corner_below(w, b, e, w.state[e + SQUARE])
-                else:
-                    vertices += 1
-                w.edges[third] = wp.vec2i(moved, far)
-                if role == GIVE_RIGHT:
-                    give_right(w, e, third, third_level, moved, far)
-                elif role == GIVE_ABOVE:
-                    give_above(w, e, third, third_level, moved)
-                else:
-                    w.stack[top] = wp.vec2i(third, moved)
-                    w.stack_level[top] = third_level
-                    step = 1
-            leave = edges
-            write_triangle(w, b.triangle + k, code, side, front0, front1, far, entry, third, leave)
-            if (front0 | front1 | far | entry | third) < 0:
-                n = w.state[e + FIXES]
-                w.fixes[b.room + n] = b.triangle + k
-                w.state[e + FIXES] = n + 1
-            if ((code >> LAST) & 1) == 1 and w.state[e + SQUARE] < w.columns * (w.rows - 1):
-                give_above(w, e, leave, leave_level, wp.where(passage == HYP_LEG, far, pivot))
-            front0 = wp.where(side == 0, far, front0)
-            front1 = wp.where(side == 0, front1, far)
-            w.edges[leave] = wp.vec2i(front0, front1)
-            next0 += wp.where(side == 0, step, 0)
-            next1 += wp.where(side == 0, 0, step)
-            edges += 1
-            entry = leave
-            left_at = wp.where(((code >> LAST) & 1) == 1, 0, leave_level)
-            k += 1
-    w.state[e + LAST_LEVEL] = left_at
-    if torn != 0:
+        code = wp.int32(item_at(w.code, leaf_base + wp.int64(k)))
+        side = side_of(code)
+        shift = wp.int64(side << 5)
+        new = wp.int64(1 - (code & 1))
+        at = (open >> shift) & LOW
+        closed = packed_at(w.stack, at - wp.int64(1))
+        # Third edge and far vertex: without a branch, as none could be foreseen. What is in vain is overwritten.
+        across = closed ^ ((closed ^ made) & -new)
+        if (code & RARE) != 0 or ((front | across) & SIGNS) != wp.int64(0):
+            break
+        far64 = across >> wp.int64(32)
+        moved64 = (front >> shift) & LOW
+        edge64 = made & LOW
+        leave64 = edge64 + new
+        put_packed(w.edges, edge64, moved64 | (far64 << wp.int64(32)))
+        put_packed(w.stack, at, (across & LOW) | (moved64 << wp.int64(32)))
+        # Where an edge that is closed, or the front, has another level, leaves do not fit together.
+        third_level = level_of(code, THIRD_LEGS)
+        torn = torn | (level ^ level_of(code, ENTRY_LEGS))
+        torn = torn | ((item_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
+        put(w.stack_level, at, third_level)
+        level = level_of(code, LEAVE_LEGS)
+        write_triangle(
+            w,
+            b.triangle + k,
+            code,
+            side,
+            low_of(front),
+            high_of(front),
+            high_of(across),
+            low_of(made) - 1,
+            low_of(across),
+            wp.int32(leave64),
+        )
+        front = (front & ~(LOW << shift)) | (far64 << shift)
+        put_packed(w.edges, leave64, front)
+        open += (new + new - wp.int64(1)) << shift
+        made += new * ONE_EACH + wp.int64(1)
+        k += 1
+    s.front0 = low_of(front)
+    s.front1 = high_of(front)
+    s.next0 = low_of(open)
+    s.next1 = high_of(open)
+    s.edge = low_of(made)
+    s.vertex = high_of(made)
+    s.entry = wp.where(k > 0, s.edge - 1, s.entry)
+    s.level = level
+    s.torn = s.torn | torn
+    s.leaf = k
+    return s
+
+
+@wp.func
+def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
+    """At a square's first leaf: the front is the edge by which the curve enters it, and nothing is open."""
+    e = STATE_SIZE * slot
+    for i in range(4):
+        w.state[e + LEFT + i] = 0
+    w.state[e + SQUARE] = w.state[e + SQUARE] + 1
+    w.state[e + RESTARTED] = 1
+    s.next0 = stack_base(b.room, leaves, 0)
+    s.next1 = stack_base(b.room, leaves, 1)
+    corner, end, entry, vertex, edge = enter(w, b, e, slot, code, level_of(code, ENTRY_LEGS), s.vertex, s.edge)
+    s.entry = entry
+    s.vertex = vertex
+    s.edge = edge
+    mirrored = ((code & PASSAGE) == HYP_LEG) == (((code >> PARITY) & 1) == 1)
+    s.front0 = wp.where(mirrored, end, corner)
+    s.front1 = wp.where(mirrored, corner, end)
+    return s
+
+
+@wp.func
+def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
+    """The edge that the curve passes beside, closed or opened, and its far vertex, both the next ones if they are new;
+    and by how much the stack grows."""
+    e = STATE_SIZE * slot
+    side = side_of(code)
+    level = level_of(code, THIRD_LEGS)
+    role = (code >> BORDER) & 7
+    top = wp.where(side == 0, s.next0, s.next1)
+    moved = wp.where(side == 0, s.front0, s.front1)
+    third = s.edge
+    far = s.vertex
+    step = wp.int32(0)
+    if (code & 1) == 1:
+        if top == stack_base(b.room, leaves, side):
+            third = ask_stack(w, b, e, side, level)
+            far = third
+        else:
+            third = w.stack[top - 1][0]
+            far = w.stack[top - 1][1]
+            step = -1
+            meet(w, e, level, w.stack_level[top - 1])
+    elif role == TAKE_LEFT or role == TAKE_BELOW:
+        taken = take_side(w, b, e, slot, role, level)
+        third = taken[0]
+        far = taken[1]
+    else:
+        if role == TO_CORNER:
+            far = corner_below(w, b, e, w.state[e + SQUARE])
+        w.edges[third] = wp.vec2i(moved, far)
+        if role == GIVE_RIGHT:
+            give_right(w, e, third, level, moved, far)
+        elif role == GIVE_ABOVE:
+            give_above(w, e, third, level, moved)
+        else:
+            w.stack[top] = wp.vec2i(third, moved)
+            w.stack_level[top] = level
+            step = 1
+    return third, far, step
+
+
+@wp.func
+def weld_rare(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
+    """Weld one leaf: the first or last of a square, on a side that squares share, or with an import."""
+    e = STATE_SIZE * slot
+    code = wp.int32(item_at(w.code, w.leaf_base[slot] + wp.int64(s.leaf)))
+    side = side_of(code)
+    last = ((code >> LAST) & 1) == 1
+    level = level_of(code, ENTRY_LEGS)
+    if ((code >> FIRST) & 1) == 1:
+        s = begin_square(w, b, slot, code, leaves, s)
+        level = 0
+    if s.leaf == 0:
+        w.state[e + FIRST_LEVEL] = level
+    else:
+        meet(w, e, level, s.level)
+    third, far, step = third_edge(w, b, slot, code, leaves, s)
+    leave = s.edge + wp.where(third == s.edge, 1, 0)
+    t = b.triangle + s.leaf
+    write_triangle(w, t, code, side, s.front0, s.front1, far, s.entry, third, leave)
+    if (s.front0 | s.front1 | far | s.entry | third) < 0:
+        n = w.state[e + FIXES]
+        w.fixes[b.room + n] = t
+        w.state[e + FIXES] = n + 1
+    level = level_of(code, LEAVE_LEGS)
+    if last and w.state[e + SQUARE] < w.columns * (w.rows - 1):
+        pivot = wp.where(side == 0, s.front1, s.front0)
+        give_above(w, e, leave, level, wp.where((code & PASSAGE) == HYP_LEG, far, pivot))
+    s.vertex = s.vertex + wp.where(far == s.vertex, 1, 0)
+    s.edge = leave + 1
+    s.entry = leave
+    s.level = wp.where(last, 0, level)
+    if side == 0:
+        s.front0 = far
+        s.next0 = s.next0 + step
+    else:
+        s.front1 = far
+        s.next1 = s.next1 + step
+    w.edges[leave] = wp.vec2i(s.front0, s.front1)
+    s.leaf = s.leaf + 1
+    return s
+
+
+@wp.func
+def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
+    """What the slice leaves to the next."""
+    e = STATE_SIZE * slot
+    w.state[e + LAST_LEVEL] = s.level
+    if s.torn != 0:
         w.state[e + TORN] = 1
-    w.state[e + END_FRONT] = front0
-    w.state[e + END_FRONT + 1] = front1
-    w.state[e + END_FRONT + 2] = entry
-    w.state[e + END_TOPS] = next0 - bottom0
-    w.state[e + END_TOPS + 1] = next1 - bottom1
+    w.state[e + END_FRONT] = s.front0
+    w.state[e + END_FRONT + 1] = s.front1
+    w.state[e + END_FRONT + 2] = s.entry
+    w.state[e + END_TOPS] = s.next0 - stack_base(b.room, leaves, 0)
+    w.state[e + END_TOPS + 1] = s.next1 - stack_base(b.room, leaves, 1)
+
+
+@wp.kernel
+def weld(slot: wp.int32, w: Weld):
+    b = base_of(w.counts, slot)
+    leaves = wp.int32(w.counts[3 * slot])
+    s = begin(w, b, slot, leaves)
+    while s.leaf < leaves:
+        s = weld_ordinary(w, b, w.leaf_base[slot], leaves, s)
+        if s.leaf < leaves:
+            s = weld_rare(w, b, slot, leaves, s)
+    end(w, b, slot, leaves, s)

@@ -67,6 +67,22 @@ class Base:
     room: wp.int32  # of each list: a place for every leaf before it, and some
 
 
+@wp.struct
+class Strip:
+    """Where a slice stands on its way along the curve."""
+
+    leaf: wp.int32  # the next leaf, from 0
+    front0: wp.int32  # the front's vertices
+    front1: wp.int32
+    entry: wp.int32  # ... and its edge
+    level: wp.int32  # of that edge; 0: a square begins or has ended
+    next0: wp.int32  # places of the next open edges of the two stacks
+    next1: wp.int32
+    edge: wp.int32  # the next new edge
+    vertex: wp.int32
+    torn: wp.int32  # not 0: an ordinary leaf has met an edge of another level
+
+
 @wp.func
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
     b = Base()

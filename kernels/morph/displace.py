@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
-from ..unchecked import pair_at
+from ..unchecked import item_at
 from .residual import Memory, Rising, forget_all, has_settled, risen, settled_from
 
 wp.set_module_options({"enable_backward": False})
@@ -47,14 +47,14 @@ def displace_rising(
         run += wp.int64(1)
         for u in range(v, stop):
             k = point_base + wp.int64(u)
-            p = pair_at(points.point, k)
+            p = item_at(points.point, k)
             last_vertex = wp.int64(-1)
             rises = wp.bool(True)
             if u >= begin:
                 last_vertex = at + wp.int64(u - begin)
                 rises = not has_settled(rising, memory, p, vertex_base + u, last_vertex, settled)
             else:
-                fetch_samples(domain, pair_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+                fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             if rises:
                 there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
                 height = there.surface[0] - there.residual

@@ -11,7 +11,7 @@ import warp as wp
 
 from ..field.codes import error_of, sample_at
 from ..field.layout import tile_index
-from ..unchecked import code_at
+from ..unchecked import item_at
 from .surface import Surface, jet_in
 
 wp.set_module_options({"enable_backward": False})
@@ -73,8 +73,8 @@ def more(a: wp.float64, b: wp.float64) -> wp.float64:
 @wp.func
 def range_at(blocks: Blocks, at: wp.int64):
     """Lowest and highest metres of an entry of the ranges."""
-    a = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
-    b = blocks.base + wp.float64(code_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
+    a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
+    b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
     return less(a, b) - blocks.more, more(a, b) + blocks.more
 
 

@@ -11,7 +11,7 @@ is a crossing, so that no ray slips through. crossing.py has what happens in a c
 import warp as wp
 
 from ..field.layout import tile_index
-from ..unchecked import entry_at, number_at
+from ..unchecked import item_at
 from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, less, more, passed, range_at, side_of
 from .surface import Surface, cell_of, is_ground
 
@@ -24,8 +24,8 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 def block_range(blocks: Blocks, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Lowest and highest metres of the block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
-    at = tile_index(1 + 2 * x, 1 + 2 * y, number_at(blocks.pages, group))
-    return range_at(blocks, entry_at(blocks.first, group) + at)
+    at = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
+    return range_at(blocks, item_at(blocks.first, group) + at)
 
 
 @wp.func

@@ -7,7 +7,7 @@ in blocks.
 
 import warp as wp
 
-from ..unchecked import copy_codes, number_at, place_legs
+from ..unchecked import copy_codes, item_at, place_legs
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,7 +29,7 @@ class Blocks:
 @wp.func
 def new_vertices(blocks: Blocks, state: wp.int32, bisections: wp.int32) -> wp.int32:
     """How many vertices a block makes."""
-    return number_at(blocks.vertices, 6 * bisections + state)
+    return item_at(blocks.vertices, 6 * bisections + state)
 
 
 @wp.func
@@ -48,9 +48,9 @@ def write_block(
 ):
     """The words of a block's leaves, each with the bits `extra`, and its new vertices, in the order of the curve."""
     entry = 6 * bisections + state
-    first = number_at(blocks.first_leaf, entry)
+    first = item_at(blocks.first_leaf, entry)
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)
-    first = number_at(blocks.first_vertex, entry)
-    count = number_at(blocks.vertices, entry)
+    first = item_at(blocks.first_vertex, entry)
+    count = item_at(blocks.vertices, entry)
     bits = (bisections + 1) >> 1
     place_legs(blocks.leg, first, count, apex, left - apex, right - apex, bits, point, first_point)

@@ -11,7 +11,7 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import code_at, entry_at, number_at
+from ..unchecked import item_at
 from .stored_errors import is_beyond, reach_of
 
 wp.set_module_options({"enable_backward": False})
@@ -65,10 +65,10 @@ def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.ve
     if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         group = finer >> 2
         shift = domain.unit_bits - domain.levels + 1 + 2 * group
-        entry = tile_index(x >> shift, y >> shift, number_at(domain.range_pages, group))
-        index = wp.int64(2) * (entry_at(domain.range_first, group) + entry)
-        low = wp.int32(code_at(domain.ranges, index))
-        high = wp.int32(code_at(domain.ranges, index + wp.int64(1)))
+        entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
+        index = wp.int64(2) * (item_at(domain.range_first, group) + entry)
+        low = wp.int32(item_at(domain.ranges, index))
+        high = wp.int32(item_at(domain.ranges, index + wp.int64(1)))
         r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
     return r
 

@@ -5,7 +5,7 @@ counted."""
 import warp as wp
 
 from ..field.domain import Domain
-from ..unchecked import number_cells, put_cell, put_code, put_pair
+from ..unchecked import number_cells, put
 from .band import EVEN_BLOCK, LEAF, TAKEN
 from .block import new_vertices, write_block
 from .curve import (
@@ -70,7 +70,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
         edges += entry_edges
     known, new = third_edge(c.state, c.left, c.apex, c.right)
     if n.leaves < w.leaf_capacity:
-        put_pair(w.point, w.leaf_base + n.vertices + wp.int64(vertices), new)  # stays only if it is new
+        put(w.point, w.leaf_base + n.vertices + wp.int64(vertices), new)  # stays only if it is new
     new_edge = 1 - (c.state & 1)
     new_vertex = new_edge
     if w.grid == 1 and new_edge == 1:
@@ -88,8 +88,8 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
         if q.row < domain.rows - 1:
             count_side(domain, w, q, 3)
     if n.leaves < w.leaf_capacity:
-        put_cell(w.cell, w.leaf_base + n.leaves, q.base + c.cell)
-        put_code(w.code, w.leaf_base + n.leaves, wp.uint16(code))
+        put(w.cell, w.leaf_base + n.leaves, wp.int64(q.base + c.cell))
+        put(w.code, w.leaf_base + n.leaves, wp.uint16(code))
     return vertices + new_vertex, edges + new_edge
 
 

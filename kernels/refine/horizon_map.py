@@ -13,7 +13,7 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import code_at, height_at, number_at
+from ..unchecked import item_at
 from .diamond import larger, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, bin_of, radius_of
@@ -46,7 +46,7 @@ def least_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1:
             for i in range(i0, i1 + 1):
                 index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
                 index += wp.where(up > wp.float64(0.0), wp.int64(0), wp.int64(1))
-                h = domain.range_base + wp.float64(code_at(domain.ranges, index)) * domain.range_step
+                h = domain.range_base + wp.float64(item_at(domain.ranges, index)) * domain.range_step
                 least = smaller(least, up * h)
     else:
         for j in range(j0, j1 + 2):
@@ -92,9 +92,9 @@ def least_over(
         side = wp.where(up > wp.float64(0.0), 0, 1)
         low = wp.float32(wp.inf)
         for j in range(j0 >> level, (j1 >> level) + 1):
-            row = number_at(blocks.first, level) + j * number_at(blocks.wide, level)
+            row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
             for i in range(i0 >> level, (i1 >> level) + 1):
-                h = height_at(blocks.least, wp.int64(2 * (row + i) + side))
+                h = item_at(blocks.least, wp.int64(2 * (row + i) + side))
                 low = wp.where(h < low, h, low)
         least = wp.float64(low)
     return placed(domain, least, sign)
@@ -141,8 +141,8 @@ def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32,
     """Least of up * height, before scaling, in a block; of level 0 in a cell."""
     least = wp.float64(0.0)
     if level > 0:
-        row = number_at(blocks.first, level) + j * number_at(blocks.wide, level)
-        least = wp.float64(height_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
+        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
+        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
     else:
         least = least_of_cells(domain, i, j, i, j, up)
     return least

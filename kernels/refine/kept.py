@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..unchecked import copy_cells, copy_codes, copy_points
+from ..unchecked import copy_codes, copy_items
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, veil_in
@@ -78,8 +78,8 @@ def copy_taken(w: Walk, subtree: Subtree, n: Written):
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
         copy_codes(w.last_code, subtree.first_leaf, subtree.leaves, wp.uint16(0), w.code, leaf)
-        copy_cells(w.last_cell, subtree.first_leaf, subtree.leaves, w.cell, leaf)
-        copy_points(w.last_point, subtree.first_vertex, subtree.vertices, w.point, point)
+        copy_items(w.last_cell, subtree.first_leaf, subtree.leaves, w.cell, leaf)
+        copy_items(w.last_point, subtree.first_vertex, subtree.vertices, w.point, point)
         note_points(w, point, subtree.first_vertex, wp.int64(subtree.vertices), subtree.coarse)
 
 

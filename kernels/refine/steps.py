@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from ..unchecked import corners_at, number_at, put, put_corners
+from ..unchecked import item_at, put
 from .band import SPLIT, nothing_certain
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
 from .walk_state import STACK, Cursor, Square, Walk, Written
@@ -72,7 +72,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         half = size_of(w, c.depth)
         if c.cell + half > q.start:
             place = w.slot * STACK + c.top
-            put_corners(w.stack, place, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
+            put(w.stack, place, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
             put(w.aside, wp.int64(place), right_state(c.state, c.cell) | (c.depth << 3) | (c.held << 9))
             c.top = c.top + 1
             c.state = left_state(c.state)
@@ -88,10 +88,10 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         if c.top >= 0:
             at = w.slot * STACK + c.top
             c.left = c.right
-            corners = corners_at(w.stack, at)
+            corners = item_at(w.stack, at)
             c.apex = wp.vec2i(corners[0], corners[1])
             c.right = wp.vec2i(corners[2], corners[3])
-            put_aside = number_at(w.aside, at)
+            put_aside = item_at(w.aside, at)
             c.state = put_aside & 7
             c.depth = (put_aside >> 3) & 63
             c.held = put_aside >> 9

@@ -9,7 +9,7 @@ import warp as wp
 from ..field.codes import error_of
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import byte_at, entry_at, number_at, prefetch_byte
+from ..unchecked import item_at, prefetch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,7 +22,7 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
     """What `group` of the errors, the cells or the bends, holds for raster cell (i, j)."""
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
-        index = entry_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
+        index = item_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
         e = error_of(domain.table, group, domain.error, index)
     return e
 
@@ -44,7 +44,7 @@ def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64
     """Where the errors hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
     group = group_of(domain.levels, depth)
     shift = domain.unit_bits - domain.levels + 2 * group
-    return entry_at(domain.base, group) + tile_index(x >> shift, y >> shift, number_at(domain.pages, group))
+    return item_at(domain.base, group) + tile_index(x >> shift, y >> shift, item_at(domain.pages, group))
 
 
 @wp.func
@@ -108,7 +108,7 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
     columns = (domain.width - 2) >> level
     rows = (domain.height - 2) >> level
-    first = wp.int64(mask) * entry_at(domain.mask_first, domain.mask_top + 1) + entry_at(domain.mask_first, level)
+    first = wp.int64(mask) * item_at(domain.mask_first, domain.mask_top + 1) + item_at(domain.mask_first, level)
     shift = bits + level
     i1 = wp.min((x + reach - 1) >> shift, columns)
     j1 = wp.min((y + reach - 1) >> shift, rows)
@@ -116,7 +116,7 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
             at = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
-            most = wp.max(most, wp.int32(byte_at(domain.mask_most, at)))
+            most = wp.max(most, wp.int32(item_at(domain.mask_most, at)))
     return most
 
 
@@ -158,4 +158,4 @@ def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
     """Bring the errors about the diamond split at (x, y) into the cache; nothing is read."""
-    prefetch_byte(domain.error, place(domain, x, y, depth))
+    prefetch(domain.error, place(domain, x, y, depth))

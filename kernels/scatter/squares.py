@@ -6,7 +6,7 @@ import warp as wp
 from ..field.domain import Domain
 from ..field.layout import Depth, entry
 from ..refine.diamond import larger, smaller
-from ..unchecked import code_at
+from ..unchecked import item_at
 from .seen import Views, wanted_over
 
 wp.set_module_options({"enable_backward": False})
@@ -43,8 +43,8 @@ def heights_over(domain: Domain, q: Squares, x0: wp.float64, y0: wp.float64, x1:
         for j in range(wp.min(wp.int32((y0 - domain.south) / q.cell_y), j1), j1 + 1):
             for i in range(wp.min(wp.int32((x0 - domain.west) / q.cell_x), i1), i1 + 1):
                 at = wp.int64(2) * entry(q.ranges, i, j)
-                low = smaller(low, wp.float64(code_at(domain.ranges, at)))
-                high = larger(high, wp.float64(code_at(domain.ranges, at + wp.int64(1))))
+                low = smaller(low, wp.float64(item_at(domain.ranges, at)))
+                high = larger(high, wp.float64(item_at(domain.ranges, at + wp.int64(1))))
         low = domain.range_base + low * domain.range_step - domain.detail_most
         high = domain.range_base + high * domain.range_step + domain.detail_most
     return low, high

@@ -3,24 +3,7 @@
 
 import warp as wp
 
-from ..unchecked import (
-    code_at,
-    copy_cells,
-    copy_codes,
-    copy_points,
-    corners_at,
-    entry_at,
-    height_at,
-    number_at,
-    number_cells,
-    pair_at,
-    place_legs,
-    put,
-    put_cell,
-    put_code,
-    put_corners,
-    put_pair,
-)
+from ..unchecked import copy_codes, copy_items, item_at, number_cells, place_legs, put
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,12 +24,12 @@ def pass_all(
     """
     for k in range(count):
         to = wp.int64(2 * count + k)
-        put_code(codes, to, code_at(codes, wp.int64(k)) + wp.uint16(k))
-        put(numbers, to, number_at(numbers, k) - k)
-        put_cell(entries, to, wp.uint64(entry_at(entries, k) + wp.int64(number_at(numbers, k + 1))))
-        heights[2 * count + k] = height_at(heights, wp.int64(k)) * wp.float32(k)
-        put_pair(pairs, to, pair_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
-        put_corners(corners, 2 * count + k, corners_at(corners, k) + wp.vec4i(k, 1, 2, -k))
+        put(codes, to, item_at(codes, wp.int64(k)) + wp.uint16(k))
+        put(numbers, to, item_at(numbers, k) - k)
+        put(entries, to, item_at(entries, k) + wp.int64(item_at(numbers, k + 1)))
+        heights[2 * count + k] = item_at(heights, wp.int64(k)) * wp.float32(k)
+        put(pairs, to, item_at(pairs, wp.int64(k)) + wp.vec2i(k, -k))
+        put(corners, 2 * count + k, item_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
     place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
@@ -54,5 +37,5 @@ def pass_all(
     row = wp.int64(5 * count)
     first = wp.int64(2)
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
-    copy_points(pairs, first, count - 1, pairs, row)
-    copy_cells(entries, first, count - 1, entries, row)
+    copy_items(pairs, first, count - 1, pairs, row)
+    copy_items(entries, first, count - 1, entries, row)

@@ -154,7 +154,7 @@ def set_up_render(scene, resolution: tuple[int, int]) -> None:
     scene.cycles.samples = SAMPLES
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = True
-    scene.cycles.denoising_prefilter = "FAST"
+    scene.cycles.denoising_prefilter = "NONE"  # else it blurs the grain
     if hasattr(scene.cycles, "denoising_quality"):
         scene.cycles.denoising_quality = "BALANCED"
     scene.cycles.max_bounces = 1

@@ -108,6 +108,25 @@ def test_valleys_do_not_follow_the_grid():
     assert len(turn) > 3000 and np.mean(np.minimum(turn, 45 - turn) < 5.625) < 0.3
 
 
+def test_rills_run_down_their_slope():
+    """Not towards the diagonals of the grid: on twelve rough planes that fall between the eight directions, rills are
+    turned to the nearest diagonal by 1.4 degrees in the mean, 4.6 if diagonals counted fully in the choice of ways."""
+    turns = []
+    y, x = np.indices((220, 220)) * 8.0
+    for seed, degrees in enumerate((10, 15, 20, 25, 30, 35, 55, 60, 65, 70, 75, 80)):
+        turn = np.radians(degrees)
+        noise = 2 * np.random.default_rng(seed).random(x.shape)
+        h = (2000 - x * np.cos(turn) - y * np.sin(turn) + noise).astype(np.float32)
+        after = h + aged(h, 8.0, seed=seed, years=1e5, creep=1e-3, steepest=40.0).heights
+        v, u = (a[50:-50, 50:-50].astype(np.float64) for a in np.gradient(after))
+        fall = np.degrees(np.arctan2(-v.mean(), -u.mean()))
+        u, v = u - u.mean(), v - v.mean()
+        across = 0.5 * np.degrees(np.arctan2(2 * (u * v).mean(), (u * u - v * v).mean()))  # of the rills
+        off = (across + 90 - fall + 90) % 180 - 90
+        turns.append(off if degrees < 45 else -off)
+    assert abs(np.mean(turns)) < 2.5
+
+
 def test_a_steady_range_falls_as_the_uplift_asks(still):
     """K (A + A0)^(1/2) S is the uplift wherever water runs."""
     rng = np.random.default_rng(5)

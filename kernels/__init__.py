@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warp kernels: arrays and numbers in, arrays out. No files, no state, no bpy."""
 
-import atexit
-import gc
 import os
 
 import warp as wp
@@ -34,6 +32,3 @@ def _initialise() -> None:
 
 
 _initialise_quietly()
-# A process ends with looking through all objects for garbage. Those of kernels are many: left out, Blender's start and
-# end take 1.5 s of processor time, not 2.1 s.
-atexit.register(gc.freeze)

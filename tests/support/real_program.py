@@ -54,9 +54,7 @@ class Program:
         [result] = self.scripts([name], *arguments, blend=blend, timeout=timeout)
         return result
 
-    def scripts(
-        self, names: list[str], *arguments: str, blend: Path | None = None, timeout: float = 300
-    ) -> list[dict]:
+    def scripts(self, names: list[str], *arguments: str, blend: Path | None = None, timeout: float = 300) -> list[dict]:
         """Run scripts one after the other in one program, with the same arguments; returns what each prints."""
         command = ["-b", *([blend] if blend else []), "--python-exit-code", "1"]
         for name in names:

@@ -81,8 +81,8 @@ def register() -> None:
     for module in MODULES:
         module.register()
     if bpy.app.binary_path:
-        # Python looks for garbage once more at its end. Without all that kernels are, Blender's start and end take 1.5 s
-        # of processor time, not 2.1 s.
+        # Python looks for garbage once more at its end. Without all that kernels are, Blender's start and end take 1.5
+        # and not 2.1 s of a processor.
         atexit.register(gc.freeze)
     else:
         atexit.register(unregister)  # as a module Blender crashes at exit if it finds Python's classes registered

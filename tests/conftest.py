@@ -16,11 +16,6 @@ settings.load_profile("project")
 _exit_status = 0
 
 
-def pytest_collection_modifyitems(items):
-    """First of all what wants no compiled kernels in the real program, and compiles them for the others."""
-    items.sort(key=lambda item: item.name != "test_clicks_on_the_panel")
-
-
 def pytest_sessionfinish(exitstatus):
     global _exit_status
     _exit_status = int(exitstatus)

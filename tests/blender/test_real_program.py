@@ -13,7 +13,7 @@ from adaptive_terrain.benchmarks import in_program
 from hostile_files import source, vrt
 from PIL import Image
 from program_window import SCREEN, read_screen, wait_for, window
-from real_program import SCRIPTS
+from real_program import EXTENSION, SCRIPTS, lend_kernels
 
 
 def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
@@ -35,16 +35,21 @@ def test_a_geotiff_becomes_a_terrain(scene, dem):
     assert path.exists()
 
 
-def test_the_panel_shows_the_rounding_of_whole_metres(program, dem, tmp_path):
-    said = program.script("import_dem.py", tmp_path / "whole.blend", dem["whole"])
-    [terrain] = said["terrains"].values()
+@pytest.fixture(scope="module")
+def others(program, dem, tmp_path_factory):
+    """The same DEM of whole metres and as EXR, by one program."""
+    path = tmp_path_factory.mktemp("others") / "others.blend"
+    return program.script("import_dem.py", path, dem["whole"], dem["exr"])["terrains"]
+
+
+def test_the_panel_shows_the_rounding_of_whole_metres(others, dem):
+    terrain = others[str(dem["whole"])]
     assert "by the source's rounding" in [label.strip() for label, _ in terrain["panel"]]
 
 
-def test_an_exr_becomes_a_terrain(program, dem, tmp_path):
+def test_an_exr_becomes_a_terrain(others, dem):
     """The OpenEXR wheel is not safe inside the real program; the import reads it in a child process."""
-    said = program.script("import_dem.py", tmp_path / "exr.blend", dem["exr"])
-    [terrain] = said["terrains"].values()
+    terrain = others[str(dem["exr"])]
     assert terrain["triangles"] > 1000
     low, high = dem["heights"].min(), dem["heights"].max()
     assert low - 1 <= terrain["heights"][0] < terrain["heights"][1] <= high + 1
@@ -125,9 +130,9 @@ def test_clicks_on_the_panel(program, tmp_path):
     pictures.mkdir(parents=True, exist_ok=True)
     arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
     arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
-    # As in a fresh install every kernel must be compiled. That takes most of a minute of a core: tests/conftest.py sees
-    # to it that this test comes first, and leaves them for the others.
-    kernels = tmp_path / "kernels" if list(program.kernels.glob("*/wp_*")) else program.kernels
+    # As in a fresh install: what every frame needs is not compiled yet.
+    kernels = tmp_path / "kernels"
+    lend_kernels(kernels)
     with window(program, arguments, tmp_path, kernels) as blender:
         try:
             for moment in ("updated", "sweeping", "reported", "budget", "measured"):
@@ -141,8 +146,9 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert "error" not in said, said
     assert said["background"] is False
     assert said["preparing_at_start"] and not said["preparing_when_visible"]
-    compiled = {path.name.split(".kernels.")[0] for path in kernels.glob("*/wp_*")}
-    assert compiled == {"wp_bl_ext.user_default.adaptive_terrain"}, "child processes use the names of the program"
+    houses, modules = zip(*(path.name.split(".kernels.") for path in kernels.glob("*/wp_*")), strict=True)
+    assert set(houses) == {f"wp_{EXTENSION}"}, "child processes use the names of the program"
+    assert [name for name in modules if name.startswith("mesh.weld_")], "they have compiled what was not lent"
     assert said["triangles"] > 100
     assert said["live_triangles"] < said["triangles"]
     assert said["not_live_triangles"] == said["live_triangles"]

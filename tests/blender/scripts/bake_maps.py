@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake colours, with a decal, and normals of the open file's terrain, and render it so dressed: FOLDER, ENGINE ..."""
+"""Bake colours, with a decal, and normals of the open file's terrain, and render it so dressed: FOLDER."""
 
 import json
 import sys
@@ -8,7 +8,7 @@ import time
 import bpy
 import numpy as np
 
-folder, *engines = sys.argv[sys.argv.index("--") + 1 :]
+folder = sys.argv[sys.argv.index("--") + 1] + "/maps"
 scene = bpy.context.scene
 terrain = next(item for item in scene.objects if item.adaptive_terrain.enabled)
 terrain.adaptive_terrain.render.error_px = 8.0
@@ -32,7 +32,7 @@ start = time.perf_counter()
 assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
 result = {"bake_s": time.perf_counter() - start, "red": {}}
 assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
-for engine in engines:
+for engine in ("CYCLES", "BLENDER_EEVEE_NEXT"):
     scene.render.engine, scene.render.filepath = engine, f"{folder}/{engine.lower()}.png"
     bpy.ops.render.render(write_still=True)
     picture = bpy.data.images.load(scene.render.filepath)

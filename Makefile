@@ -4,7 +4,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 VENV ?= .venv
 TESTS ?= tests
-SMOKE := tests/faults/test_export_faults.py \
+SMOKE := tests/faults/test_import_faults.py \
 	$(addprefix tests/cbt_terrain/test_,importing.py refinement.py store.py surface.py terrain.py tree.py) \
 	$(addprefix tests/operators/test_,exporting.py handlers.py mesh_writer.py panel.py registration.py session.py) \
 	$(addprefix tests/hard_cases/test_,camera_in_blender.py exports_in_blender.py life_in_blender.py)

@@ -18,6 +18,8 @@ from ..cbt_terrain.accuracy.timed_runs import median_by_step
 BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.
 SHORT_MS, SHORT_BLOCKS = 5.0, 15
+# What takes more than this is measured once a block: a moment's disturbance is nothing to it.
+LONG_MS = 500.0
 
 
 @dataclass
@@ -55,15 +57,15 @@ class Timed:
 
 
 def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
-    """Run both in turns of RUNS, BLOCKS or SHORT_BLOCKS times; `ours` returns milliseconds by step."""
-    first = ours()
-    if theirs:
-        theirs()
+    """Run both in turns of RUNS, or one where it is long, BLOCKS or SHORT_BLOCKS times; `ours` returns milliseconds by
+    step."""
+    first, longest = ours(), theirs() if theirs else 0.0
+    own, others = (1 if ms > LONG_MS else RUNS for ms in (max(first.values()), longest))
     mine, other = [], []
     for _ in range(SHORT_BLOCKS if max(first.values()) < SHORT_MS else BLOCKS):
         if theirs:
-            other += [theirs() for _ in range(RUNS)]
-        mine += [ours() for _ in range(RUNS)]
+            other += [theirs() for _ in range(others)]
+        mine += [ours() for _ in range(own)]
     return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
 
 

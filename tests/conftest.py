@@ -4,6 +4,8 @@
 import os
 import sys
 
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # numpy's own threads would spin beside ours; read when numpy is imported
+
 import pytest
 from hypothesis import settings
 from real_program import bare_program, dem, extension_zip, program, scene  # noqa: F401

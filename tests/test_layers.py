@@ -5,6 +5,7 @@ import ast
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -52,10 +53,16 @@ HOUSES = {house: sorted((ROOT / house).rglob("*.py")) for house in MAY_IMPORT}
 FILES = [path for paths in HOUSES.values() for path in paths]
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
 def modules_imported(path: Path) -> set[tuple[str, ...]]:
     """Modules of ours that a file imports, anywhere in it, as the parts of their paths."""
     folder, found = path.relative_to(ROOT).parent.parts, set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = (*folder[: len(folder) - (node.level - 1)], *(node.module.split(".") if node.module else ()))
             for name in (alias.name for alias in node.names):
@@ -64,10 +71,11 @@ def modules_imported(path: Path) -> set[tuple[str, ...]]:
     return found - {()}
 
 
+@cache
 def packages_imported(path: Path) -> set[str]:
     """Packages from outside that a file imports."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             found.update(alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import warp as wp
 
-from ..run.warmup import other_modules
+from ..run.warmup import others_named
 from . import evaluate
 from .catalogue import EFFECTS
 from .plan import Plan
@@ -29,8 +29,7 @@ def kernels_of(plan: Plan) -> list[ModuleType]:
 
 def kernels_named_by(modules: Iterable[str]) -> list[ModuleType]:
     """Modules of kernels that functions of these modules of effects launch."""
-    named = frozenset().union(*map(_named_by, modules))
-    return [module for module in other_modules() if module.__name__ in named]
+    return others_named(frozenset().union(*map(_named_by, modules)))
 
 
 @cache

@@ -27,14 +27,16 @@ def limit_of(step: int) -> float:
     return 2.0 ** (2 * step / STEPS_PER_OCTAVE) if step <= MAX_STEP else math.inf
 
 
+# At each step and, for what is a step finer, at the step before.
+LIMITS, FINER = (np.array([limit_of(step - before) for step in range(MAX_STEP + 2)]) for before in (0, 1))
+
+
 class Budget:
     """Counts leaves of one lattice and finds the step that keeps to a number of them."""
 
     def __init__(self, lattice: Lattice, buffers: Buffers, threads: int):
         self._lattice, self._buffers, self._threads = lattice, buffers, threads
-        self._limits, self._finer = (
-            shared(np.array([limit_of(step - before) for step in range(MAX_STEP + 2)]), wp.float64) for before in (0, 1)
-        )
+        self._limits, self._finer = shared(LIMITS, wp.float64), shared(FINER, wp.float64)
         self._marks = np.zeros(0)  # places, in squares along the quadtree, evenly by what the last pass has measured
         self._structs: list[Count] = []
         self._recorded: dict = {}

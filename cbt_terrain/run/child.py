@@ -13,9 +13,11 @@ from pathlib import Path
 from . import stopping
 
 # The child loads the package from its folder and by the name that it has in this process (`bl_ext....` in Blender):
-# Warp's cache knows a kernel by the name of its module.
+# Warp's cache knows a kernel by the name of its module. What imports make stays: looking through it for garbage, again
+# and again, takes 0.1 s.
 BOOTSTRAP = """
-import importlib, importlib.util, sys, types
+import gc, importlib, importlib.util, sys, types
+gc.disable()
 folder, package, module = sys.argv[1:4]
 outer = package.rpartition(".")[0]
 while outer:
@@ -24,7 +26,9 @@ while outer:
 spec = importlib.util.spec_from_file_location(package, folder + "/__init__.py", submodule_search_locations=[folder])
 sys.modules[package] = root = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(root)
-importlib.import_module(package + "." + module).child_main(*sys.argv[4:])
+main = importlib.import_module(package + "." + module).child_main
+gc.enable()
+main(*sys.argv[4:])
 """
 PACKAGE = __package__.rsplit(".", 2)[0]
 # A GDAL or PROJ database of the host does not fit the child's own library.

@@ -13,6 +13,7 @@ import importlib
 import os
 import pkgutil
 import subprocess
+import sys
 import threading
 import traceback
 from collections.abc import Iterable
@@ -36,13 +37,14 @@ from ...kernels import (
     refine,
     scatter,
 )
-from ...kernels.refine import horizon_map
 from ..errors import TerrainError
 from . import child, launch, stopping
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
 HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
+OTHERS = effects, land, detail, morph, query, scatter, bicubic, fitting
+HORIZON_MAP = f"{refine.__name__}.horizon_map"
 CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
 
 
@@ -174,23 +176,30 @@ def wait(overlay: bool = False) -> None:
 def kernel_modules() -> list[ModuleType]:
     """Every module that has kernels for an import or a frame; other rooms' are for what is asked now and then, and so
     is the map of what ground hides."""
-    found = [module for room in (field, refine, budget, mesh) for module in _modules_of(room)]
-    return [module for module in found if module is not horizon_map]
+    found = [module for room in (field, refine, budget, mesh) for module in modules_of(room)]
+    return [module for module in found if module.__name__ != HORIZON_MAP]
 
 
 def overlay_modules() -> list[ModuleType]:
     """Those that measure errors, which the overlay shows."""
-    return _modules_of(accuracy)
+    return modules_of(accuracy)
 
 
 def other_modules() -> list[ModuleType]:
     """Those that are compiled when they are first asked for: effects, land, a detail, points that rise, queries, a
     scatter, the bicubic surface, the fit, what ground hides."""
-    rooms = effects, land, detail, morph, query, scatter, bicubic, fitting
-    return [*(module for room in rooms for module in _modules_of(room)), horizon_map]
+    return [*(module for room in OTHERS for module in modules_of(room)), importlib.import_module(HORIZON_MAP)]
 
 
-def _modules_of(package: ModuleType) -> list[ModuleType]:
+def others_named(names: Iterable[str]) -> list[ModuleType]:
+    """Those of `other_modules` that have these names; they are imported, and no other is imported for it."""
+    inside = tuple(f"{room.__name__}." for room in OTHERS)
+    found = [sys.modules[name] for name in sorted(names) if name.startswith(inside) or name == HORIZON_MAP]
+    return [module for module in found if _kernels_of(module)]
+
+
+def modules_of(package: ModuleType) -> list[ModuleType]:
+    """The modules of a room that have kernels."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
     return [module for module in modules if _kernels_of(module)]

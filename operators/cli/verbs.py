@@ -102,7 +102,8 @@ def _raw_settings(arguments) -> dict:
 
 def run_bake(arguments) -> None:
     from ...cbt_terrain.run.partial_files import remove_abandoned
-    from ..output.exporting import FORMATS, check_target, figures, needs_blender, write_piece
+    from ..output.exporting import check_target, figures, write_piece
+    from ..output.formats import FORMATS, needs_blender
     from ..output.frame_sources import baked_piece
 
     form = arguments.out.suffix[1:].lower()
@@ -169,7 +170,7 @@ def _export_source(arguments):
     from ...cbt_terrain.ask.morph import SMOOTH
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..blender import need_bpy
-    from ..output.exporting import needs_blender
+    from ..output.formats import needs_blender
     from ..output.frame_sources import SceneFrames, StoreFrames
 
     _check_source(arguments)

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..output.exporting import parse_frames
+from ..output.formats import parse_frames
 from ..scene import session
 from ..scene.properties import PATH_OPTIONS
 from .submit import INSTALLED, NOTE, submit

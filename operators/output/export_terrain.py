@@ -38,7 +38,8 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
 
     def _write(self, context, path: Path):
         from ...cbt_terrain.run.partial_files import remove_abandoned
-        from .exporting import FORMATS, check_target, figures, write_piece
+        from .exporting import check_target, figures, write_piece
+        from .formats import FORMATS
         from .frame_sources import scene_piece
 
         if path.suffix[1:].lower() not in FORMATS:

@@ -9,11 +9,10 @@ from ...cbt_terrain.effects.layered_detail import LayeredDetail
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.land.kernels_needed import kernels_of as kernels_of_stack
-from ...cbt_terrain.run.warmup import other_modules
+from ...cbt_terrain.run.warmup import modules_of
+from ...kernels import bicubic, detail, morph, scatter
+from ...kernels.refine import horizon_map
 from .request import Request
-
-DETAIL, MORPH, HIDING, SCATTER = "kernels.detail.", "kernels.morph.", "horizon_map", "kernels.scatter."
-BICUBIC = "kernels.bicubic."
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
@@ -24,17 +23,12 @@ def kernels_for(request: Request) -> list[ModuleType]:
     for item in request.scatters.asked:
         asked += [read for read, _ in item.scatter.reads()]
     found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
-    for module in other_modules():
-        if DETAIL in module.__name__ and request.ground is not None:
-            found.append(module)
-        elif BICUBIC in module.__name__ and request.interpolation == "bicubic":
-            found.append(module)
-        elif MORPH in module.__name__ and request.criterion.rises_until > 1:
-            found.append(module)
-        elif SCATTER in module.__name__ and request.scatters.asked:
-            found.append(module)
-        elif module.__name__.endswith(HIDING) and (
-            request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.asked)
-        ):
-            found.append(module)
-    return found
+    hides = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.asked)
+    rooms = (
+        (detail, request.ground is not None),
+        (bicubic, request.interpolation == "bicubic"),
+        (morph, request.criterion.rises_until > 1),
+        (scatter, bool(request.scatters.asked)),
+    )
+    found += [module for room, is_asked in rooms if is_asked for module in modules_of(room)]
+    return [*found, horizon_map] if hides else found

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tiling images as detail, and details with masks: their bounds, and their meshes against numpy in float64."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
@@ -229,8 +231,8 @@ def test_pixels_that_no_leaf_can_show_are_smoothed_away():
 
 def test_the_measurement_sees_what_numpy_sees():
     field = field_of((27, 40), grounds((27, 40))["three"])
-    view = ground_view(field, above=5.0)
-    found = Terrain(field, 1).update(Criterion(error_px=8.0, error_m=0.6, max_triangles=1000), [view])
+    view = replace(ground_view(field, above=5.0), resolution=(240, 135))
+    found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.6, max_triangles=1000), [view])
     measured = measure(field, found.surface, view, threads=1)
     below = places_in(found.surface)
     off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()

@@ -280,8 +280,8 @@ def test_the_measurement_sees_what_numpy_sees():
     """Its own evaluation, at places of its own: never above the bound, and near what dense places here find."""
     for interpolation in ("bilinear", "bicubic"):
         field = field_of("padded", DETAILS["soft"], interpolation)
-        view = ground_view(field, above=5.0)
-        found = Terrain(field, 1).update(Criterion(error_px=8.0, error_m=0.15), [view])
+        view = replace(ground_view(field, above=5.0), resolution=(240, 135))
+        found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.15), [view])
         measured = measure(field, found.surface, view, threads=1)
         below = places_in(found.surface)
         off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()

@@ -32,8 +32,8 @@ spec = importlib.util.spec_from_file_location(name, root + "/__init__.py", submo
 sys.modules[name] = package = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(package)
 warmup = importlib.import_module(name + ".cbt_terrain.run.warmup")
-modules_of = warmup._modules_of
-warmup._modules_of = lambda room: [m for m in modules_of(room) if m.__name__.rpartition(".")[2] in sys.argv[2:]]
+modules_of = warmup.modules_of
+warmup.modules_of = lambda room: [m for m in modules_of(room) if m.__name__.rpartition(".")[2] in sys.argv[2:]]
 compiled_here = []
 import warp as wp
 compile_module = wp.Module._compile

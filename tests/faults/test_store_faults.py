@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -25,12 +26,19 @@ from mutants import put_checksums
 ASKED = Criterion(error_px=0, error_m=20.0, meshlet=1)
 
 
-@pytest.fixture
-def store(tmp_path):
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
     """A store of 129 x 129 samples that has its errors for meshlets, too."""
-    run_import(ImportSettings(source="island", size=129), tmp_path / "store")
-    Terrain(open_store(tmp_path / "store"), 1).update(ASKED)
-    return tmp_path / "store"
+    path = tmp_path_factory.mktemp("whole") / "store"
+    run_import(ImportSettings(source="island", size=129), path)
+    Terrain(open_store(path), 1).update(ASKED)
+    return path
+
+
+@pytest.fixture
+def store(whole, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(whole, tmp_path / "store")
 
 
 def arrays_of(store):

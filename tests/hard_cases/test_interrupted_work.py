@@ -26,15 +26,17 @@ GUARD_S, STOP_S = 240, 30
 # The commands of this test: what takes minutes is smaller, the path through the program is the same.
 PROGRAM = """
 import os, sys
-from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-from adaptive_terrain.operators.report import accuracy_subject
-from adaptive_terrain.operators.demo import demo
-from adaptive_terrain.operators.output import frame_sources
-from adaptive_terrain.operators.cli import verbs
-few = [Setting("px", 4.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0, interpolation="bicubic")]
-accuracy_subject.settings_for = lambda heights, frame, morph: few
-demo.SIZE, demo.FRAMES, demo.PICTURE_FRAMES, demo.LEVELS_FRAME = 129, range(1, 4), (1,), 2
-demo.RESOLUTION, demo.PLAN_RESOLUTION = (64, 36), (48, 48)
+if sys.argv[1] == "accuracy":
+    from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
+    from adaptive_terrain.operators.report import accuracy_subject
+    few = [Setting("px", 4.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0, interpolation="bicubic")]
+    accuracy_subject.settings_for = lambda heights, frame, morph: few
+if sys.argv[1] == "demo":
+    from adaptive_terrain.operators.demo import demo
+    demo.SIZE, demo.FRAMES, demo.PICTURE_FRAMES, demo.LEVELS_FRAME = 129, range(1, 4), (1,), 2
+    demo.RESOLUTION, demo.PLAN_RESOLUTION = (64, 36), (48, 48)
+if sys.argv[1] in ("bake", "export"):
+    from adaptive_terrain.operators.output import exporting
 from adaptive_terrain.operators.cli.command_line import program
 os.write(2, b"begun\\n")
 program()

@@ -17,7 +17,7 @@ POINTS = [(0.0, 0.0, 0.0), (3.0, -2.0, 1.0), (-4.0, 5.0, -2.0), (0.5, 0.25, 2.0)
 
 @pytest.fixture
 def scene():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.cli.verbs import print_fields
-from adaptive_terrain.operators.output.exporting import parse_formats, parse_frames
+from adaptive_terrain.operators.output.formats import parse_formats, parse_frames
 from adaptive_terrain.operators.text.console import Progress, duration
 from fields import reference_heights
 

@@ -41,13 +41,13 @@ def grid_surface():
 
 @pytest.fixture
 def empty():
-    """An empty file, with the extension registered."""
+    """An empty file, with the extension registered; preferences stay, which no test changes."""
     import adaptive_terrain
     import bpy
 
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         adaptive_terrain.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene
 
 

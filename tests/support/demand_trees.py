@@ -28,7 +28,7 @@ def new_material(name="M"):
 
 def worn(engine="CYCLES"):
     """An empty file with an object that wears a material: object, node tree, its output node."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.scene.render.engine = engine
     obj, material = new_object(), new_material()
     obj.data.materials.append(material)

@@ -5,29 +5,29 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.field.coats import Coats
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 
-MASK = np.uint64(0xFFFFFFFF)
-
 
 def scrambled(x):
-    """The integer hash, of whole numbers modulo 2^32."""
-    x = np.asarray(x % 2**32, np.uint64)
-    x = ((x ^ (x >> np.uint64(16))) * np.uint64(0x7FEB352D)) & MASK
-    x = ((x ^ (x >> np.uint64(15))) * np.uint64(0x846CA68B)) & MASK
-    return (x ^ (x >> np.uint64(16))).astype(np.int64)
+    """The integer hash, of uint32: sums and products are modulo 2^32."""
+    x = (x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D)
+    x = (x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B)
+    return x ^ (x >> np.uint32(16))
 
 
-def lattice_values(i, j, seed):
-    """Values in [-1, 1) of lattice points."""
-    h = scrambled(scrambled(j + seed) + i)
-    return np.where(h >= 2**31, h - 2**32, h) / 2.0**31
+def lattice_values(i, row):
+    """Values in [-1, 1) of lattice points: columns, and the hashes of their rows."""
+    return scrambled(row + i).view(np.int32) / 2.0**31
 
 
 def value_noise(x, y, seed):
     """Quintic value noise at float64 arrays."""
-    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    u, v = (t**3 * (10 + t * (6 * t - 15)) for t in (x - i, y - j))
-    south = lattice_values(i, j, seed) * (1 - u) + lattice_values(i + 1, j, seed) * u
-    north = lattice_values(i, j + 1, seed) * (1 - u) + lattice_values(i + 1, j + 1, seed) * u
+    left, below = np.floor(x), np.floor(y)
+    u, v = (t * t * t * (10 + t * (6 * t - 15)) for t in (x - left, y - below))
+    i, j = (whole.astype(np.int64).astype(np.uint32) for whole in (left, below + float(seed)))
+    one = np.uint32(1)
+    south, north = (
+        lattice_values(i, row) * (1 - u) + lattice_values(i + one, row) * u
+        for row in (scrambled(j), scrambled(j + one))
+    )
     return south * (1 - v) + north * v
 
 
@@ -48,7 +48,7 @@ def image_heights(tiled, plane):
     rows, columns = net.shape
     (i, across), (j, up) = (_bumps(plane[:, axis] * columns / tiled.size) for axis in (0, 1))
     heights = net[j[:, :, None] % rows, i[:, None, :] % columns]
-    return tiled.amplitude * (heights * across[:, None, :] * up[:, :, None]).sum((1, 2))
+    return tiled.amplitude * np.einsum("nji,ni,nj->n", heights, across, up)
 
 
 def _bumps(place):

@@ -160,8 +160,13 @@ def least_triangles(field: HeightField, meshlet: int) -> int:
 def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:
     """Height of the mesh at points [n, 2]."""
     corners, p = surface.triangles, surface.positions.astype(np.float64)
-    owner = Triangulation(p[:, 0], p[:, 1], corners).get_trifinder()(plane[:, 0], plane[:, 1])
-    # The finder misses points on the border and on some edges: try every triangle for those.
+    finder = Triangulation(p[:, 0], p[:, 1], corners).get_trifinder()
+    owner = finder(*plane.T)
+    # The finder misses points on the border and on some edges: a hair nearer to the middle it finds most of them, and
+    # for the others every triangle is tried.
+    missed = np.flatnonzero(owner < 0)
+    middle = (p[:, :2].min(0) + p[:, :2].max(0)) / 2
+    owner[missed] = finder(*((plane[missed] - middle) * (1 - 1e-9) + middle).T)
     for n in np.flatnonzero(owner < 0):
         owner[n] = _barycentric(p[corners], plane[n]).min(axis=1).argmax()
     weights = _barycentric(p[corners[owner]], plane)

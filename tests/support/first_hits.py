@@ -55,7 +55,8 @@ def as_keys(surface, faces: np.ndarray) -> set[bytes]:
     """Triangles by their corners' positions."""
     corners = surface.positions[surface.triangles[faces]]
     order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=1)
-    return {row.tobytes() for row in np.take_along_axis(corners, order[..., None], axis=1)}
+    rows = np.ascontiguousarray(np.take_along_axis(corners, order[..., None], axis=1)).reshape(len(corners), 9)
+    return set(rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel().tolist())
 
 
 @wp.kernel

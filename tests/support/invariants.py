@@ -27,11 +27,10 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert sides.min() == 0 and sides.max() == count_e - 1
 
     # corner edges are the edges between corners, each edge once
-    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1), axis=-1)
-    assert np.array_equal(ends, np.sort(edges, axis=1)[sides])
-    pair = np.array([count_v, 1], np.int64)
-    keys = np.sort(edges, axis=1) @ pair
-    assert len(np.unique(keys)) == count_e
+    after, low_end, high_end = np.roll(corners, -1, axis=1), edges.min(axis=1), edges.max(axis=1)
+    assert np.array_equal(np.minimum(corners, after), low_end[sides])
+    assert np.array_equal(np.maximum(corners, after), high_end[sides])
+    assert count_distinct(low_end.astype(np.int64) * count_v + high_end) == count_e
 
     # I2 interior edges belong to two triangles, border edges to one; and the border is the domain's
     uses = np.bincount(sides.ravel(), minlength=count_e)
@@ -45,8 +44,8 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
 
     # I3 one sheet; every triangle counter-clockwise seen from above; each interior edge is run in both directions
     assert count_v - count_e + count_t == 1
-    directed = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2) @ pair
-    assert len(np.unique(directed)) == 3 * count_t
+    upward = np.bincount(sides[corners < after], minlength=count_e)
+    assert upward.max() <= 1 and (uses - upward).max() <= 1
 
     # I4 the leaves partition the domain: two triangles of depth 1 a root square, in integers; a rim cuts some of them
     levels, counts = np.unique(surface.level, return_counts=True)
@@ -57,7 +56,8 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
         assert count_t % (1 << 2 * meshlet) == 0
 
     # I5 no two vertices at one place
-    assert len(np.unique(plane.view(np.complex128))) == count_v
+    places = np.ascontiguousarray(positions[:, :2], np.float32) + np.float32(0)  # no -0
+    assert count_distinct(places.view(np.uint64).ravel()) == count_v
 
     # I6 positive area in the plane, adding up to the domain
     p = plane[corners]
@@ -65,6 +65,11 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     assert areas.min() > 0
     assert abs(areas.sum() / 2 / np.prod(size) - 1) < 1e-6
+
+
+def count_distinct(values: np.ndarray) -> int:
+    ordered = np.sort(values)
+    return 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1]))
 
 
 def with_arrays(surface: Surface, **arrays) -> Surface:

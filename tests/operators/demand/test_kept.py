@@ -133,5 +133,5 @@ def test_a_modifiers_own_settings_are_noticed(worn, gathered):
 
 def test_another_file_is_another_demand(worn, gathered):
     assert read(worn) == {"slope"}
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert kept._kept == {}

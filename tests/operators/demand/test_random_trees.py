@@ -73,7 +73,7 @@ def test_pictures_show_what_is_demanded(empty, tmp_path):
     """Else the test above would hold of any demand."""
     shown, demanded = 0, 0
     for seed in range(12 if FUZZ >= 10_000 else 5):
-        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         obj, material = picture_scene()
         shader_tree(material, random.Random(seed), NAMES)
         names = asked(look(obj, "RENDER"), NAMES)

@@ -58,9 +58,16 @@ class Bed:
     seed: int = 0
     threads: int = 1
     bends: np.ndarray | float = 0.0
+    cut: tuple | None = None
+    done: float = 0.0
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
-        heights, fixed = self.heights.reshape(self.shape), self.fixed.reshape(self.shape)
+        heights, fixed = self.heights, self.fixed.reshape(self.shape)
+        if self.cut is not None:
+            at, wall, start, end = self.cut
+            heights = heights.copy()
+            heights[at] = np.maximum(heights[at], start + np.float32(self.done) * (end - start)) + wall
+        heights = heights.reshape(self.shape)
         return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
 
 
@@ -70,11 +77,13 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     float64 [n], metres times samples of sediment that came to each sample: at those where water leaves, what has left;
     None without deposition.
     """
-    drainage = bed.drain(_draw(bed, number))
+    ground, drainage = bed.heights, bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
     rate, filled = _cut(bed, drainage, years, values)
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
+    if bed.cut is not None:
+        bed.heights[bed.cut[0]] = raised[bed.cut[0]] = ground[bed.cut[0]]
     if values["creep"] > 0.0:
         _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))

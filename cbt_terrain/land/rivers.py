@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..effects.effect import Parameter
-from ..effects.routing import route
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
+from .river_rims import cut_of, edges, sides
 
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
@@ -38,17 +38,29 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
-    move_edges = _edges(bed, origin, coarser)
+    move_edges = edges(bed, origin, coarser)
     kept = 0 if coarser is not None else steps // 2
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
+        bed.done = number / steps
         step(bed, years / steps, values, max(number, kept))
         move_edges((number + 1) / steps)
-    area = bed.drain().catchments * (ground.step_x * ground.step_y)
+    bed.done = 1.0
+    drainage = bed.drain()
+    area = drainage.catchments * (ground.step_x * ground.step_y)
     change = bed.heights - origin
+    lake = drainage.filled() - drainage.heights
+    finer = replace(ground, whole=tuple(2 * n - 1 for n in ground.whole))
+    less = np.float32(1.0 - _years_again(finer, values) / max(values["years"], 1.0))
+    after = bed.heights
+    bed.heights, bed.done = origin + less * change, 0.5
+    drainage = bed.drain()
+    lake_before = drainage.filled() - drainage.heights
+    bed.heights = after
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
+    layers |= {"lake": lake, "lake_before": lake_before}
     return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
 
 
@@ -74,7 +86,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
     part = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
     lift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * part)
     lift *= (ground.layers["uplift"] if "uplift" in ground.layers else _faded(ground)).reshape(-1)
-    for side in _sides(shape):
+    for side in sides(shape):
         lift.reshape(shape)[side] = 0.0
     steps = ground.step_x, ground.step_y
     none, own = np.zeros(n, np.float32), np.ones(n)
@@ -85,7 +97,8 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         change, sediment = _spread(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
-        bed.own = _with_inflow(ground, coarser).reshape(-1)
+        own, bed.cut = cut_of(ground, coarser, less)
+        bed.own = own.reshape(-1)
     if values["variety"] > 0.0:
         vary_rock(bed, values["variety"])
     return bed, origin
@@ -109,74 +122,10 @@ def _faded(ground: Ground) -> np.ndarray:
 def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     """What the coarser level changed, and its sediment, without what it knows of single samples; float32 [n]."""
     still = (bed.fixed | (bed.part == 0.0)).reshape(bed.shape).astype(np.uint8)
-    for side in _sides(bed.shape):
+    for side in sides(bed.shape):
         still[side] = 1
     numbers = SPREAD * bed.step_x * bed.step_y, still.reshape(-1), np.ones(len(bed.part), np.float32)
     return tuple(diffuse(bed, a.reshape(-1).copy(), *numbers) for a in (coarser.heights, coarser.layers["sediment"]))
-
-
-def _sides(shape: tuple[int, int]) -> list[tuple]:
-    """South, north, west and east."""
-    return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
-
-
-def _edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
-    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
-
-    At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
-    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
-    """
-    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
-    for which in _sides(bed.shape):
-        side[which] = True
-    side &= ~bed.fixed.reshape(bed.shape)
-    j, i = np.nonzero(side)
-    at = j * columns + i
-    if not len(at):
-        return lambda _done: None
-    if coarser is not None:
-        start = bed.heights[at]
-        way = origin[at] + coarser.heights.reshape(-1)[at] - start
-
-        def follow(done: float) -> None:
-            bed.heights[at] = start + way * np.float32(done)
-
-        return follow
-    inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
-    lowest = origin[at].min()
-
-    def fall(_done: float) -> None:
-        change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
-        bed.heights[at] = np.maximum(origin[at] + change, lowest)
-
-    return fall
-
-
-def _with_inflow(ground: Ground, coarser: Change) -> np.ndarray:
-    """float64 [rows, columns]: samples that each counts for; those just inside a cut, with what comes over it.
-
-    The samples of the coarser level are every second one, and where their water runs is known from their heights but
-    at the first, whose neighbours are cut off: what runs from the second to the third brings its catchment along.
-    """
-    rows, columns = ground.heights.shape
-    own = np.ones((rows, columns))
-    if all(ground.rims):
-        return own
-    every = tuple(slice(f % 2, None, 2) for f in ground.first)
-    heights = (ground.heights + coarser.heights)[every]
-    missing = None if ground.missing is None else ground.missing[every]
-    to = route(np.ascontiguousarray(heights), 2 * ground.step_x, 2 * ground.step_y, missing).to.reshape(heights.shape)
-    inside = np.zeros(heights.shape, bool)
-    south, north, west, east = (0 if rim else 2 for rim in ground.rims)
-    inside[south : heights.shape[0] - north, west : heights.shape[1] - east] = True
-    j, i = np.nonzero(~inside & (to != 4))
-    direction = to[j, i].astype(int)
-    y, x = j + direction // 3 - 1, i + direction % 3 - 1
-    enters = inside[y, x]
-    flow = coarser.layers["flow"][every][j, i].astype(np.float64) / (ground.step_x * ground.step_y)
-    fine_y, fine_x = (2 * at + f % 2 for at, f in zip((y, x), ground.first, strict=True))
-    np.add.at(own, (fine_y[enters], fine_x[enters]), flow[enters])
-    return own
 
 
 def grow(
@@ -230,6 +179,8 @@ RIVERS = LandEffect(
         Layer("sediment", "m", "Depth of what rivers have laid down"),
         Layer("wear", "m", "Depth of rock that rivers have removed"),
         Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
+        Layer("lake", "m", "x", per_metre=False),
+        Layer("lake_before", "m", "x", per_metre=False),
     ),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,

@@ -59,6 +59,7 @@ class Bed:
     threads: int = 1
     bends: np.ndarray | float = 0.0
     cut: tuple | None = None
+    brought: np.ndarray | None = None
     done: float = 0.0
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
@@ -81,7 +82,7 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
     rate, filled = _cut(bed, drainage, years, values)
-    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
+    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"], years)
     if bed.cut is not None:
         bed.heights[bed.cut[0]] = raised[bed.cut[0]] = ground[bed.cut[0]]
     if values["creep"] > 0.0:
@@ -169,8 +170,9 @@ def diffuse(
     return values
 
 
-def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
-    load, lake = np.zeros(len(rate)), (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
+def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float, years: float) -> np.ndarray:
+    load = np.zeros(len(rate)) if bed.brought is None else bed.brought * years
+    lake = (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
     arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
     arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]

@@ -65,7 +65,7 @@ def cut_of(ground: Ground, coarser: Change, less: float):
     rows, columns = ground.heights.shape
     own = np.ones((rows, columns))
     if all(ground.rims):
-        return own, None
+        return own, None, None
     every = tuple(slice(f % 2, None, 2) for f in ground.first)
     lake = coarser.layers["lake"][every]
     heights = (ground.heights + coarser.heights)[every]
@@ -84,6 +84,19 @@ def cut_of(ground: Ground, coarser: Change, less: float):
     enters = inside[y, x]
     fine_y, fine_x = (2 * at + f % 2 for at, f in zip((y, x), ground.first, strict=True))
     np.add.at(own, (fine_y[enters], fine_x[enters]), flow[j, i][enters])
+    load = np.zeros((rows, columns))
+    brought = coarser.layers["load"][every].astype(np.float64) / (ground.step_x * ground.step_y)
+    np.add.at(load, (fine_y[enters], fine_x[enters]), brought[j, i][enters])
+    floor = route(np.ascontiguousarray(heights), 2 * ground.step_x, 2 * ground.step_y, missing).to.reshape(heights.shape)
+    j, i = np.nonzero(~inside & (floor != 4) & wet)
+    direction = floor[j, i].astype(int)
+    y, x = j + direction // 3 - 1, i + direction % 3 - 1
+    ok = inside[y, x] & (flow[y, x] > flow[j, i])
+    done = np.zeros(heights.shape, bool)
+    done[j[ok], i[ok]] = True
+    fine_y, fine_x = (2 * at + f % 2 for at, f in zip((y, x), ground.first, strict=True))
+    np.add.at(own, (fine_y[ok], fine_x[ok]), flow[j, i][ok])
+    np.add.at(load, (fine_y[ok], fine_x[ok]), brought[j, i][ok])
     # lakes
     state = np.zeros(heights.shape, np.uint8)  # 1 open 2 wall
     jj, ii = np.indices(to.shape)
@@ -109,7 +122,8 @@ def cut_of(ground: Ground, coarser: Change, less: float):
             best = max(near, key=lambda p: inner[p])
             enters = inner[best] > flow[a, b]
             state[rj[at], ri[at]] = 2 if enters else 1
-            if enters:
+            if enters and not done[a, b]:
+                load[2 * best[0] + ground.first[0] % 2, 2 * best[1] + ground.first[1] % 2] += brought[a, b]
                 own[2 * best[0] + ground.first[0] % 2, 2 * best[1] + ground.first[1] % 2] += flow[a, b]
     # fine rim
     side = np.zeros((rows, columns), bool)
@@ -125,7 +139,7 @@ def cut_of(ground: Ground, coarser: Change, less: float):
     at = (j * columns + i)[keep]
     wall = np.where(s[keep] == 2, np.float32(WALL), np.float32(0.0))
     start, end = before[cj, ci][keep], surface[cj, ci][keep]
-    return own, (at, wall, start, end)
+    return own, (at, wall, start, end), load.reshape(-1)
 
 
 def _box(shape, rims):

@@ -39,11 +39,14 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     move_edges = edges(bed, origin, coarser)
+    carried = np.zeros(ground.heights.size)
     kept = 0 if coarser is not None else steps // 2
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
         bed.done = number / steps
-        step(bed, years / steps, values, max(number, kept))
+        load = step(bed, years / steps, values, max(number, kept))
+        if load is not None and 2 * number >= steps:
+            carried += load * (ground.step_x * ground.step_y / (years / steps) / (steps - (steps + 1) // 2))
         move_edges((number + 1) / steps)
     bed.done = 1.0
     drainage = bed.drain()
@@ -60,7 +63,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
-    layers |= {"lake": lake, "lake_before": lake_before}
+    layers |= {"lake": lake, "lake_before": lake_before, "load": carried.astype(np.float32)}
     return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
 
 
@@ -97,7 +100,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         change, sediment = _spread(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
-        own, bed.cut = cut_of(ground, coarser, less)
+        own, bed.cut, bed.brought = cut_of(ground, coarser, less)
         bed.own = own.reshape(-1)
     if values["variety"] > 0.0:
         vary_rock(bed, values["variety"])
@@ -181,6 +184,7 @@ RIVERS = LandEffect(
         Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
         Layer("lake", "m", "x", per_metre=False),
         Layer("lake_before", "m", "x", per_metre=False),
+        Layer("load", "m", "x", per_metre=False),
     ),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,

@@ -12,9 +12,12 @@ import numpy as np
 from ..effects.routing import route
 from .fluvial import Bed
 from .land_effect import Change, Ground
+from .levels import finer
 
 # Metres above a lake's surface that its water would have to rise to leave over a cut over which it comes in.
 WALL = 1e4
+SAME = 0.01
+ROUGH = 4.0
 
 
 def sides(shape: tuple[int, int]) -> list[tuple]:
@@ -107,24 +110,40 @@ def cut_of(ground: Ground, coarser: Change, less: float):
     state[inside.reshape(-1)[dest].reshape(to.shape) & ~wet] = 2
     ring, valid = _ring(heights.shape, ground.rims)
     rj, ri = ring
-    w = wet[rj, ri] & valid
-    if w.any():
-        starts = w & ~np.roll(w, 1)
-        run = np.cumsum(starts) - 1
-        if w[0] and not starts[0]:
-            run[run < 0] = run[-1] if starts.any() else 0
+    w = np.flatnonzero(wet[rj, ri] & valid)
+    if len(w):
+        w = w[np.argsort(surface[rj[w], ri[w]], kind="stable")]
+        lakes = np.split(w, np.flatnonzero(np.diff(surface[rj[w], ri[w]]) > SAME) + 1)
         inner = np.where(inside, flow, -1.0)
-        for k in range(run[w].max() + 1):
-            at = np.flatnonzero(w & (run == k))
+        for at in lakes:
             top = at[np.argmax(flow[rj[at], ri[at]])]
             a, b = rj[top], ri[top]
             near = [(y, x) for y in range(max(a - 1, 0), min(a + 2, inside.shape[0])) for x in range(max(b - 1, 0), min(b + 2, inside.shape[1]))]
             best = max(near, key=lambda p: inner[p])
-            enters = inner[best] > flow[a, b]
-            state[rj[at], ri[at]] = 2 if enters else 1
-            if enters and not done[a, b]:
+            state[rj[at], ri[at]] = 2
+            if inner[best] <= flow[a, b]:
+                state[a, b] = 1
+            elif not done[a, b]:
                 load[2 * best[0] + ground.first[0] % 2, 2 * best[1] + ground.first[1] % 2] += brought[a, b]
                 own[2 * best[0] + ground.first[0] % 2, 2 * best[1] + ground.first[1] % 2] += flow[a, b]
+    low = [f % 2 for f in ground.first]
+    part = ground.heights[low[0]:, low[1]:]
+    part = part[: len(part) - 1 + len(part) % 2, : part.shape[1] - 1 + part.shape[1] % 2]
+    rough = part - finer(np.ascontiguousarray(part[::2, ::2]), part.shape)
+    rough = ROUGH * float(np.sqrt(np.mean(np.square(rough, dtype=np.float64))))
+    top, kind, area = np.maximum(surface, before)[rj, ri], state[rj, ri], flow[rj, ri]
+    lev = np.where(kind == 2, top, -np.inf); fl = np.where(kind == 2, area, 0.0)
+    n = len(top)
+    for order in (range(2 * n), range(2 * n, 0, -1)):
+        step = order.step
+        for q in order:
+            a, b = q % n, (q - step) % n
+            if kind[b] == 2 and lev[b] + rough > top[a] and area[a] < fl[b] and kind[a] != 1 and valid[a]:
+                if kind[a] != 2:
+                    kind[a] = 2; lev[a] = lev[b]; fl[a] = fl[b]
+                elif fl[b] > fl[a] and lev[b] > lev[a]:
+                    lev[a] = lev[b]; fl[a] = fl[b]
+    state[rj, ri] = kind
     # fine rim
     side = np.zeros((rows, columns), bool)
     for which, rim in zip(sides((rows, columns)), ground.rims, strict=True):

@@ -5,7 +5,7 @@ dh / dt = rise - K (A + A0)^(1/2) S + D lap h + deposition, slopes capped: strea
 which makes it converge as the spacing shrinks (without it every halving adds as much relief as the last).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -41,7 +41,9 @@ class Bed:
     `heights`: float32 metres. `sediment`: float32 metres, of the heights. `fixed`: bool, water leaves there, nothing
     changes. `part`: float32, 0 to 1, of the effect. `soft`: float32, the same times the rock's softness. `lift`:
     float32 metres a year. `own`: float64, samples that each counts for, with those beyond the cut of a tile. `first`,
-    `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0.
+    `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0. `rim`: numbers of samples of the rim
+    where water leaves only when it has risen to `spill`, float32 metres. `brought`: float64, metres of sediment times
+    samples that come over the cut of a tile in a year, or None.
     """
 
     shape: tuple[int, int]
@@ -58,16 +60,15 @@ class Bed:
     seed: int = 0
     threads: int = 1
     bends: np.ndarray | float = 0.0
-    cut: tuple | None = None
+    rim: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    spill: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     brought: np.ndarray | None = None
-    done: float = 0.0
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
         heights, fixed = self.heights, self.fixed.reshape(self.shape)
-        if self.cut is not None:
-            at, wall, start, end = self.cut
+        if len(self.rim):
             heights = heights.copy()
-            heights[at] = np.maximum(heights[at], start + np.float32(self.done) * (end - start)) + wall
+            heights[self.rim] = np.maximum(heights[self.rim], self.spill)
         heights = heights.reshape(self.shape)
         return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
 
@@ -83,8 +84,7 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     bed.heights = raised.copy()
     rate, filled = _cut(bed, drainage, years, values)
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"], years)
-    if bed.cut is not None:
-        bed.heights[bed.cut[0]] = raised[bed.cut[0]] = ground[bed.cut[0]]
+    bed.heights[bed.rim] = raised[bed.rim] = ground[bed.rim]  # water stood higher there
     if values["creep"] > 0.0:
         _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))

@@ -11,7 +11,7 @@ from ..effects.effect import Parameter
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
-from .river_rims import cut_of, edges, sides
+from .river_rims import LAKE, LOAD, edges, sides, take_over
 
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
@@ -39,32 +39,28 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     move_edges = edges(bed, origin, coarser)
-    carried = np.zeros(ground.heights.size)
-    kept = 0 if coarser is not None else steps // 2
+    kept, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
-        bed.done = number / steps
-        load = step(bed, years / steps, values, max(number, kept))
-        if load is not None and 2 * number >= steps:
-            carried += load * (ground.step_x * ground.step_y / (years / steps) / (steps - (steps + 1) // 2))
+        came = step(bed, years / steps, values, max(number, kept))
+        if came is not None and number >= steps // 2:  # those that the finer level takes again
+            load += came
         move_edges((number + 1) / steps)
-    bed.done = 1.0
-    drainage = bed.drain()
-    area = drainage.catchments * (ground.step_x * ground.step_y)
+    return _change(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
+
+
+def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray) -> Change:
+    """load: float64 [n], metres of sediment times samples that came to each in a year."""
+    drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
-    lake = drainage.filled() - drainage.heights
-    finer = replace(ground, whole=tuple(2 * n - 1 for n in ground.whole))
-    less = np.float32(1.0 - _years_again(finer, values) / max(values["years"], 1.0))
-    after = bed.heights
-    bed.heights, bed.done = origin + less * change, 0.5
-    drainage = bed.drain()
-    lake_before = drainage.filled() - drainage.heights
-    bed.heights = after
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
-    layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
-    layers |= {"lake": lake, "lake_before": lake_before, "load": carried.astype(np.float32)}
-    return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
+    layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": drainage.catchments * cell}
+    kept = {}
+    if ground.level:
+        kept = {LAKE: drainage.filled() - drainage.heights, LOAD: load * cell}
+    shaped = ({k: a.reshape(bed.shape).astype(np.float32) for k, a in some.items()} for some in (layers, kept))
+    return Change(change.reshape(bed.shape), *shaped)
 
 
 def _years_again(ground: Ground, values: Mapping[str, float]) -> float:
@@ -100,8 +96,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         change, sediment = _spread(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
-        own, bed.cut, bed.brought = cut_of(ground, coarser, less)
-        bed.own = own.reshape(-1)
+        take_over(bed, ground, coarser)
     if values["variety"] > 0.0:
         vary_rock(bed, values["variety"])
     return bed, origin
@@ -182,10 +177,8 @@ RIVERS = LandEffect(
         Layer("sediment", "m", "Depth of what rivers have laid down"),
         Layer("wear", "m", "Depth of rock that rivers have removed"),
         Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
-        Layer("lake", "m", "x", per_metre=False),
-        Layer("lake_before", "m", "x", per_metre=False),
-        Layer("load", "m", "x", per_metre=False),
     ),
+    kept=(LAKE, LOAD),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,

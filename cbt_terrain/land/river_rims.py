@@ -81,10 +81,6 @@ class _Seen:
     inside: np.ndarray
     to: np.ndarray
 
-    def receivers(self) -> tuple[np.ndarray, np.ndarray]:
-        j, i = np.indices(self.to.shape)
-        return j + self.to // 3 - 1, i + self.to % 3 - 1
-
 
 @dataclass(frozen=True, eq=False)
 class _Ring:
@@ -110,24 +106,20 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
         np.add.at(own, fine, seen.flow[j, i])
         np.add.at(load, fine, seen.load[j, i])
 
-    y, x = seen.receivers()
+    y, x = _receivers(seen)
     enters = ~seen.inside & (seen.to != 4) & seen.inside[y, x]
-    enters &= ~seen.wet | (seen.flow[y, x] > seen.flow)  # the way over a floor may be turned around, to the outlet
+    enters &= ~seen.wet | (seen.flow[y, x] > seen.flow)
     bring(*np.nonzero(enters), y[enters], x[enters])
-    ring = _ring(seen, ground)
+    ring = _ring(seen, ground, y * seen.to.shape[1] + x)
     for lake in _lakes(seen, ring):
-        ring.shut[lake] = True
-        j, i = (n[lake[np.argmax(seen.flow[ring.at][lake])]] for n in ring.at)
-        south, west = max(j - 1, 0), max(i - 1, 0)
-        near = np.where(seen.inside, seen.flow, -1.0)[south : j + 2, west : i + 2]
-        at = np.unravel_index(near.argmax(), near.shape)
-        if near[at] <= seen.flow[j, i]:  # catchments grow along a path: this one leaves the tile
-            ring.shut[(ring.at[0] == j) & (ring.at[1] == i)] = False
-        elif not enters[j, i]:
-            bring(j, i, south + at[0], west + at[1])
-    _shut_beside(ring, seen, ROUGHNESS * _roughness(ground, seen.odd))
+        most = lake[np.argmax(seen.flow[ring.at][lake])]
+        j, i = (n[most] for n in ring.at)
+        ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
+    change = ground.heights + coarser.heights
+    falls = float((bed.heights.reshape(bed.shape) - change).max())
+    higher = ROUGHNESS * _roughness(ground, seen.odd) + max(falls, 0.0)
     bed.own, bed.brought = own.reshape(-1), load.reshape(-1)
-    bed.rim, bed.spill = _spills(bed, ground, seen, ring)
+    bed.rim, bed.spill = _spills(bed, ground, seen, ring, higher)
 
 
 def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
@@ -145,22 +137,41 @@ def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
     return _Seen(odd, surface, *sums, wet, inside, np.where(wet, *reversed([*ways])).astype(int))
 
 
-def _ring(seen: _Seen, ground: Ground) -> _Ring:
-    """Shut where the water of the sample flows into the tile, but for lakes."""
-    (rows, columns), (south, north, west, east) = seen.to.shape, ground.rims
-    low, high = 1 - south, rows - 2 + north
-    left, right = 1 - west, columns - 2 + east
+def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Rows and columns of the samples along four sides, once around, those of cuts so far inside; and which are."""
+    south, north, west, east = rims
+    low, high = inset * (not south), shape[0] - 1 - inset * (not north)
+    left, right = inset * (not west), shape[1] - 1 - inset * (not east)
     up, along = np.arange(low, high), np.arange(left, right)
     j = np.concatenate([np.full(len(along), low), up, np.full(len(along), high), up[::-1] + 1])
     i = np.concatenate([along, np.full(len(up), right), along[::-1] + 1, np.full(len(up), left)])
-    cut = np.repeat([not south, not east, not north, not west], [len(along), len(up)] * 2)
-    y, x = seen.receivers()
-    down, stays = (y * columns + x).reshape(-1), np.arange(rows * columns)
-    down = np.where(seen.inside.reshape(-1), stays, down)
+    return (j, i), np.repeat([not south, not east, not north, not west], [len(along), len(up)] * 2)
+
+
+def _receivers(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column to which the water of each sample flows.
+
+    Catchments grow along a way. On the floor of a lake the way to its pit is turned around to the outlet, and where
+    that lies is not seen: where the catchment does not grow, it runs to that inside which is the largest."""
+    y, x = np.indices(seen.to.shape)
+    y, x = y + seen.to // 3 - 1, x + seen.to % 3 - 1
+    within = np.where(seen.inside, seen.flow, -1.0)
+    for j, i in zip(*np.nonzero(seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)), strict=True):
+        near = within[j - 1 : j + 2, i - 1 : i + 2]
+        if near.max() > seen.flow[j, i]:
+            y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)
+    return y, x
+
+
+def _ring(seen: _Seen, ground: Ground, to: np.ndarray) -> _Ring:
+    """Shut where the water of the sample flows into the tile, but for lakes."""
+    at, cut = _around(seen.to.shape, ground.rims, 1)
+    stays = np.arange(seen.to.size).reshape(seen.to.shape)
+    down = np.where(seen.inside, stays, to).reshape(-1)
     for _ in range(4):  # 16 samples along the ring
         down = down[down]
-    into = seen.inside.reshape(-1)[down].reshape(rows, columns) & ~seen.wet
-    return _Ring((j, i), cut, into[j, i] & cut)
+    into = seen.inside.reshape(-1)[down].reshape(seen.to.shape) & ~seen.wet
+    return _Ring(at, cut, into[at] & cut)
 
 
 def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:
@@ -180,35 +191,37 @@ def _roughness(ground: Ground, odd: tuple[int, int]) -> float:
     return float(np.sqrt(np.mean(np.square(rough, dtype=np.float64))))
 
 
-def _shut_beside(ring: _Ring, seen: _Seen, higher: float) -> None:
-    """Shut what lies beside shut places and less than so much higher, since finer ground may dam what comes in; but not
-    where more water leaves than comes in there."""
-    surface, flow, cut = (a.tolist() for a in (seen.surface[ring.at], seen.flow[ring.at], ring.cut))
-    shut, wet = ring.shut.tolist(), seen.wet[ring.at].tolist()
-    level, most = ([a if s else 0.0 for a, s in zip(of, shut, strict=True)] for of in (surface, flow))
-    n = len(shut)
+def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring, higher: float) -> tuple[np.ndarray, np.ndarray]:
+    """The samples along the cut that are no plain outlets, and metres to which water has to rise there.
+
+    Shut is also what lies beside shut samples and less than so much `higher`, since finer ground may dam what comes in;
+    but not where more water leaves than comes in there.
+    """
+    level, flow, wet = (np.zeros(seen.to.shape, of.dtype) for of in (seen.surface, seen.flow, seen.wet))
+    shut = np.zeros(seen.to.shape, bool)
+    for array, of in ((level, seen.surface), (flow, seen.flow), (wet, seen.wet)):
+        array[ring.at] = of[ring.at]
+    shut[ring.at] = ring.shut
+    at, cut = _around(bed.shape, ground.rims, 0)
+    near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
+    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
+    at = at[0] * bed.shape[1] + at[1]
+    cut &= ~bed.fixed[at]
+    shut, wet, level = shut[near] & cut, wet[near] & cut, level[near]
+    _shut_beside(shut, wet, cut, level.copy(), flow[near], bed.heights[at] - np.float32(higher))
+    some = shut | wet
+    return at[some], (level + np.float32(WALL) * shut)[some]
+
+
+def _shut_beside(shut, wet, cut, level, flow, heights) -> None:
+    """What lies lower than the level of shut samples next to it, once around; `shut` is written."""
+    made, level, most = shut.tolist(), level.tolist(), flow.tolist()
+    free, heights, flow = (cut & ~wet & ~shut).tolist(), heights.tolist(), flow.tolist()
+    n = len(made)
     for step in (1, -1):
         for q in range(2 * n):
             at, back = step * q % n, step * (q - 1) % n
-            if not (shut[back] and cut[at] and surface[at] < level[back] + higher and flow[at] < most[back]):
-                continue
-            if not shut[at] and not wet[at]:
-                shut[at], level[at], most[at] = True, level[back], most[back]
-            elif shut[at] and level[back] > level[at]:
-                level[at], most[at] = level[back], most[back]
-    ring.shut[:] = shut
-
-
-def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
-    """The samples along the cut, and metres to which water has to rise there."""
-    spill = np.full(seen.to.shape, -np.inf, np.float32)
-    wet = np.where(seen.wet[ring.at] & ring.cut, seen.surface[ring.at], np.float32(-np.inf))
-    spill[ring.at] = np.where(ring.shut, seen.surface[ring.at] + np.float32(WALL), wet)
-    side = np.zeros(bed.shape, bool)
-    for which, rim in zip(sides(bed.shape), ground.rims, strict=True):
-        side[which] |= not rim
-    at = np.nonzero(side & ~bed.fixed.reshape(bed.shape))
-    near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
-    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
-    some = spill[near] > -np.inf
-    return (at[0] * bed.shape[1] + at[1])[some], spill[near][some]
+            if made[back] and free[at] and heights[at] < level[back] and flow[at] < most[back]:
+                if not made[at] or level[back] > level[at]:
+                    made[at], level[at], most[at] = True, level[back], most[back]
+    shut[:] = made

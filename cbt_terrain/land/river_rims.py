@@ -86,12 +86,14 @@ class _Seen:
 class _Ring:
     """The outermost samples of the coarser level whose water's way is known, once around a tile; arrays [samples].
 
-    `at`: rows and columns. `cut`: bool, not along the raster's own rim. `shut`: bool, none leaves here.
+    `at`: rows and columns. `cut`: bool, not along the raster's own rim. `shut`: bool, none leaves here. `flow`:
+    float64, what runs through, in fine samples; of a lake the most.
     """
 
     at: tuple[np.ndarray, np.ndarray]
     cut: np.ndarray
     shut: np.ndarray
+    flow: np.ndarray
 
 
 def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
@@ -112,8 +114,9 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
     bring(*np.nonzero(enters), y[enters], x[enters])
     ring = _ring(seen, ground, y * seen.to.shape[1] + x)
     for lake in _lakes(seen, ring):
-        most = lake[np.argmax(seen.flow[ring.at][lake])]
+        most = lake[np.argmax(ring.flow[lake])]
         j, i = (n[most] for n in ring.at)
+        ring.flow[lake] = ring.flow[most]
         ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
     change = ground.heights + coarser.heights
     falls = float((bed.heights.reshape(bed.shape) - change).max())
@@ -171,7 +174,7 @@ def _ring(seen: _Seen, ground: Ground, to: np.ndarray) -> _Ring:
     for _ in range(4):  # 16 samples along the ring
         down = down[down]
     into = seen.inside.reshape(-1)[down].reshape(seen.to.shape) & ~seen.wet
-    return _Ring(at, cut, into[at] & cut)
+    return _Ring(at, cut, into[at] & cut, seen.flow[at])
 
 
 def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:
@@ -197,17 +200,14 @@ def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring, higher: float) -
     Shut is also what lies beside shut samples and less than so much `higher`, since finer ground may dam what comes in;
     but not where more water leaves than comes in there.
     """
-    level, flow, wet = (np.zeros(seen.to.shape, of.dtype) for of in (seen.surface, seen.flow, seen.wet))
-    shut = np.zeros(seen.to.shape, bool)
-    for array, of in ((level, seen.surface), (flow, seen.flow), (wet, seen.wet)):
-        array[ring.at] = of[ring.at]
-    shut[ring.at] = ring.shut
+    flow, shut = np.zeros(seen.to.shape), np.zeros(seen.to.shape, bool)
+    flow[ring.at], shut[ring.at] = ring.flow, ring.shut
     at, cut = _around(bed.shape, ground.rims, 0)
     near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
     near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
     at = at[0] * bed.shape[1] + at[1]
     cut &= ~bed.fixed[at]
-    shut, wet, level = shut[near] & cut, wet[near] & cut, level[near]
+    shut, wet, level = shut[near] & cut, seen.wet[near] & cut, seen.surface[near]
     _shut_beside(shut, wet, cut, level.copy(), flow[near], bed.heights[at] - np.float32(higher))
     some = shut | wet
     return at[some], (level + np.float32(WALL) * shut)[some]

@@ -170,7 +170,9 @@ def diffuse(
     return values
 
 
-def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float, years: float) -> np.ndarray:
+def _lay_down(
+    bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float, years: float
+) -> np.ndarray:
     load = np.zeros(len(rate)) if bed.brought is None else bed.brought * years
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
     arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]

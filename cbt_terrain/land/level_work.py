@@ -15,7 +15,7 @@ from .tile_cache import TileCache, content_key
 from .tiles import BAND, Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 2
+METHOD = 3
 Tell = Callable[[float], None]
 
 

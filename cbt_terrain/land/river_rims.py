@@ -140,7 +140,9 @@ def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
     return _Seen(odd, surface, *sums, wet, inside, np.where(wet, *reversed([*ways])).astype(int))
 
 
-def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def _around(
+    shape: tuple[int, int], rims: tuple[bool, ...], inset: int
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Rows and columns of the samples along four sides, once around, those of cuts so far inside; and which are."""
     south, north, west, east = rims
     low, high = inset * (not south), shape[0] - 1 - inset * (not north)
@@ -159,7 +161,9 @@ def _receivers(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
     y, x = np.indices(seen.to.shape)
     y, x = y + seen.to // 3 - 1, x + seen.to % 3 - 1
     within = np.where(seen.inside, seen.flow, -1.0)
-    for j, i in zip(*np.nonzero(seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)), strict=True):
+    for j, i in zip(
+        *np.nonzero(seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)), strict=True
+    ):
         near = within[j - 1 : j + 2, i - 1 : i + 2]
         if near.max() > seen.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)

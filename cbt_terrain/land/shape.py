@@ -132,7 +132,7 @@ def shape(
 ) -> Shaped:
     """What a stack makes of a raster: the same for any threads, and whatever the order in which tiles were asked for.
 
-    wanted: of each level the tiles (tiles.py). images: of masks, by file name, float32 [rows, columns], row 0 south.
+    wanted: of each level the tiles, or None for the whole (tiles.py). images: of masks, by file name, float32 [rows, columns], row 0 south.
     on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the levels that are
     complete.
     """

@@ -86,12 +86,13 @@ class LandEffect:
     """One effect on heights: what it is, and how it is applied.
 
     `name`: in stacks and files. `label`: in menus. `about`: one line of meaning. `layers`: its by-products, those of
-    others that it `reads`. `kept`: names of what its changes keep for its finer levels. `parameters`: in metres, years, degrees. `halo`: metres around a tile that its finer levels
-    look at, given the parameters and the spacing; inf where only the whole raster will do. `finest`: the most samples
-    along the longer side that it is worth or able to be applied to, 0 for no limit. `limit`: its stability, in words.
-    `conserves`: what stays, and how exactly. `converges`: what a finer level changes, measured. `cost_ns`: nanoseconds
-    a sample of a level on one thread, measured. `source`: paper and section. `version`: raised whenever its values
-    change. `example`: evaluates it where the answer is known, and asserts that.
+    others that it `reads`. `kept`: names of what its changes keep for its finer levels. `parameters`: in metres, years,
+    degrees. `halo`: metres around a tile that its finer levels look at, given the parameters and the spacing; inf where
+    only the whole raster will do. `finest`: the most samples along the longer side that it is worth or able to be
+    applied to, 0 for no limit. `limit`: its stability, in words. `conserves`: what stays, and how exactly. `converges`:
+    what a finer level changes, measured. `cost_ns`: nanoseconds a sample of a level on one thread, measured. `source`:
+    paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
+    and asserts that.
     """
 
     name: str

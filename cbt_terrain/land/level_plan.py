@@ -33,8 +33,8 @@ class LevelPlan:
         return None if math.isinf(metres) else (math.ceil(metres / level.step_y), math.ceil(metres / level.step_x))
 
     def how(self, entry: Entry, level: Level) -> str:
-        """How an effect is applied at a level: whether in tiles is said by who asks, not by how many it happens to be, so
-        that a tile is the same whatever else is asked for."""
+        """How an effect is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
+        be: so a tile is the same whatever else is asked for."""
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED

@@ -115,7 +115,7 @@ def parts(effect: LandEffect, level: Level) -> int:
 
 
 def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
-    """A change of its `parts`, each float32 [rows, columns]: its heights first, then its layers as they are declared."""
+    """A change of its `parts`, each float32 [rows, columns]: its heights first, then its layers as declared."""
     end = 1 + len(effect.layers)
     kept = dict(zip(effect.kept, change[end:], strict=True)) if len(change) > end else {}
     return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), kept)

@@ -2,7 +2,7 @@
 """Rivers: a terrain ages, or a range grows from uplift, over years. A step is in fluvial.py."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +24,8 @@ AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
 # in each step the straight way wins; and a finer level gets the coarser change spread over so many of its own squared
 # samples, so that valleys find their beds between the coarser samples anew.
 SPREAD = 1.5
-# Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, by a tenth on
-# young land full of pits, whose outlets switch.
+# Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, also on young
+# land full of pits (river_rims.py).
 HALO = 96
 # Where no map of uplift is given it fades towards the rim, which stays, over this part of the shorter side: else the
 # land would end in a cliff.

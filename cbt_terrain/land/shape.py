@@ -132,9 +132,9 @@ def shape(
 ) -> Shaped:
     """What a stack makes of a raster: the same for any threads, and whatever the order in which tiles were asked for.
 
-    wanted: of each level the tiles, or None for the whole (tiles.py). images: of masks, by file name, float32 [rows, columns], row 0 south.
-    on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the levels that are
-    complete.
+    wanted: of each level the tiles, or None for the whole (tiles.py). images: of masks, by file name, float32 [rows,
+    columns], row 0 south. on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the
+    levels that are complete.
     """
     run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
     state, early = run_levels(run)

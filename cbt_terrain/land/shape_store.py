@@ -46,9 +46,10 @@ def run_shape(
     """Shape the store `source` into the store `path` in this process and return the report; `path` changes at the very
     end or not at all, but for tiles that are kept there for the next time.
 
-    wanted: the tiles of each level (tiles.py), None for all of the land. finish: asked now and then whether the levels that are
-    done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles: where tiles
-    are kept, which several stores of one source may share; None for a folder in `path`. Raises TerrainError.
+    wanted: the tiles of each level (tiles.py), None for all of the land. finish: asked now and then whether the levels
+    that are done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles:
+    where tiles are kept, which several stores of one source may share; None for a folder in `path`. Raises
+    TerrainError.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # numbers as those of the process that asked

@@ -30,8 +30,8 @@ WHOLE = 513
 PIXEL_SPACINGS = 2.0
 
 Window = tuple[slice, slice]  # rows and columns of a level
-# Of each level, by its number, the tiles that are asked for, with the metres by which heights may be off there; or None:
-# the level as a whole.
+# Of each level, by its number, the tiles that are asked for, with the metres by which heights may be off there; or
+# None: the level as a whole.
 Wanted = Sequence[Mapping[int, float] | None]
 
 

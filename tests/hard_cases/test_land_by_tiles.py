@@ -37,21 +37,18 @@ def test_case_57_tile_by_tile_equals_the_whole(monkeypatch, name):
     assert moved > 0.05 and off <= BOUNDS[name] * moved + ROUNDING
 
 
-@pytest.mark.parametrize(
-    ("years", "waves", "noise", "worst"),
-    [(3e4, "samples", 2.0, 0.10), (3e5, "samples", 2.0, 0.10), (3e5, "metres", 0.3, 0.10)],
-)
-def test_case_57_rivers_on_young_land_full_of_pits(years, waves, noise, worst):
-    """Lakes wider than a tile, or a chain of them, whose outlets lie in other tiles: all tiles are off by 5 % at most,
-    the worst by a tenth. Without what the coarser level says of a tile's cut they were off by 27, 40 and 11 %."""
+@pytest.mark.parametrize(("waves", "noise"), [("samples", 2.0), ("metres", 0.3)])
+def test_case_57_rivers_on_young_land_full_of_pits(waves, noise):
+    """A lake wider than a tile, and a chain of lakes, whose outlets lie in other tiles: all tiles together are off by
+    5 % of what the levels moved at most, the worst of them by a tenth."""
     y, x = np.indices((700, 1300)) * (np.array([9.0, 8.0])[:, None, None] if waves == "metres" else 1.0)
     land = 300 + 60 * np.sin(x / 190) * np.sin(y / 230) + 20 * np.sin(x / 37) * np.sin(y / 41)
     land += noise * np.random.default_rng(3 if waves == "metres" else 0).standard_normal(land.shape)
     field = from_array(land.astype(np.float32), 8.0, 9.0)
-    off, moved = off_and_moved(field, Stack((Entry("rivers", {"years": years}),)))
+    off, moved = off_and_moved(field, Stack((Entry("rivers", {"years": 3e5}),)))
     level = levels_of(field.lattice)[0]
     parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]
-    assert rms(moved) > 1 and rms(off) < 0.05 * rms(moved) and max(parts) < worst
+    assert rms(moved) > 1 and rms(off) < 0.05 * rms(moved) and max(parts) < 0.1
 
 
 def test_case_57_neighbours_share_their_borders(monkeypatch):

@@ -118,9 +118,9 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
         j, i = (n[most] for n in ring.at)
         ring.flow[lake] = ring.flow[most]
         ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
-    change = ground.heights + coarser.heights
-    falls = float((bed.heights.reshape(bed.shape) - change).max())
-    higher = ROUGHNESS * _roughness(ground, seen.odd) + max(falls, 0.0)
+    falls = bed.heights - (ground.heights + coarser.heights).reshape(-1)
+    falls[bed.fixed] = 0.0  # how far outlets will be cut down yet
+    higher = ROUGHNESS * _roughness(ground, seen.odd) + max(float(falls.max()), 0.0)
     bed.own, bed.brought = own.reshape(-1), load.reshape(-1)
     bed.rim, bed.spill = _spills(bed, ground, seen, ring, higher)
 
@@ -140,9 +140,7 @@ def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
     return _Seen(odd, surface, *sums, wet, inside, np.where(wet, *reversed([*ways])).astype(int))
 
 
-def _around(
-    shape: tuple[int, int], rims: tuple[bool, ...], inset: int
-) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int):
     """Rows and columns of the samples along four sides, once around, those of cuts so far inside; and which are."""
     south, north, west, east = rims
     low, high = inset * (not south), shape[0] - 1 - inset * (not north)
@@ -157,13 +155,13 @@ def _receivers(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
     """Row and column to which the water of each sample flows.
 
     Catchments grow along a way. On the floor of a lake the way to its pit is turned around to the outlet, and where
-    that lies is not seen: where the catchment does not grow, it runs to that inside which is the largest."""
+    that lies is not seen: where the catchment does not grow, it runs to that inside which is the largest.
+    """
     y, x = np.indices(seen.to.shape)
     y, x = y + seen.to // 3 - 1, x + seen.to % 3 - 1
     within = np.where(seen.inside, seen.flow, -1.0)
-    for j, i in zip(
-        *np.nonzero(seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)), strict=True
-    ):
+    turned = seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)
+    for j, i in zip(*np.nonzero(turned), strict=True):
         near = within[j - 1 : j + 2, i - 1 : i + 2]
         if near.max() > seen.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)

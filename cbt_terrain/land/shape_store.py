@@ -16,7 +16,7 @@ from ..field import store
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
-from ..importing.drafts import drafted, figures
+from ..importing.drafts import drafted, figures, room_for
 from ..run import launch
 from .level_work import METHOD
 from .mask_image import load_image
@@ -62,7 +62,8 @@ def run_shape(
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units)) as draft:
-        cache = TileCache(path / store.TILES if tiles is None else Path(tiles))
+        room = room_for(heights.lattice, len(units))
+        cache = TileCache(path / store.TILES if tiles is None else Path(tiles), room)
         images = {file: load_image(file, cache.folder) for file in mask_files(stack)}
         shaped = shape(
             heights,

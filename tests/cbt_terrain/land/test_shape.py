@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
 
+from collections import namedtuple
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -14,6 +16,7 @@ from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
 from land_effects import HILL, LEVEL, SMOOTH, bumpy
 
+Usage = namedtuple("Usage", "total used free")
 STEPS = 8.0, 11.0
 STACK = Stack((Entry("smooth"), Entry("hill", {"east": 4000.0, "north": 3000.0}), Entry("level")))
 
@@ -139,6 +142,21 @@ def test_a_damaged_tile_is_made_again(land, tmp_path):
     cache = TileCache(tmp_path)
     again = shape(land, stack, some_tiles(land, 0), cache=cache)
     assert cache.made["hill"] == 3 and not cache.kept and first.change.tobytes() == again.change.tobytes()
+
+
+def test_tiles_leave_room_for_the_store(land, tmp_path, monkeypatch):
+    """Of 10 MB that are free 9 stay so; with none to spare nothing is kept. The result is the same."""
+    free = 10_000_000
+
+    def usage(_folder):
+        return Usage(0, 0, free - sum(file.stat().st_size for file in tmp_path.glob("*.npy")))
+
+    monkeypatch.setattr("shutil.disk_usage", usage)
+    first = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0), cache=TileCache(tmp_path, 9_000_000))
+    assert 9_000_000 <= usage(None).free < 10_000_000
+    assert first.change.tobytes() == shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0)).change.tobytes()
+    shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0), cache=TileCache(tmp_path / "other", 10_000_000))
+    assert not list((tmp_path / "other").glob("*.npy"))
 
 
 def test_levels_that_add_less_than_the_error_are_not_made(land):

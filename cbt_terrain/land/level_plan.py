@@ -34,7 +34,7 @@ class LevelPlan:
 
     def how(self, entry: Entry, level: Level) -> str:
         """How an effect is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
-        be: so a tile is the same whatever else is asked for."""
+        be: so that tiles of a shot do not change when it sees all of them."""
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED

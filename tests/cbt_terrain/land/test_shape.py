@@ -91,7 +91,7 @@ def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
     assert 0.5 < made.left_out_m[0] < made.left_out_m[1]
 
 
-def test_a_tile_has_the_same_bytes_whatever_else_is_asked_for(land, tmp_path):
+def test_a_tile_of_the_first_effect_has_the_same_bytes_whatever_else_is_asked_for(land, tmp_path):
     """One shot sees a few tiles, another every one, a third adds some to what the first has made."""
     stack, level = Stack((Entry("smooth"),)), levels_of(land.lattice)[0]
     first = shape(land, stack, some_tiles(land, 2, 7), cache=TileCache(tmp_path))

@@ -12,7 +12,7 @@ from ..cbt_terrain.land.relief import RELIEF
 from ..cbt_terrain.land.rivers import RIVERS
 from ..cbt_terrain.land.shape import shape
 from ..cbt_terrain.land.stack import Entry, Stack
-from ..cbt_terrain.land.tiles import all_tiles
+from ..cbt_terrain.land.tiles import levels_of, whole_land
 from ..cbt_terrain.run import launch
 from ..operators.demo.stack import STACK
 from .measure import Row, alternate, stopwatch
@@ -53,8 +53,8 @@ def _demanded() -> Row:
     """Relief on one tile of the finest level, with all that it starts from, beside every tile; one thread each."""
     size = 2 * SAMPLES - 1
     field = from_array(island(size), SIDE / (size - 1))
-    stack, every = Stack((Entry("relief", {"wave": WAVE}),)), all_tiles(field.lattice)
-    some = [dict.fromkeys([len(every[0]) // 2], 0.0), *({} for _ in every[1:])]
+    stack, every = Stack((Entry("relief", {"wave": WAVE}),)), whole_land(field.lattice)
+    some = [{levels_of(field.lattice)[0].tile_count // 2: 0.0}, *({} for _ in every[1:])]
     made = []
 
     def took(wanted) -> float:
@@ -72,7 +72,7 @@ def stack_rows():
     for size in STACK_SAMPLES:
         field = from_array(island(size), SIDE / (size - 1))
         with stopwatch() as elapsed:
-            made = shape(field, STACK, all_tiles(field.lattice), threads=launch.default_threads())
+            made = shape(field, STACK, whole_land(field.lattice), threads=launch.default_threads())
         steps = {}
         for added in made.added:
             level = f"{added.effect}_{added.spacing_m:g}m"

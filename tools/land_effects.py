@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.land_effect import LandEffect
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
-from adaptive_terrain.cbt_terrain.land.tiles import all_tiles
+from adaptive_terrain.cbt_terrain.land.tiles import whole_land
 from adaptive_terrain.operators.text.numbers import plain
 from PIL import Image
 
@@ -154,7 +154,7 @@ def shaped(land: Land, size: int, stack: Stack) -> Shown:
     heights, step = land.heights(size), land.side / (size - 1)
     field = from_array(heights, step)
     start = time.process_time()
-    made = shape(field, stack, all_tiles(field.lattice))
+    made = shape(field, stack, whole_land(field.lattice))
     seconds = time.process_time() - start
     return Shown(heights, heights + made.change, made.layers, step, seconds)
 

@@ -35,9 +35,14 @@ def drafted(path: Path, folder: str | None, lattice: Lattice, layers: int = 0) -
             draft.discard_unless_published()
 
 
+def room_for(lattice: Lattice, layers: int) -> int:
+    """Bytes that a store takes."""
+    return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+
+
 def _check_room(path: Path, lattice: Lattice, layers: int) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
-    needed = (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+    needed = room_for(lattice, layers)
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:

@@ -5,7 +5,7 @@ dh / dt = rise - K (A + A0)^(1/2) S + D lap h + deposition, slopes capped: strea
 which makes it converge as the spacing shrinks (without it every halving adds as much relief as the last).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -41,7 +41,9 @@ class Bed:
     `heights`: float32 metres. `sediment`: float32 metres, of the heights. `fixed`: bool, water leaves there, nothing
     changes. `part`: float32, 0 to 1, of the effect. `soft`: float32, the same times the rock's softness. `lift`:
     float32 metres a year. `own`: float64, samples that each counts for, with those beyond the cut of a tile. `first`,
-    `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0.
+    `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0. `rim`: numbers of samples of the rim
+    where water leaves only when it has risen to `spill`, float32 metres. `brought`: float64, metres of sediment times
+    samples that come over the cut of a tile in a year, or None.
     """
 
     shape: tuple[int, int]
@@ -58,9 +60,16 @@ class Bed:
     seed: int = 0
     threads: int = 1
     bends: np.ndarray | float = 0.0
+    rim: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    spill: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    brought: np.ndarray | None = None
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
-        heights, fixed = self.heights.reshape(self.shape), self.fixed.reshape(self.shape)
+        heights, fixed = self.heights, self.fixed.reshape(self.shape)
+        if len(self.rim):
+            heights = heights.copy()
+            heights[self.rim] = np.maximum(heights[self.rim], self.spill)
+        heights = heights.reshape(self.shape)
         return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
 
 
@@ -70,11 +79,12 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     float64 [n], metres times samples of sediment that came to each sample: at those where water leaves, what has left;
     None without deposition.
     """
-    drainage = bed.drain(_draw(bed, number))
+    ground, drainage = bed.heights, bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
     rate, filled = _cut(bed, drainage, years, values)
-    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"])
+    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"], years)
+    bed.heights[bed.rim] = raised[bed.rim] = ground[bed.rim]  # water stood higher there
     if values["creep"] > 0.0:
         _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
@@ -160,8 +170,11 @@ def diffuse(
     return values
 
 
-def _lay_down(bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float) -> np.ndarray:
-    load, lake = np.zeros(len(rate)), (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
+def _lay_down(
+    bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float, years: float
+) -> np.ndarray:
+    load = np.zeros(len(rate)) if bed.brought is None else bed.brought * years
+    lake = (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
     arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
     arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
     inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]

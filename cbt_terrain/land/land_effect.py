@@ -62,10 +62,14 @@ class Ground:
 @dataclass(frozen=True, eq=False)
 class Change:
     """What an effect does to a ground: `heights`, float32 [rows, columns] metres to be added, kept apart from the
-    heights so that small changes are not lost in large ones; and its layers, float32 [rows, columns] each."""
+    heights so that small changes are not lost in large ones; and its layers, float32 [rows, columns] each.
+
+    `kept`: likewise, what its next finer level has to know beside these; nobody else sees it, at level 0 it is empty.
+    """
 
     heights: np.ndarray
     layers: dict[str, np.ndarray] = field(default_factory=dict)
+    kept: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 # The ground, the parameters, and the effect's own change at the next coarser level brought to this one's samples (None
@@ -82,12 +86,13 @@ class LandEffect:
     """One effect on heights: what it is, and how it is applied.
 
     `name`: in stacks and files. `label`: in menus. `about`: one line of meaning. `layers`: its by-products, those of
-    others that it `reads`. `parameters`: in metres, years, degrees. `halo`: metres around a tile that its finer levels
-    look at, given the parameters and the spacing; inf where only the whole raster will do. `finest`: the most samples
-    along the longer side that it is worth or able to be applied to, 0 for no limit. `limit`: its stability, in words.
-    `conserves`: what stays, and how exactly. `converges`: what a finer level changes, measured. `cost_ns`: nanoseconds
-    a sample of a level on one thread, measured. `source`: paper and section. `version`: raised whenever its values
-    change. `example`: evaluates it where the answer is known, and asserts that.
+    others that it `reads`. `kept`: names of what its changes keep for its finer levels. `parameters`: in metres, years,
+    degrees. `halo`: metres around a tile that its finer levels look at, given the parameters and the spacing; inf where
+    only the whole raster will do. `finest`: the most samples along the longer side that it is worth or able to be
+    applied to, 0 for no limit. `limit`: its stability, in words. `conserves`: what stays, and how exactly. `converges`:
+    what a finer level changes, measured. `cost_ns`: nanoseconds a sample of a level on one thread, measured. `source`:
+    paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
+    and asserts that.
     """
 
     name: str
@@ -98,6 +103,7 @@ class LandEffect:
     parameters: tuple[Parameter, ...] = ()
     layers: tuple[Layer, ...] = ()
     reads: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
     halo: Callable[[Mapping[str, float], float], float] = lambda _values, _step: 0.0
     finest: int = 0
     masks: bool = False

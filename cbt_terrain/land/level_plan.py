@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from .stack import Entry
-from .tiles import BAND, Level, Wanted, closed
+from .tiles import BAND, Level, Wanted, closed, every_tile
 
 # How an effect is applied at a level: to all of it, to tiles, or not at all: then its coarser change is taken.
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
-# Samples along the longer side of the finest level that is worked on as a whole: where all tiles are asked for; and,
-# by effects that look at all of it, where some are.
+# Samples along the longer side of the finest level that is worked on as a whole: where the whole is asked for; and, by
+# effects that look at all of it, where tiles are.
 MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 
@@ -21,6 +21,8 @@ class LevelPlan:
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
         self.levels, self.entries = levels, entries
+        self.asked_whole = [tiles is None for tiles in wanted]
+        wanted = [every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)]
         halo = [np.max([(0, 0), *(self.halo(e, level) or (0, 0) for e in entries)], axis=0) for level in levels]
         self.wanted = closed(levels, wanted, halo)
         self.total = sum(self._cost(entry, level) for entry in entries for level in levels)
@@ -31,12 +33,12 @@ class LevelPlan:
         return None if math.isinf(metres) else (math.ceil(metres / level.step_y), math.ceil(metres / level.step_x))
 
     def how(self, entry: Entry, level: Level) -> str:
-        """How an effect is applied at a level."""
+        """How an effect is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
+        be: so that tiles of a shot do not change when it sees all of them."""
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
-        every = len(self.wanted[level.number]) == level.tile_count
-        if level.is_whole or (every and longer <= MOST_WHOLE):
+        if level.is_whole or (self.asked_whole[level.number] and longer <= MOST_WHOLE):
             return WHOLE  # for all tiles together their halos would be several times the work
         if self.halo(entry, level) is not None:
             return TILES

@@ -15,7 +15,7 @@ from .tile_cache import TileCache, content_key
 from .tiles import BAND, Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 2
+METHOD = 3
 Tell = Callable[[float], None]
 
 
@@ -105,38 +105,50 @@ class Work:
         return content_key(about, place, *arrays, *layers)
 
 
+def _names(effect: LandEffect) -> list[str]:
+    return [layer.name for layer in effect.layers]
+
+
+def parts(effect: LandEffect, level: Level) -> int:
+    """Of how many arrays the change of a level is made up: heights, layers, and what a finer level has to know."""
+    return 1 + len(effect.layers) + (len(effect.kept) if level.number else 0)
+
+
 def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
-    """A change of 1 + layers, each float32 [rows, columns]: its heights first, then its layers as they are declared."""
-    return Change(change[0], {layer.name: change[k] for k, layer in enumerate(effect.layers, 1)})
+    """A change of its `parts`, each float32 [rows, columns]: its heights first, then its layers as declared."""
+    end = 1 + len(effect.layers)
+    kept = dict(zip(effect.kept, change[end:], strict=True)) if len(change) > end else {}
+    return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), kept)
 
 
-def _packed(effect: LandEffect, change: Change) -> np.ndarray:
-    none = np.zeros_like(change.heights)
-    return np.stack(
-        [change.heights, *(change.layers.get(layer.name, none) for layer in effect.layers)], dtype=np.float32
-    )
+def _packed(effect: LandEffect, change: Change, count: int) -> np.ndarray:
+    none, found = np.zeros_like(change.heights), change.layers | change.kept
+    names = [*_names(effect), *effect.kept][: count - 1]
+    return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
 
 
 def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarray:
-    """The change of a whole level, [1 + layers, rows, columns]. coarser: the coarser level's, brought to this one."""
+    """The change of a whole level, [parts, rows, columns]. coarser: the coarser level's, brought to this one."""
     effect, level = work.entry.declaration, work.level
+    count = parts(effect, level)
     ground = work.ground((slice(0, level.rows), slice(0, level.columns)), tell)
 
     def make() -> np.ndarray:
         below = None if coarser is None else unpacked(effect, coarser)
-        return _packed(effect, effect.apply(ground, work.entry.values, below))
+        return _packed(effect, effect.apply(ground, work.entry.values, below), count)
 
-    shape = 1 + len(effect.layers), *level.shape
+    shape = count, *level.shape
     return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
 
 
 def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray | None:
-    """What a tile adds to the coarser level's change, over its window with a BAND all round, [1 + layers, rows,
+    """What a tile adds to the coarser level's change, over its window with a BAND all round, [parts, rows,
     columns]; None where its mask lets nothing through.
 
-    coarse: [rows, columns] of 1 + layers of the next coarser level.
+    coarse: [rows, columns] of the parts of the next coarser level.
     """
     effect, level = work.entry.declaration, work.level
+    count = parts(effect, level)
     band = level.window(tile, BAND, BAND)
     if work.mask is not None and not effect.masks and not work.mask[band].any():
         return None
@@ -147,8 +159,8 @@ def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) 
     inner = tuple(slice(b.start - w.start, b.stop - w.start) for b, w in zip(band, window, strict=True))
 
     def make() -> np.ndarray:
-        made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)))
-        return (made - coarser)[(slice(None), *inner)]
+        made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)), count)
+        return (made - coarser[:count])[(slice(None), *inner)]
 
-    shape = 1 + len(effect.layers), *(part.stop - part.start for part in band)
+    shape = count, *(part.stop - part.start for part in band)
     return work.cache.take(effect.name, work.key(ground, coarser, "tile"), shape, make)

@@ -58,7 +58,8 @@ def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -
     ground = replace(ground, whole=shape)
     if max(shape) > COARSEST:
         below = _unmasked(effect, _coarser_ground(ground), values)
-        change = Change(finer(below.heights, shape), {name: finer(a, shape) for name, a in below.layers.items()})
+        some = ({name: finer(a, shape) for name, a in of.items()} for of in (below.layers, below.kept))
+        change = Change(finer(below.heights, shape), *some)
     if change is not None and effect.finest and max(shape) > effect.finest:
         return change
     return effect.apply(ground, values, change)
@@ -71,7 +72,7 @@ def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Chang
         return change
     depths = {layer.name for layer in effect.layers if layer.per_metre}
     layers = {name: layer * mask if name in depths else layer for name, layer in change.layers.items()}
-    return Change(change.heights * mask, layers)
+    return Change(change.heights * mask, layers, change.kept)
 
 
 def _coarser_ground(ground: Ground) -> Ground:

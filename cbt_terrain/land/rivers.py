@@ -2,16 +2,16 @@
 """Rivers: a terrain ages, or a range grows from uplift, over years. A step is in fluvial.py."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..effects.effect import Parameter
-from ..effects.routing import route
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
+from .river_rims import LAKE, LOAD, edges, sides, take_over
 
 # The coarsest level takes all years, in steps of so many or shorter ones.
 STEP_YEARS, LEAST_STEPS, MOST_STEPS = 20e3, 10, 60
@@ -24,8 +24,8 @@ AGAIN, MOST_YEARS_AGAIN, STEPS_AGAIN = 0.5, 500e3, (20, 12, 8, 6, 5)
 # in each step the straight way wins; and a finer level gets the coarser change spread over so many of its own squared
 # samples, so that valleys find their beds between the coarser samples anew.
 SPREAD = 1.5
-# Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, by a tenth on
-# young land full of pits, whose outlets switch.
+# Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, also on young
+# land full of pits (river_rims.py).
 HALO = 96
 # Where no map of uplift is given it fades towards the rim, which stays, over this part of the shorter side: else the
 # land would end in a cliff.
@@ -38,18 +38,29 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
-    move_edges = _edges(bed, origin, coarser)
-    kept = 0 if coarser is not None else steps // 2
+    move_edges = edges(bed, origin, coarser)
+    kept, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
-        step(bed, years / steps, values, max(number, kept))
+        came = step(bed, years / steps, values, max(number, kept))
+        if came is not None and number >= steps // 2:  # those that the finer level takes again
+            load += came
         move_edges((number + 1) / steps)
-    area = bed.drain().catchments * (ground.step_x * ground.step_y)
+    return _change(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
+
+
+def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray) -> Change:
+    """load: float64 [n], metres of sediment times samples that came to each in a year."""
+    drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
     wear[bed.fixed] = 0.0
-    layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": area.astype(np.float32)}
-    return Change(change.reshape(bed.shape), {name: layer.reshape(bed.shape) for name, layer in layers.items()})
+    layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": drainage.catchments * cell}
+    kept = {}
+    if ground.level:
+        kept = {LAKE: drainage.filled() - drainage.heights, LOAD: load * cell}
+    shaped = ({k: a.reshape(bed.shape).astype(np.float32) for k, a in some.items()} for some in (layers, kept))
+    return Change(change.reshape(bed.shape), *shaped)
 
 
 def _years_again(ground: Ground, values: Mapping[str, float]) -> float:
@@ -74,7 +85,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
     part = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
     lift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * part)
     lift *= (ground.layers["uplift"] if "uplift" in ground.layers else _faded(ground)).reshape(-1)
-    for side in _sides(shape):
+    for side in sides(shape):
         lift.reshape(shape)[side] = 0.0
     steps = ground.step_x, ground.step_y
     none, own = np.zeros(n, np.float32), np.ones(n)
@@ -85,7 +96,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         change, sediment = _spread(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
-        bed.own = _with_inflow(ground, coarser).reshape(-1)
+        take_over(bed, ground, coarser)
     if values["variety"] > 0.0:
         vary_rock(bed, values["variety"])
     return bed, origin
@@ -109,74 +120,10 @@ def _faded(ground: Ground) -> np.ndarray:
 def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     """What the coarser level changed, and its sediment, without what it knows of single samples; float32 [n]."""
     still = (bed.fixed | (bed.part == 0.0)).reshape(bed.shape).astype(np.uint8)
-    for side in _sides(bed.shape):
+    for side in sides(bed.shape):
         still[side] = 1
     numbers = SPREAD * bed.step_x * bed.step_y, still.reshape(-1), np.ones(len(bed.part), np.float32)
     return tuple(diffuse(bed, a.reshape(-1).copy(), *numbers) for a in (coarser.heights, coarser.layers["sediment"]))
-
-
-def _sides(shape: tuple[int, int]) -> list[tuple]:
-    """South, north, west and east."""
-    return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
-
-
-def _edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
-    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
-
-    At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
-    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
-    """
-    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
-    for which in _sides(bed.shape):
-        side[which] = True
-    side &= ~bed.fixed.reshape(bed.shape)
-    j, i = np.nonzero(side)
-    at = j * columns + i
-    if not len(at):
-        return lambda _done: None
-    if coarser is not None:
-        start = bed.heights[at]
-        way = origin[at] + coarser.heights.reshape(-1)[at] - start
-
-        def follow(done: float) -> None:
-            bed.heights[at] = start + way * np.float32(done)
-
-        return follow
-    inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
-    lowest = origin[at].min()
-
-    def fall(_done: float) -> None:
-        change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
-        bed.heights[at] = np.maximum(origin[at] + change, lowest)
-
-    return fall
-
-
-def _with_inflow(ground: Ground, coarser: Change) -> np.ndarray:
-    """float64 [rows, columns]: samples that each counts for; those just inside a cut, with what comes over it.
-
-    The samples of the coarser level are every second one, and where their water runs is known from their heights but
-    at the first, whose neighbours are cut off: what runs from the second to the third brings its catchment along.
-    """
-    rows, columns = ground.heights.shape
-    own = np.ones((rows, columns))
-    if all(ground.rims):
-        return own
-    every = tuple(slice(f % 2, None, 2) for f in ground.first)
-    heights = (ground.heights + coarser.heights)[every]
-    missing = None if ground.missing is None else ground.missing[every]
-    to = route(np.ascontiguousarray(heights), 2 * ground.step_x, 2 * ground.step_y, missing).to.reshape(heights.shape)
-    inside = np.zeros(heights.shape, bool)
-    south, north, west, east = (0 if rim else 2 for rim in ground.rims)
-    inside[south : heights.shape[0] - north, west : heights.shape[1] - east] = True
-    j, i = np.nonzero(~inside & (to != 4))
-    direction = to[j, i].astype(int)
-    y, x = j + direction // 3 - 1, i + direction % 3 - 1
-    enters = inside[y, x]
-    flow = coarser.layers["flow"][every][j, i].astype(np.float64) / (ground.step_x * ground.step_y)
-    fine_y, fine_x = (2 * at + f % 2 for at, f in zip((y, x), ground.first, strict=True))
-    np.add.at(own, (fine_y[enters], fine_x[enters]), flow[enters])
-    return own
 
 
 def grow(
@@ -231,6 +178,7 @@ RIVERS = LandEffect(
         Layer("wear", "m", "Depth of rock that rivers have removed"),
         Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
     ),
+    kept=(LAKE, LOAD),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,
     masks=True,
@@ -241,5 +189,5 @@ RIVERS = LandEffect(
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=4,
+    version=5,
 )

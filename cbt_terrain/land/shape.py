@@ -15,7 +15,7 @@ import numpy as np
 
 from ..field.heightfield import HeightField
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import LevelGround, Work, apply_tile, apply_whole, unpacked
+from .level_work import LevelGround, Work, apply_tile, apply_whole, parts, unpacked
 from .levels import finer, masked
 from .mask import whole_mask
 from .mask_reads import values_of
@@ -68,7 +68,7 @@ class Shaped:
 
 @dataclass(eq=False)
 class State:
-    """What a level leaves to the next finer one. `changes`: of each entry, 1 + its layers, each [rows, columns],
+    """What a level leaves to the next finer one. `changes`: of each entry, its parts, each [rows, columns],
     without its mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared.
     `unsure`: where an effect has added nothing, though its mask let it: finer waves than this level knows may come, or
     only layers."""
@@ -132,9 +132,9 @@ def shape(
 ) -> Shaped:
     """What a stack makes of a raster: the same for any threads, and whatever the order in which tiles were asked for.
 
-    wanted: of each level the tiles (tiles.py). images: of masks, by file name, float32 [rows, columns], row 0 south.
-    on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the levels that are
-    complete.
+    wanted: of each level the tiles, or None for the whole (tiles.py). images: of masks, by file name, float32 [rows,
+    columns], row 0 south. on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the
+    levels that are complete.
     """
     run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
     state, early = run_levels(run)
@@ -211,13 +211,13 @@ def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarr
 
 
 def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequence[np.ndarray] | None):
-    """The change of an entry at a level, 1 + its layers, each [rows, columns]; what it has added in each tile: most and
+    """The change of an entry at a level, its parts, each [rows, columns]; what it has added in each tile: most and
     sum of squares by sample; and the figures."""
     level, entry = work.level, work.entry
     how = run.plan.how(entry, level)
     before, start = run.cache.made[entry.effect], time.perf_counter()
     most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
-    up = None if coarse is None else [finer(array, level.shape) for array in coarse]
+    up = None if coarse is None else [finer(array, level.shape) for array in coarse[: parts(entry.declaration, level)]]
     if how == UPSAMPLED:
         return up, most, squares, None
     if how == TILES:

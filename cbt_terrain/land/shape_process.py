@@ -40,7 +40,7 @@ class ShapeJob(StoreJob):
         stores.check_target(store)
         heights = open_source(source, Path(store), stack)
         stores.remove_abandoned(Path(store))
-        asked = None if wanted is None else [sorted(level.items()) for level in wanted]
+        asked = wanted and [None if some is None else sorted(some.items()) for some in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}
         super().__init__(
             "cbt_terrain.land.shape_process",
@@ -82,7 +82,7 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)
-    wanted = request["wanted"] and [dict(map(tuple, tiles)) for tiles in request["wanted"]]
+    wanted = request["wanted"] and [some if some is None else dict(map(tuple, some)) for some in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)
     more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}

@@ -16,7 +16,7 @@ from ..field import store
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
-from ..importing.drafts import drafted, figures
+from ..importing.drafts import drafted, figures, room_for
 from ..run import launch
 from .level_work import METHOD
 from .mask_image import load_image
@@ -24,7 +24,7 @@ from .shape import Shaped, shape
 from .stack import Stack, check_by_products, stack_content, stack_from
 from .stack_layers import joined, key_with
 from .tile_cache import TileCache
-from .tiles import Wanted, all_tiles, levels_of
+from .tiles import Wanted, levels_of, whole_land
 
 # The part of the work that effects are taken for; the rest is that of an import.
 SHAPING = 0.8
@@ -46,9 +46,10 @@ def run_shape(
     """Shape the store `source` into the store `path` in this process and return the report; `path` changes at the very
     end or not at all, but for tiles that are kept there for the next time.
 
-    wanted: the tiles of each level (tiles.py), None for all. finish: asked now and then whether the levels that are
-    done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles: where tiles
-    are kept, which several stores of one source may share; None for a folder in `path`. Raises TerrainError.
+    wanted: the tiles of each level (tiles.py), None for all of the land. finish: asked now and then whether the levels
+    that are done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles:
+    where tiles are kept, which several stores of one source may share; None for a folder in `path`. Raises
+    TerrainError.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # numbers as those of the process that asked
@@ -58,10 +59,11 @@ def run_shape(
     report = finished_before(path, digest)
     if report is not None:
         return report
-    wanted = all_tiles(heights.lattice) if wanted is None else wanted
+    wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units)) as draft:
-        cache = TileCache(path / store.TILES if tiles is None else Path(tiles))
+        room = room_for(heights.lattice, len(units))
+        cache = TileCache(path / store.TILES if tiles is None else Path(tiles), room)
         images = {file: load_image(file, cache.folder) for file in mask_files(stack)}
         shaped = shape(
             heights,
@@ -98,7 +100,7 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
     """Of all that decides what the store will hold."""
-    tiles = None if wanted is None else [sorted((t, float(metres)) for t, metres in tiles.items()) for tiles in wanted]
+    tiles = wanted and [None if some is None else sorted((t, float(m)) for t, m in some.items()) for some in wanted]
     content = METHOD, store.VERSION, heights.key, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 

@@ -8,6 +8,7 @@ shape, or with a block that differs from its checksum, is made again.
 import hashlib
 import os
 import re
+import shutil
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,11 +27,11 @@ _NAME = re.compile(r"[0-9a-f]{32}\.npy")
 
 
 class TileCache:
-    """`folder`: of the files, or None: nothing is kept. `made`, `kept`: how many results of each effect were computed
-    and how many were found."""
+    """`folder`: of the files, or None: nothing is kept. `room`: bytes of its disk that are left to others. `made`,
+    `kept`: how many results of each effect were computed and how many were found."""
 
-    def __init__(self, folder: Path | None = None):
-        self.folder = folder
+    def __init__(self, folder: Path | None = None, room: int = 0):
+        self.folder, self.room = folder, room
         self.made, self.kept = Counter(), Counter()
         self._used: set[str] = set()
         if folder is not None:
@@ -48,7 +49,7 @@ class TileCache:
         made = np.ascontiguousarray(make(), np.float32)
         self.made[effect] += 1
         if file is not None:
-            _write(file, made)
+            _write(file, made, self.room)
         return made
 
     def trim(self, most_bytes: int = MOST_BYTES) -> None:
@@ -93,8 +94,11 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     return found if np.isfinite(found).all() else None
 
 
-def _write(file: Path, array: np.ndarray) -> None:
-    """Keep an array; a folder that cannot be written is left as it is."""
+def _write(file: Path, array: np.ndarray, room: int) -> None:
+    """Keep an array where that leaves so much room; a folder that cannot be written is left as it is."""
+    with suppress(OSError):
+        if shutil.disk_usage(file.parent).free < array.nbytes + room:
+            return
     with suppress(OSError), partial_files.written_beside(file) as partial, partial.open("wb") as handle:
         handle.write(header(array.shape, array.dtype))
         array.tofile(handle)

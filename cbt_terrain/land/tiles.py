@@ -30,8 +30,9 @@ WHOLE = 513
 PIXEL_SPACINGS = 2.0
 
 Window = tuple[slice, slice]  # rows and columns of a level
-# Of each level, by its number, the tiles that are asked for, with the metres by which heights may be off there.
-Wanted = Sequence[Mapping[int, float]]
+# Of each level, by its number, the tiles that are asked for, with the metres by which heights may be off there; or
+# None: the level as a whole.
+Wanted = Sequence[Mapping[int, float] | None]
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,19 @@ def levels_of(lattice: Lattice) -> list[Level]:
     return levels
 
 
+def every_tile(level: Level) -> dict[int, float]:
+    """Every tile of a level, without any error."""
+    return dict.fromkeys(range(level.tile_count), 0.0)
+
+
 def all_tiles(lattice: Lattice) -> list[dict[int, float]]:
-    """Every tile of every level, without any error."""
-    return [dict.fromkeys(range(level.tile_count), 0.0) for level in levels_of(lattice)]
+    """Every tile of every level."""
+    return [every_tile(level) for level in levels_of(lattice)]
+
+
+def whole_land(lattice: Lattice, finest: int = 0) -> Wanted:
+    """All of the land, down to a level."""
+    return [None if level.number >= finest else {} for level in levels_of(lattice)]
 
 
 def tiles_seen(
@@ -160,7 +171,9 @@ def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
     return np.stack([four[..., 0, :].min(axis=(1, 3)), four[..., 1, :].max(axis=(1, 3))], axis=2)
 
 
-def closed(levels: Sequence[Level], wanted: Wanted, halo: Sequence[tuple[int, int]]) -> list[dict[int, float]]:
+def closed(
+    levels: Sequence[Level], wanted: Sequence[Mapping[int, float]], halo: Sequence[tuple[int, int]]
+) -> list[dict[int, float]]:
     """What is wanted, with what that starts from: the tiles of coarser levels under the windows of finer ones.
 
     halo: rows and columns that the effects look beyond a tile, by level.

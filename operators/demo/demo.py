@@ -15,7 +15,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.land.shape_process import shape_store
-from ...cbt_terrain.land.tiles import all_tiles
+from ...cbt_terrain.land.tiles import whole_land
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
 from ..blender import need_bpy
@@ -69,7 +69,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         warmup.wait()
         done("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
         # Pixels of the flight are 3 m wide and more: the finest level, 2 m, changes a metre and takes most of the time.
-        coarse = [{}, *all_tiles(open_store(out / "source").lattice)[1:]]
+        coarse = whole_land(open_store(out / "source").lattice, 1)
         made = shape_store(out / "source", STACK, store, coarse)
         tiles = f"{made['tiles_built']} of {made['tiles_there_are']} tiles"
         done("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}, {tiles}", WEIGHT["land"])

@@ -88,13 +88,15 @@ def test_case_57_a_tile_of_rivers_is_as_the_whole():
     whole = Ground(fine, spacing, spacing, whole=fine.shape, seed=3)
     below = replace(whole, heights=coarser(fine), step_x=2 * spacing, step_y=2 * spacing, level=1)
     coarse = apply_by_levels(RIVERS, below, values)
-    up = Change(finer(coarse.heights, fine.shape), {k: finer(a, fine.shape) for k, a in coarse.layers.items()})
+    up = {k: finer(a, fine.shape) for k, a in (coarse.layers | coarse.kept).items()}
+    up = Change(finer(coarse.heights, fine.shape), {k: up[k] for k in coarse.layers}, {k: up[k] for k in coarse.kept})
     full = RIVERS.apply(whole, values, up)
     halo = round(RIVERS.halo(values, spacing) / spacing)
     for row, column, side in ((151, 167, 64), (230, 131, 80)):
         cut = np.s_[row - halo : row + side + halo, column - halo : column + side + halo]
         tile = replace(whole, heights=np.ascontiguousarray(fine[cut]), first=(row - halo, column - halo))
-        alone = RIVERS.apply(tile, values, Change(up.heights[cut], {k: a[cut] for k, a in up.layers.items()}))
+        below = Change(up.heights[cut], *({k: a[cut] for k, a in of.items()} for of in (up.layers, up.kept)))
+        alone = RIVERS.apply(tile, values, below)
         inner = np.s_[halo:-halo, halo:-halo]
         off = (alone.heights - full.heights[cut])[inner].astype(np.float64)
         moved = (full.heights - 0.5 * up.heights)[cut][inner]

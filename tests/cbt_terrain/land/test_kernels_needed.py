@@ -19,14 +19,14 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.land.kernels_needed import kernels_of
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
-from adaptive_terrain.cbt_terrain.land.tiles import all_tiles
+from adaptive_terrain.cbt_terrain.land.tiles import whole_land
 from adaptive_terrain.cbt_terrain.run.warmup import other_modules
 field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 900, 30.0)
 found = []
 for content in json.loads(sys.argv[1]):
     stack = stack_from(content)
     before = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
-    shape(field, stack, all_tiles(field.lattice))
+    shape(field, stack, whole_land(field.lattice))
     after = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
     found.append([sorted(after - before), sorted(after), sorted(m.__name__ for m in kernels_of(stack))])
 print(json.dumps(found))

@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.land.mask_reads import ATTRIBUTES, SHAPES, val
 from adaptive_terrain.cbt_terrain.land.preview import preview
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, check_by_products, stack_content, stack_from
-from adaptive_terrain.cbt_terrain.land.tiles import Level, all_tiles
+from adaptive_terrain.cbt_terrain.land.tiles import Level, whole_land
 from land_effects import bumpy
 
 LEVEL = Level(1, 331, 201, 10.0, 20.0)
@@ -78,7 +78,7 @@ def test_the_sky_over_a_trench_is_that_between_its_walls():
     assert sky.tobytes() == read(heights, "sky")["sky"].tobytes()
     land = from_array(heights[:150], LEVEL.step_x, LEVEL.step_y)
     hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("sky", high=0.7, edge=0.02),)))
-    added = shape(land, Stack((hill,)), all_tiles(land.lattice)).change
+    added = shape(land, Stack((hill,)), whole_land(land.lattice)).change
     assert (added[70:80, 95:106] > 99.0).all() and not added[:, :80].any()
     assert abs(preview(land, Stack((hill,))).field.heights() - land.heights() - added).max() < 1e-3
 
@@ -90,14 +90,14 @@ def test_what_scree_covers_is_masked_at_every_level():
     land = from_array(heights, 8.0, 11.0)
     hill = {"height": 50.0, "radius": 1e6, "east": 1500.0, "north": 1500.0}
     scree, rule = Entry("thermal"), GroundRule("scree", low=1.0, edge=1.0)
-    alone = shape(land, Stack((scree,)), all_tiles(land.lattice))
-    both = shape(land, Stack((scree, Entry("hill", hill, mask=Mask("", (rule,))))), all_tiles(land.lattice))
+    alone = shape(land, Stack((scree,)), whole_land(land.lattice))
+    both = shape(land, Stack((scree, Entry("hill", hill, mask=Mask("", (rule,))))), whole_land(land.lattice))
     added, depth = both.change - alone.change, alone.layers["scree"]
     assert (depth > 1.5).mean() > 0.02 and (depth < 0.5).mean() > 0.5
     assert (added[depth < 0.49] == 0).all() and (added[depth > 1.51] > 49.0).all()
     small = from_array(heights[:200, :250], 8.0, 11.0)
     stack = Stack((scree, Entry("hill", hill, mask=Mask("", (rule,)))))
-    whole, seen = shape(small, stack, all_tiles(small.lattice)), preview(small, stack)
+    whole, seen = shape(small, stack, whole_land(small.lattice)), preview(small, stack)
     assert abs(seen.field.heights() - small.heights() - whole.change).max() < 1e-3
 
 
@@ -105,7 +105,7 @@ def test_depths_of_the_source_count_with_those_of_the_stack():
     land = from_array(np.zeros((120, 150), np.float32), 10.0)
     land.layers = {"snow": np.tile(np.linspace(0, 2, 150, dtype=np.float32), (120, 1))}
     hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("snow", low=1.0),)))
-    added = shape(land, Stack((hill,)), all_tiles(land.lattice)).change
+    added = shape(land, Stack((hill,)), whole_land(land.lattice)).change
     assert (added[:, :74] == 0).all() and (added[:, 76:] > 99.0).all()
 
 

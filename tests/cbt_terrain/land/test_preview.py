@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
 from adaptive_terrain.cbt_terrain.land.preview import preview
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
-from adaptive_terrain.cbt_terrain.land.tiles import all_tiles
+from adaptive_terrain.cbt_terrain.land.tiles import whole_land
 from land_effects import OWN, bumpy
 
 STEPS = 8.0, 11.0
@@ -28,7 +28,7 @@ def test_of_a_small_raster_it_is_all_there_is():
     land = from_array(bumpy(180, 251), *STEPS)
     mask = Mask("", (GroundRule("height", low=0.0, edge=40.0),), 0.7)
     stack = Stack((Entry("smooth", mask=mask), hill(), Entry("level", on=False)))
-    made, found = shape(land, stack, all_tiles(land.lattice)), preview(land, stack)
+    made, found = shape(land, stack, whole_land(land.lattice)), preview(land, stack)
     assert abs(found.field.heights() - land.heights() - made.change).max() < 1e-3
     assert set(found.field.layers) == {"worn", "fresh", "mark"}
     assert abs(found.field.layers["worn"] - made.layers["worn"]).max() < 1e-5

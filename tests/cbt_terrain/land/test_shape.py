@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
 
+from collections import namedtuple
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -11,9 +13,10 @@ from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
-from adaptive_terrain.cbt_terrain.land.tiles import all_tiles, levels_of
+from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
 from land_effects import HILL, LEVEL, SMOOTH, bumpy
 
+Usage = namedtuple("Usage", "total used free")
 STEPS = 8.0, 11.0
 STACK = Stack((Entry("smooth"), Entry("hill", {"east": 4000.0, "north": 3000.0}), Entry("level")))
 
@@ -21,12 +24,6 @@ STACK = Stack((Entry("smooth"), Entry("hill", {"east": 4000.0, "north": 3000.0})
 @pytest.fixture(autouse=True)
 def _own(own_effects):
     pass
-
-
-@pytest.fixture
-def by_tiles(monkeypatch):
-    """Finer levels go by tiles though all of them are asked for."""
-    monkeypatch.setattr(level_plan, "MOST_WHOLE", 0)
 
 
 @pytest.fixture(scope="module")
@@ -39,21 +36,18 @@ def some_tiles(field, *tiles):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("tiled", [False, True])
-def test_smoothing_equals_that_of_the_whole_raster(monkeypatch, tiled, seed):
+@pytest.mark.parametrize("asked", [whole_land, all_tiles])
+def test_smoothing_equals_that_of_the_whole_raster(asked, seed):
     """Tiles with as much halo as sweeps look: the same to a float's last bits, of 700 x 1000 unequal steps."""
-    if tiled:
-        monkeypatch.setattr(level_plan, "MOST_WHOLE", 0)
     heights = bumpy(700, 1000, seed)
     expected = apply_by_levels(SMOOTH, Ground(heights, *STEPS), SMOOTH.defaults())
     field = from_array(heights, *STEPS)
-    made = shape(field, Stack((Entry("smooth"),)), all_tiles(field.lattice))
+    made = shape(field, Stack((Entry("smooth"),)), asked(field.lattice))
     assert abs(expected.heights).max() > 15
     assert abs(made.change - expected.heights).max() < 1e-4
     assert abs(made.layers["worn"] - expected.layers["worn"]).max() < 1e-4
 
 
-@pytest.mark.usefixtures("by_tiles")
 def test_threads_and_the_order_of_tiles_change_no_bit(land, tmp_path):
     every = all_tiles(land.lattice)
     first = shape(land, STACK, every, threads=1)
@@ -64,7 +58,6 @@ def test_threads_and_the_order_of_tiles_change_no_bit(land, tmp_path):
         assert all(first.layers[name].tobytes() == other.layers[name].tobytes() for name in first.layers)
 
 
-@pytest.mark.usefixtures("by_tiles")
 def test_effects_find_what_those_before_them_have_left(land):
     """The layer that the third effect reads, and the heights: the sum of what each makes after the ones before."""
     made = shape(land, STACK, all_tiles(land.lattice))
@@ -78,7 +71,7 @@ def test_effects_find_what_those_before_them_have_left(land):
 
 def test_what_nobody_asks_for_runs_no_time(land):
     cache, off = TileCache(), Stack((Entry("smooth", on=False), Entry("hill", mask=Mask(factor=0.0))))
-    made = shape(land, off, all_tiles(land.lattice), cache=cache)
+    made = shape(land, off, whole_land(land.lattice), cache=cache)
     assert not cache.made and not made.change.any() and not made.added and made.layers == {}
 
 
@@ -87,7 +80,7 @@ def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
     made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 7), cache=cache)
     assert [tuple(tiles) for tiles in made.tiles] == [(7,), (0, 1, 2, 3), (0,)]
     assert made.tile_counts == [12, 4, 1] and cache.made["smooth"] == 3
-    whole = shape(land, Stack((Entry("smooth"),)), all_tiles(land.lattice))
+    whole = shape(land, Stack((Entry("smooth"),)), whole_land(land.lattice))
     rows, columns = levels_of(land.lattice)[0].window(7)
     inner = slice(rows.start + 16, rows.stop - 16), slice(columns.start + 16, columns.stop - 16)
     assert abs(made.change[inner] - whole.change[inner]).max() < 1e-4
@@ -96,6 +89,22 @@ def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
     coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
     assert (made.change[away] == coarse.change[away]).all() and coarse.level == 1
     assert 0.5 < made.left_out_m[0] < made.left_out_m[1]
+
+
+def test_a_tile_of_the_first_effect_has_the_same_bytes_whatever_else_is_asked_for(land, tmp_path):
+    """One shot sees a few tiles, another every one, a third adds some to what the first has made."""
+    stack, level = Stack((Entry("smooth"),)), levels_of(land.lattice)[0]
+    first = shape(land, stack, some_tiles(land, 2, 7), cache=TileCache(tmp_path))
+    every = shape(land, stack, all_tiles(land.lattice))
+    cache = TileCache(tmp_path)
+    more = shape(land, stack, some_tiles(land, 2, 3, 7, 8), cache=cache)
+    assert cache.made["smooth"] == 2 and not any(added.whole for added in every.added if added.level == 0)
+    for tile in (2, 7):
+        rows, columns = level.window(tile)
+        inner = slice(rows.start + BAND, rows.stop - BAND), slice(columns.start + BAND, columns.stop - BAND)
+        for other in (every, more):
+            assert first.change[inner].tobytes() == other.change[inner].tobytes()
+            assert first.layers["worn"][inner].tobytes() == other.layers["worn"][inner].tobytes()
 
 
 def test_beside_tiles_that_are_left_out_the_ground_has_no_step(land):
@@ -135,6 +144,21 @@ def test_a_damaged_tile_is_made_again(land, tmp_path):
     assert cache.made["hill"] == 3 and not cache.kept and first.change.tobytes() == again.change.tobytes()
 
 
+def test_tiles_leave_room_for_the_store(land, tmp_path, monkeypatch):
+    """Of 10 MB that are free 9 stay so; with none to spare nothing is kept. The result is the same."""
+    free = 10_000_000
+
+    def usage(_folder):
+        return Usage(0, 0, free - sum(file.stat().st_size for file in tmp_path.glob("*.npy")))
+
+    monkeypatch.setattr("shutil.disk_usage", usage)
+    first = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0), cache=TileCache(tmp_path, 9_000_000))
+    assert 9_000_000 <= usage(None).free < 10_000_000
+    assert first.change.tobytes() == shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0)).change.tobytes()
+    shape(land, Stack((Entry("smooth"),)), some_tiles(land, 0), cache=TileCache(tmp_path / "other", 10_000_000))
+    assert not list((tmp_path / "other").glob("*.npy"))
+
+
 def test_levels_that_add_less_than_the_error_are_not_made(land):
     """A wide hill is nearly all there on coarse levels: finer ones add millimetres, which nobody asks for at 1 m."""
     stack = Stack((Entry("hill", {"radius": 4e4, "east": 4000.0, "north": 3000.0}),))
@@ -143,34 +167,34 @@ def test_levels_that_add_less_than_the_error_are_not_made(land):
     made = shape(land, stack, wanted, cache=cache)
     exact = HILL.apply(Ground(land.heights(), *STEPS), stack.entries[0].values, None).heights
     assert made.tiles[0] == [] and made.left_out_m[1] < 1.0 and abs(made.change - exact).max() < 1.0
-    assert shape(land, stack, all_tiles(land.lattice)).tiles[0] == list(range(12))
+    assert shape(land, stack, whole_land(land.lattice)).tiles[0] == list(range(12))
 
 
 def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
     heights = bumpy(400, 333)
     heights[50:90, 60:99] = np.nan
     field = from_array(heights, 30.0, holes=True)
-    made = shape(field, Stack((Entry("smooth"), Entry("hill", {"radius": 900.0}))), all_tiles(field.lattice))
+    made = shape(field, Stack((Entry("smooth"), Entry("hill", {"radius": 900.0}))), whole_land(field.lattice))
     assert not made.change[field.valid == 0].any() and made.change[field.valid == 1].any()
-    hill = shape(field, Stack((Entry("hill", {"radius": 900.0}),)), all_tiles(field.lattice)).change
+    hill = shape(field, Stack((Entry("hill", {"radius": 900.0}),)), whole_land(field.lattice)).change
     assert (hill[100:] == 0.0).all() and hill[33, 33] > 90
 
 
 def test_a_mask_lets_through_its_part_at_every_level_alike(land):
     """Half of an effect is half of what it makes, however many levels there are, in heights and in depths."""
-    whole = shape(land, Stack((Entry("hill"),)), all_tiles(land.lattice))
-    half = shape(land, Stack((Entry("hill", mask=Mask(factor=0.5)),)), all_tiles(land.lattice))
+    whole = shape(land, Stack((Entry("hill"),)), whole_land(land.lattice))
+    half = shape(land, Stack((Entry("hill", mask=Mask(factor=0.5)),)), whole_land(land.lattice))
     assert abs(half.change - 0.5 * whole.change).max() < 1e-5
     assert abs(half.layers["fresh"] - 0.5 * whole.layers["fresh"]).max() < 1e-5
     assert (half.layers["mark"] == whole.layers["mark"]).all(), "a state is no depth"
     high = Mask(rules=(GroundRule("height", low=50.0, edge=20.0),))
-    ruled = shape(land, Stack((Entry("hill", {"radius": 1e5}, mask=high),)), all_tiles(land.lattice))
+    ruled = shape(land, Stack((Entry("hill", {"radius": 1e5}, mask=high),)), whole_land(land.lattice))
     ground = land.heights()
     assert not ruled.change[ground < 40].any() and abs(ruled.change / whole_of(land) - 1)[ground > 60].max() < 1e-5
 
 
 def whole_of(land):
-    return shape(land, Stack((Entry("hill", {"radius": 1e5}),)), all_tiles(land.lattice)).change
+    return shape(land, Stack((Entry("hill", {"radius": 1e5}),)), whole_land(land.lattice)).change
 
 
 def test_where_the_mask_is_black_no_tile_is_made(land):
@@ -189,7 +213,7 @@ def test_finishing_early_gives_the_levels_that_are_complete(land):
         asked.append(1)
         return len(asked) > 7  # five times a level, but for the coarsest
 
-    made = shape(land, Stack((Entry("smooth"),)), all_tiles(land.lattice), finish=finish)
+    made = shape(land, Stack((Entry("smooth"),)), whole_land(land.lattice), finish=finish)
     coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
     assert made.finished_early and made.level == 1 and made.change.tobytes() == coarse.change.tobytes()
 

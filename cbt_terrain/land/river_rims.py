@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rivers along the rim of a level, where water leaves, and along the cut of a tile, where the coarser level knows more.
+
+A tile cannot know what comes over its cut, nor whether a lake that the cut runs through has its outlet in the tile or
+beyond. The coarser level does: from its water's surface and catchments follows where water comes in, with how much
+sediment; there none leaves. Without that a lake would leave over the lowest sample of the cut.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..effects.routing import route
+from .fluvial import Bed
+from .land_effect import Change, Ground
+from .levels import finer
+
+# What the next finer level is told beside the layers: m, and m3 of sediment that come to a sample in a year.
+LAKE, LOAD = "lake", "load"
+# Metres that water would have to rise to leave where it comes in.
+WALL = 1e4
+# Surfaces of a lake differ by less, metres: by rounding, and where tiles of the coarser level meet.
+LEVEL = 0.01
+# Of the root mean square by which a level is rougher than the coarser one: lakes may stand so much higher in it.
+ROUGHNESS = 4.0
+
+
+def sides(shape: tuple[int, int]) -> list[tuple]:
+    """South, north, west and east."""
+    return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
+
+
+def edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
+    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
+
+    At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
+    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
+    """
+    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
+    for which in sides(bed.shape):
+        side[which] = True
+    side &= ~bed.fixed.reshape(bed.shape)
+    j, i = np.nonzero(side)
+    at = j * columns + i
+    if not len(at):
+        return lambda _done: None
+    if coarser is not None:
+        start = bed.heights[at]
+        way = origin[at] + coarser.heights.reshape(-1)[at] - start
+
+        def follow(done: float) -> None:
+            bed.heights[at] = start + way * np.float32(done)
+
+        return follow
+    inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
+    lowest = origin[at].min()
+
+    def fall(_done: float) -> None:
+        change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
+        bed.heights[at] = np.maximum(origin[at] + change, lowest)
+
+    return fall
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The coarser level at its samples in a tile, which are every second one; arrays are [rows, columns] of them.
+
+    `odd`: row and column of the first. `surface`: float32 m, of ground and lakes. `flow`: float64, fine samples that
+    drain through each; `load`: float64, metres of sediment times fine samples a year. `wet`: bool, lakes. `inside`:
+    bool: the outermost two samples along a cut are not, since of the first nobody knows where its water runs. `to`:
+    where it runs, by the surface, and on the floors of lakes by the floor.
+    """
+
+    odd: tuple[int, int]
+    surface: np.ndarray
+    flow: np.ndarray
+    load: np.ndarray
+    wet: np.ndarray
+    inside: np.ndarray
+    to: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Ring:
+    """The outermost samples of the coarser level whose water's way is known, once around a tile; arrays [samples].
+
+    `at`: rows and columns. `cut`: bool, not along the raster's own rim. `shut`: bool, none leaves here. `flow`:
+    float64, what runs through, in fine samples; of a lake the most.
+    """
+
+    at: tuple[np.ndarray, np.ndarray]
+    cut: np.ndarray
+    shut: np.ndarray
+    flow: np.ndarray
+
+
+def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
+    """Give the bed of a tile what comes over its cut, and what water has to rise to, to leave there."""
+    if all(ground.rims):
+        return
+    seen = _seen(bed, ground, coarser)
+    own, load = np.ones(bed.shape), np.zeros(bed.shape)
+
+    def bring(j, i, y, x) -> None:
+        fine = 2 * y + seen.odd[0], 2 * x + seen.odd[1]
+        np.add.at(own, fine, seen.flow[j, i])
+        np.add.at(load, fine, seen.load[j, i])
+
+    y, x = _receivers(seen)
+    enters = ~seen.inside & (seen.to != 4) & seen.inside[y, x]
+    enters &= ~seen.wet | (seen.flow[y, x] > seen.flow)
+    bring(*np.nonzero(enters), y[enters], x[enters])
+    ring = _ring(seen, ground, y * seen.to.shape[1] + x)
+    for lake in _lakes(seen, ring):
+        most = lake[np.argmax(ring.flow[lake])]
+        j, i = (n[most] for n in ring.at)
+        ring.flow[lake] = ring.flow[most]
+        ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
+    falls = bed.heights - (ground.heights + coarser.heights).reshape(-1)
+    falls[bed.fixed] = 0.0  # how far outlets will be cut down yet
+    higher = ROUGHNESS * _roughness(ground, seen.odd) + max(float(falls.max()), 0.0)
+    bed.own, bed.brought = own.reshape(-1), load.reshape(-1)
+    bed.rim, bed.spill = _spills(bed, ground, seen, ring, higher)
+
+
+def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
+    odd = tuple(first % 2 for first in ground.first)
+    every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
+    floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
+    lake, fixed = coarser.kept[LAKE][every], bed.fixed.reshape(bed.shape)[every]
+    surface, wet = floor + lake, lake > 0.0
+    steps = 2 * ground.step_x, 2 * ground.step_y
+    ways = (route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor))
+    inside = np.zeros(floor.shape, bool)
+    south, north, west, east = (0 if rim else 2 for rim in ground.rims)
+    inside[south : len(floor) - north, west : floor.shape[1] - east] = True
+    sums = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.kept[LOAD]))
+    return _Seen(odd, surface, *sums, wet, inside, np.where(wet, *reversed([*ways])).astype(int))
+
+
+def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int):
+    """Rows and columns of the samples along four sides, once around, those of cuts so far inside; and which are."""
+    south, north, west, east = rims
+    low, high = inset * (not south), shape[0] - 1 - inset * (not north)
+    left, right = inset * (not west), shape[1] - 1 - inset * (not east)
+    up, along = np.arange(low, high), np.arange(left, right)
+    j = np.concatenate([np.full(len(along), low), up, np.full(len(along), high), up[::-1] + 1])
+    i = np.concatenate([along, np.full(len(up), right), along[::-1] + 1, np.full(len(up), left)])
+    return (j, i), np.repeat([not south, not east, not north, not west], [len(along), len(up)] * 2)
+
+
+def _receivers(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column to which the water of each sample flows.
+
+    Catchments grow along a way. On the floor of a lake the way to its pit is turned around to the outlet, and where
+    that lies is not seen: where the catchment does not grow, it runs to that inside which is the largest.
+    """
+    y, x = np.indices(seen.to.shape)
+    y, x = y + seen.to // 3 - 1, x + seen.to % 3 - 1
+    within = np.where(seen.inside, seen.flow, -1.0)
+    turned = seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)
+    for j, i in zip(*np.nonzero(turned), strict=True):
+        near = within[j - 1 : j + 2, i - 1 : i + 2]
+        if near.max() > seen.flow[j, i]:
+            y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)
+    return y, x
+
+
+def _ring(seen: _Seen, ground: Ground, to: np.ndarray) -> _Ring:
+    """Shut where the water of the sample flows into the tile, but for lakes."""
+    at, cut = _around(seen.to.shape, ground.rims, 1)
+    stays = np.arange(seen.to.size).reshape(seen.to.shape)
+    down = np.where(seen.inside, stays, to).reshape(-1)
+    for _ in range(4):  # 16 samples along the ring
+        down = down[down]
+    into = seen.inside.reshape(-1)[down].reshape(seen.to.shape) & ~seen.wet
+    return _Ring(at, cut, into[at] & cut, seen.flow[at])
+
+
+def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:
+    """Places in the ring of each lake that it runs through: of all those whose water stands alike."""
+    at = np.flatnonzero(seen.wet[ring.at] & ring.cut)
+    level = seen.surface[ring.at][at]
+    order = np.argsort(level, kind="stable")
+    return [] if not len(at) else np.split(at[order], np.flatnonzero(np.diff(level[order]) > LEVEL) + 1)
+
+
+def _roughness(ground: Ground, odd: tuple[int, int]) -> float:
+    """Root mean square of what the samples of a level tell of the heights beside every second one, metres."""
+    part = ground.heights[odd[0] :, odd[1] :]
+    rows, columns = (n - 1 + n % 2 for n in part.shape)
+    part = part[:rows, :columns]
+    rough = part - finer(np.ascontiguousarray(part[::2, ::2]), part.shape)
+    return float(np.sqrt(np.mean(np.square(rough, dtype=np.float64))))
+
+
+def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring, higher: float) -> tuple[np.ndarray, np.ndarray]:
+    """The samples along the cut that are no plain outlets, and metres to which water has to rise there.
+
+    Shut is also what lies beside shut samples and less than so much `higher`, since finer ground may dam what comes in;
+    but not where more water leaves than comes in there.
+    """
+    flow, shut = np.zeros(seen.to.shape), np.zeros(seen.to.shape, bool)
+    flow[ring.at], shut[ring.at] = ring.flow, ring.shut
+    at, cut = _around(bed.shape, ground.rims, 0)
+    near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
+    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
+    at = at[0] * bed.shape[1] + at[1]
+    cut &= ~bed.fixed[at]
+    shut, wet, level = shut[near] & cut, seen.wet[near] & cut, seen.surface[near]
+    _shut_beside(shut, wet, cut, level.copy(), flow[near], bed.heights[at] - np.float32(higher))
+    some = shut | wet
+    return at[some], (level + np.float32(WALL) * shut)[some]
+
+
+def _shut_beside(shut, wet, cut, level, flow, heights) -> None:
+    """What lies lower than the level of shut samples next to it, once around; `shut` is written."""
+    made, level, most = shut.tolist(), level.tolist(), flow.tolist()
+    free, heights, flow = (cut & ~wet & ~shut).tolist(), heights.tolist(), flow.tolist()
+    n = len(made)
+    for step in (1, -1):
+        for q in range(2 * n):
+            at, back = step * q % n, step * (q - 1) % n
+            if made[back] and free[at] and heights[at] < level[back] and flow[at] < most[back]:
+                if not made[at] or level[back] > level[at]:
+                    made[at], level[at], most[at] = True, level[back], most[back]
+    shut[:] = made

@@ -120,8 +120,8 @@ def _note_use(uid: int, land: Land) -> None:
 
 
 def is_in_use(folder: Path) -> bool:
-    """Whether a terrain of the open file shows the land in a folder, or is about to."""
-    return str(folder).removesuffix(OF_VIEWS) in _in_use.values()
+    """Whether a terrain of the open file shows the land in a folder, by whatever path, or is about to."""
+    return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, _in_use.values())
 
 
 def _source_key(store: str) -> str:

@@ -399,6 +399,26 @@ def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     assert shaped_land.state_of(terrain).shown == "Shaped"
 
 
+def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terrain, tmp_path):
+    """A store behind a link, or by way of another folder, and one that was baked from it."""
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path)
+    add("thermal")
+    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
+    for between in ("link", "scenes/.."):
+        other = add_terrain()
+        other.adaptive_terrain.store = f"{tmp_path}/{between}/hills"
+        bpy.context.view_layer.objects.active = other
+        add("thermal")
+        bpy.ops.adaptive_terrain.shape()
+        land_request._in_use.pop(terrain.session_uid, None)
+        bpy.context.view_layer.objects.active = terrain
+        assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+        assert Path(shaped_land.store_of(other)).is_dir() and shaped_land.state_of(other).shown == "Shaped"
+        bpy.data.objects.remove(other)
+        land_request._in_use.clear()
+
+
 def test_baked_land_needs_no_stack(terrain):
     add("thermal", depth=80.0)
     before = open_store(terrain.adaptive_terrain.store).key

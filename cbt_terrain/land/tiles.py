@@ -24,8 +24,9 @@ from .levels import COARSEST
 TILE = 256
 # Samples beyond a tile's border up to which it counts; a power of two, so that weights add up to exactly 1.
 BAND = 16
-# Samples along the longer side of the finest level that is worked on as a whole.
-WHOLE = 513
+# Samples along the longer side of the finest level that is worked on as a whole; and along the shorter one of a strip,
+# where what slides has no room in which a tile could make up for it.
+WHOLE, STRIP = 513, 32
 # A level shows where a pixel is at most so many of its spacings wide.
 PIXEL_SPACINGS = 2.0
 
@@ -51,7 +52,7 @@ class Level:
 
     @property
     def is_whole(self) -> bool:
-        return max(self.shape) <= WHOLE
+        return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 
     @property
     def tiles(self) -> tuple[int, int]:

@@ -159,10 +159,12 @@ def _opened(store: str, open_field) -> HeightField:
     """A source's store, or a shaped one, which nobody imports."""
     try:
         return open_field(store)
-    except TerrainError:
+    except TerrainError as error:
         if not _NAME.fullmatch(Path(store).name):
             raise
-        raise TerrainError(f"The shaped land in {store!r} is damaged: press Shape Now to make it again.") from None
+        raise TerrainError(
+            f"The shaped land in {store!r} is damaged: press Shape Now to make it again. {error}"
+        ) from error
 
 
 def _is_whole(land: Land, open_field) -> bool:

@@ -108,7 +108,7 @@ def test_a_damaged_store_is_shown_as_soon_as_it_is_whole_again(terrain):
     bpy.context.view_layer.update()
     live.mark_dirty()
     turns(lambda: record.status.error)
-    assert record.status.error.endswith("_views' is damaged: press Shape Now to make it again.")
+    assert "_views' is damaged: press Shape Now to make it again. " in record.status.error
     land = land_request.land_of(terrain, terrain, bpy.context.evaluated_depsgraph_get(), waits=True)
     land_request.raster_of("", land.of_views_alone, session.open_field)
     live.mark_dirty()

@@ -19,7 +19,7 @@ BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.
 SHORT_MS, SHORT_BLOCKS = 5.0, 15
 # What takes more than this is measured once a block: a moment's disturbance is nothing to it.
-LONG_MS = 100.0
+LONG_MS = 500.0
 
 
 @dataclass

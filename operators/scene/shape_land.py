@@ -131,6 +131,8 @@ class ShapeLand(bpy.types.Operator):
         except TerrainError as error:
             self._end(context)
             return self._failed(obj, str(error))
+        except ReferenceError:  # Undo has put another scene in its place
+            self.work.stop()
         if self.work.stopped:
             self._end(context)
             self.report({"INFO"}, "Shaping was cancelled before it began")

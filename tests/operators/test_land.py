@@ -770,6 +770,31 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
     assert scene.frame_current == 450 and not land_jobs.running and land_request.made["stores"] == 0
 
 
+@pytest.mark.parametrize("by", ["file", "undo"])
+def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypatch, by):
+    """Another file is opened, which ends what runs; or Undo puts another scene in its place."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "land.blend"))
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert bpy.context.scene.frame_current != 1 and land_jobs.running
+    if by == "file":
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "land.blend"))
+        operator.cancel(operator.context)
+        operator.context.window_manager.event_timer_remove.assert_called_once()
+    else:
+        bpy.ops.ed.undo_push(message="before")
+        bpy.ops.ed.undo_push(message="after")
+        assert bpy.ops.ed.undo() == {"FINISHED"}
+        assert to_the_end(operator) == {"CANCELLED"}
+    assert not land_jobs.running and land_request.made["stores"] == 0
+
+
 def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
     add("thermal")
     request = gather(terrain, bpy.context.evaluated_depsgraph_get())

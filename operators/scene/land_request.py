@@ -220,7 +220,8 @@ def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
 
 
 def _damage(store: str, why: TerrainError) -> str:
-    return f"The shaped land in {store!r} is damaged, and is made again from its source. ({why})"
+    what = re.sub(r"[:;] import [^:;]*\.$", "", str(why))  # nobody has imported it
+    return f"The shaped land in {store!r} is damaged, and is made again from its source: {what}."
 
 
 def _is_shaped_store(store: str) -> bool:

@@ -406,7 +406,7 @@ def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mod
     session.update_object(terrain, mode=mode)
     [line] = capsys.readouterr().out.splitlines()
     assert line.startswith(f"Adaptive Terrain: The shaped land in {folder!r} is damaged, and is made again from its")
-    assert "samples.npy is damaged (it has" in line
+    assert "samples.npy is damaged (it has" in line and line.endswith(").")
     state = shaped_land.state_of(terrain)
     assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
     session.update_object(terrain, mode="RENDER")

@@ -15,10 +15,10 @@ BLOCK = 1 << 16
 # With noise in the choice of receivers, slopes along diagonals count so much. Steps along them are 1.4 times as long:
 # the mean way down a plane would turn to a diagonal by up to 3.5 degrees, and rills along such ways by up to 10. With
 # this a way turns by 1.3 at most, where samples lie in squares. (Rho8 of Fairfield and Leymarie 1991 has the same end.)
-# Where samples do not lie in squares, steps along the axes differ in length, too: a slope counts by the other axis'
-# over its own to the power of 3 / 4. Valleys then lean towards the longer steps by 7 degrees (rms, on planes) of
-# samples 2 : 1 and by 8 of 3 : 1, of 12 and 16 without. At 1 / 2 the mean way down a plane would lean least (3 and 5,
-# here 6 and 10, without 13 and 20), but valleys, which dig, by 9 and 10.
+# Where samples do not lie in squares, steps along the axes differ in length, too: a slope counts by the root of the
+# other axis' over its own. The mean way down a plane then turns by 3 degrees (rms) of samples 2 : 1 and by 5 of 3 : 1,
+# by 13 and 20 without; valleys, which dig, lean towards the longer steps by 9 and 10, not 12 and 16. A power of 3 / 4
+# makes that 7 and 8, and ways 6 and 10; but then more straight valleys run along the shorter steps.
 DIAGONAL = 0.86
 
 
@@ -123,8 +123,7 @@ def _for_choice(grid: routing.Grid, draw: "routing.Draw | None") -> routing.Grid
     fair = routing.Grid()
     fair.width, fair.height, fair.share = grid.width, grid.height, grid.share
     ew, ns, across = grid.nearness
-    side = math.sqrt(ew / ns)
-    axes = side * math.sqrt(side)  # roots are the same on every machine
+    axes = math.sqrt(ew / ns)
     fair.nearness = wp.vec3f(ew * axes, ns / axes, DIAGONAL * across)
     return fair
 

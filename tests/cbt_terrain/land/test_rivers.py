@@ -130,11 +130,11 @@ def test_rills_run_down_their_slope():
 
 
 def test_valleys_run_down_their_slope_where_samples_lie_in_no_squares():
-    """On planes that fall anywhere, of samples 12 m and 6 m apart: 200 m downstream is off the fall by 7 degrees, rms,
-    towards the longer steps; by 12 if those counted as much."""
-    step_x, step_y, n = 12.0, 6.0, 147
-    y, x = np.indices((293, n)) * np.array([step_y, step_x])[:, None, None]
-    inside = (np.minimum(x, 1752 - x) > 400) & (np.minimum(y, 1752 - y) > 400)
+    """On planes that fall anywhere, of samples 15 m and 5 m apart: 200 m downstream is off the fall by 8 degrees, rms,
+    towards the longer steps; by 15 if slopes along both axes counted alike."""
+    step_x, step_y, n = 15.0, 5.0, 117
+    y, x = np.indices((351, n)) * np.array([step_y, step_x])[:, None, None]
+    inside = (np.minimum(x, 1740 - x) > 400) & (np.minimum(y, 1750 - y) > 400)
     off = []
     for degrees in range(6, 360, 29):
         turn, noise = np.radians(degrees), 2 * np.random.default_rng(degrees).random(x.shape)
@@ -151,7 +151,7 @@ def test_valleys_run_down_their_slope_where_samples_lie_in_no_squares():
         north, east = np.divmod(end, n) - np.array(np.divmod(start, n))
         off.append(np.degrees(np.arctan2(north.mean() * step_y, east.mean() * step_x)) - degrees)
     off = (np.array(off) + 180) % 360 - 180
-    assert np.sqrt(np.mean(off**2)) < 9.5, off
+    assert np.sqrt(np.mean(off**2)) < 11.0, off
 
 
 def test_a_steady_range_falls_as_the_uplift_asks(still):

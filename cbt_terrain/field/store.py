@@ -62,6 +62,15 @@ _NUMBERS = (
 )
 
 
+def changed_ns(path: str | os.PathLike) -> int:
+    """When what says that a folder is a store was last changed, its rights included; 0 where there is nothing of it."""
+    try:
+        stat = os.stat(os.path.join(path, JSON_NAME))
+    except OSError:
+        return 0
+    return max(stat.st_mtime_ns, stat.st_ctime_ns)
+
+
 def read_json(path: Path) -> dict:
     """The content of a store's JSON file, checked entry by entry."""
     file = path / JSON_NAME

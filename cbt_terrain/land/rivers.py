@@ -184,10 +184,10 @@ RIVERS = LandEffect(
     masks=True,
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years; ground above "
     "`steepest` becomes walls of that slope",
-    converges="aged by 180,000 years, land at 16 to 2 m adds 7.8, 2.7, 1.4, 0.8 m rms; grown by 2 million 22, 13, 6, "
-    "4 m",
+    converges="aged by 180,000 years, land at 16 to 2 m adds 8.7, 3.7, 1.6, 0.9 m rms; grown by 2 million 31, 14, 8, "
+    "7 m",
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=5,
+    version=6,
 )

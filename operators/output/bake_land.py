@@ -61,6 +61,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
         copy_store(land.folder, bpy.path.abspath(folder))
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
+        land_request.release(obj.session_uid)
         imported.tag_object(obj)
         obj.update_tag()
         self.report({"INFO"}, f"The land is in {folder}; Clear Land Cache frees what shaping it has left elsewhere")

@@ -32,12 +32,17 @@ from .land_properties import SEEN
 MASKS = "masks"
 MOST_BYTES = 8 << 30  # of the shaped stores of a source, which spare steps of Undo their time
 OF_VIEWS = "_views"  # ends the names of stores that are fine only where some views looked
+BESIDE = "_land"  # ends the name of the folder beside a source's store
 _NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
 MOST_PREVIEWS = 4  # a preview holds about 12 MB
 _previews: dict[str, Preview] = {}  # by `Land.folder`, the last one last
 made = {"previews": 0, "stores": 0}  # how often land was made, for whoever wants to know what a scene costs
 _shaping = threading.Lock()
 _in_use: dict[int, str] = {}  # the land that each terrain of the open file has asked for last, by its session_uid
+
+
+class DamagedLand(TerrainError):
+    """A shaped store was damaged, and is no store any more: who gathers the request again gets other land."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,10 @@ class Land:
     @property
     def is_shaped(self) -> bool:
         """Whether the store is there, and of this version."""
+        changed = stores.changed_ns(self.folder)
         try:
-            return bool(_key_of(self.folder, (Path(self.folder) / stores.JSON_NAME).stat().st_mtime_ns))
-        except (OSError, TerrainError):
+            return bool(changed and _key_of(self.folder, changed))
+        except TerrainError:
             return False
 
 
@@ -88,7 +94,7 @@ def is_of_views(folder: str) -> bool:
 
 def folder_beside(source: str) -> Path:
     """The folder of all that was made of a source's store by stacks."""
-    return Path(source.rstrip("/\\") + "_land")
+    return Path(source.rstrip("/\\") + BESIDE)
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
@@ -96,7 +102,7 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     the viewport does not show the terrain: for that one nothing is made. Raises TerrainError."""
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):
-        _in_use.pop(obj.session_uid, None)
+        release(obj.session_uid)
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
@@ -119,16 +125,21 @@ def _note_use(uid: int, land: Land) -> None:
                 os.utime(folder)  # it was used just now: see `remove_old`
 
 
+def release(uid: int) -> None:
+    """The terrain `uid` has no stack any more."""
+    _in_use.pop(uid, None)
+
+
 def is_in_use(folder: Path) -> bool:
     """Whether a terrain of the open file shows the land in a folder, by whatever path, or is about to."""
     return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, _in_use.values())
 
 
 def _source_key(store: str) -> str:
-    try:
-        return _key_of(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
-    except OSError:
-        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.") from None
+    changed = stores.changed_ns(store)
+    if not changed:
+        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.")
+    return _key_of(store, changed)
 
 
 @functools.lru_cache(maxsize=64)
@@ -138,13 +149,13 @@ def _key_of(store: str, _changed_ns: int) -> str:
 
 def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     """The height field of a request's store, or of its land: that is shaped first if it has to be, else a preview does.
-    For any thread. Raises TerrainError."""
+    For any thread. Raises TerrainError; DamagedLand where `store` was shaped."""
     if land is None:
         return _opened(store, open_field)
-    if land.waits and (land.seen or not _is_whole(land, open_field)):
+    if land.waits and (land.seen or not is_whole(land, open_field)):
         with _shaping:  # two renders of one land make it once
             wanted = wanted_tiles(land, open_field)
-            if not _is_whole(land, open_field) or not land_tiles.has(land.folder, wanted):
+            if not is_whole(land, open_field) or not land_tiles.has(land.folder, wanted):
                 wanted = land_tiles.with_known(land.folder, wanted)
                 shape_store(land.source, land.stack, land.folder, wanted, tiles=land.tiles)
                 land_tiles.note(land.folder, wanted)
@@ -157,22 +168,64 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
 
 def _opened(store: str, open_field) -> HeightField:
     """A source's store, or a shaped one, which nobody imports."""
+    changed = stores.changed_ns(store)
     try:
         return open_field(store)
     except TerrainError as error:
-        if not _NAME.fullmatch(Path(store).name):
-            raise
-        raise TerrainError(
-            f"The shaped land in {store!r} is damaged: press Shape Now to make it again. {error}"
-        ) from error
+        if _take_away(store, changed, error):
+            raise DamagedLand(_damage(store, error)) from error
+        raise
 
 
-def _is_whole(land: Land, open_field) -> bool:
-    """Whether the shaped store can be opened: one that was damaged is made again, as nothing of it is anyone's own."""
+def is_whole(land: Land, open_field) -> bool:
+    """Whether the shaped store is there and can be opened. One that cannot is taken away, so that it is made again."""
+    changed = stores.changed_ns(land.folder)
+    if not changed:
+        return False
     try:
-        return land.is_shaped and open_field(land.folder) is not None
+        return open_field(land.folder) is not None
+    except TerrainError as error:
+        _take_away(land.folder, changed, error)
+        return False
+
+
+def check_blocks(store: str, error: TerrainError) -> None:
+    """Raise DamagedLand if it was the damage of a shaped store that an update ended with."""
+    changed = stores.changed_ns(store)
+    if _is_shaped_store(store) and not _has_whole_blocks(store, changed) and _take_away(store, changed, error):
+        raise DamagedLand(_damage(store, error)) from error
+
+
+@functools.lru_cache(maxsize=8)
+def _has_whole_blocks(store: str, _changed_ns: int) -> bool:
+    try:
+        return bool(stores.verify(store))
     except TerrainError:
         return False
+
+
+def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
+    """Make what was shaped no store any more, unless it has changed since, and say so: nothing of it is anyone's own.
+    What others have mapped of it stays theirs. Returns whether it is none now; any other store is left alone."""
+    if not _is_shaped_store(store):
+        return False
+    file = Path(store) / stores.JSON_NAME
+    if changed_ns and stores.changed_ns(store) == changed_ns:
+        try:
+            shutil.rmtree(file) if file.is_dir() and not file.is_symlink() else file.unlink(missing_ok=True)
+        except OSError:
+            return False
+        print(f"Adaptive Terrain: {_damage(store, why)}")
+    return True
+
+
+def _damage(store: str, why: TerrainError) -> str:
+    what = re.sub(r"[:;] import [^:;]*\.$", "", str(why))  # nobody has imported it
+    return f"The shaped land in {store!r} is damaged, and is made again from its source: {what}."
+
+
+def _is_shaped_store(store: str) -> bool:
+    return _NAME.fullmatch(Path(store).name) is not None and Path(store).parent.name.endswith(BESIDE)
 
 
 def wanted_tiles(land: Land, open_field) -> land_tiles.Tiles | None:

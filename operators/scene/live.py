@@ -19,7 +19,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
-from . import keep_ground, land_jobs, previews, resting_land, session
+from . import keep_ground, land_jobs, land_request, previews, resting_land, session
 from .kernels_asked import kernels_for
 from .properties import VIEWPORT_VIEW
 from .request import RENDER, VIEWPORT, Request, gather
@@ -132,6 +132,7 @@ def _next_job() -> Job | None:
         try:
             request = gather(obj, depsgraph, VIEWPORT)
         except Exception as error:
+            record.live_key = None  # what is asked for after this may be what was asked before
             _report(record, error)
             if not isinstance(error, TerrainError):
                 traceback.print_exc()
@@ -224,6 +225,9 @@ def _finish(job: Job) -> None:
         _unrefined.pop(job.uid, None)
         if not whole:
             _unrefined[job.uid] = job
+    except land_request.DamagedLand:
+        _unrefined.pop(job.uid, None)
+        mark_dirty()  # it is gone: other land is asked for
     except Exception as error:
         _unrefined.pop(job.uid, None)
         _report(record, error)

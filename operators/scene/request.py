@@ -5,7 +5,6 @@ import hashlib
 import math
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -61,8 +60,8 @@ class Request:
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
     `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
-    folder of the height field, which is the shaped one where there is one. `made_ns`: when that was written, which
-    tells it from one that is made again in its place. `land`: what is to be made of it first, or None.
+    folder of the height field, in a viewport that of its shaped land where there is some. `made_ns`: when that was
+    changed, which tells it from one that is made again or mended. `land`: what is to be made of it first, or None.
     """
 
     store: str
@@ -141,14 +140,14 @@ def gather(
         if views and mode == RENDER and settings.land.where == SEEN:
             scale = settings.vertical_scale, settings.vertical_offset
             land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
-        elif mode != RENDER or land.is_shaped:
-            store, land = _shown_land(store, land, mode, frozen)
+        elif mode != RENDER:
+            store, land = _shown_land(store, land, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # where ground is cut away one sees what it would hide
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=store,
-        made_ns=_made_ns(store),
+        made_ns=stores.changed_ns(store),
         land=land,
         interpolation=interpolation,
         ground=overrides.ground or ground_of(settings, obj.name),
@@ -180,18 +179,9 @@ def _placement(name: str, evaluated) -> np.ndarray:
     return placement
 
 
-def _made_ns(store: str) -> int:
-    """When a store was written; 0 of one that is not there, which an update tells."""
-    try:
-        return (Path(store) / stores.JSON_NAME).stat().st_mtime_ns
-    except OSError:
-        return 0
-
-
-def _shown_land(store: str, land, mode: str, frozen: str):
-    """The store to show, and the land that is still to be shaped or previewed on it."""
-    shown = land.folder if mode == RENDER else land.shown
-    if shown:
+def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
+    """The store that a viewport shows, and the land that is previewed on it."""
+    if shown := land.shown:
         return shown, None
     # A frozen mesh has the triangles of the raster, and a preview has another.
     return store, None if frozen else land

@@ -17,7 +17,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.shape_process import ShapeJob
 from . import land_tiles, session
 from .land_jobs import Work, running
-from .land_request import Land, is_of_views, land_of, remove_old, wanted_tiles
+from .land_request import Land, is_of_views, is_whole, land_of, remove_old, wanted_tiles
 from .request import Request
 
 REST_S = 2.0  # without a change, after which it begins
@@ -141,7 +141,7 @@ def _seen(request: Request) -> land_tiles.Seen:
 def _begin(land: Land) -> tuple[ShapeJob, land_tiles.Tiles] | None:
     """For a thread of its own."""
     wanted = wanted_tiles(land, session.open_field)
-    if land.is_shaped and land_tiles.has(land.folder, wanted):
+    if is_whole(land, session.open_field) and land_tiles.has(land.folder, wanted):
         return None
     wanted = land_tiles.with_known(land.folder, wanted)
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=True), wanted

@@ -17,7 +17,8 @@ from ...cbt_terrain.effects.layered_detail import laid
 from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.store import changed_ns, open_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
@@ -142,15 +143,22 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
     record = record_of(obj)
     record.generation += 1
     try:
-        request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **asked)
-        with engine_lock:
-            update = solve(record, request)
-            paint(record, request, update)
-            show(obj, record, request, update, mode)
-        record.live_key = request.key() if mode == VIEWPORT else None
+        try:
+            return _update(obj, record, depsgraph, mode, asked)
+        except land_request.DamagedLand:  # which is gone: other land is asked for, or the same is made again
+            return _update(obj, record, depsgraph, mode, asked)
     except Exception as error:
         record.status.error = explain(error)
         raise
+
+
+def _update(obj, record: Record, depsgraph, mode: str, asked: dict):
+    request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **asked)
+    with engine_lock:
+        update = solve(record, request)
+        paint(record, request, update)
+        show(obj, record, request, update, mode)
+    record.live_key = request.key() if mode == VIEWPORT else None
     return update
 
 
@@ -166,6 +174,14 @@ def solve(record: Record, request: Request):
     kernels that are being prepared: a render needs its mesh now, the viewport's updates do not begin before."""
     warmup.wait()
     heights = field_of(request)
+    try:
+        return _refine(record, request, heights)
+    except TerrainError as error:
+        land_request.check_blocks(str(heights.path), error)
+        raise
+
+
+def _refine(record: Record, request: Request, heights: HeightField):
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
         record.evaluator = Evaluator(record.terrain.threads)
@@ -230,11 +246,10 @@ def field_of(request: Request):
 
 def open_field(store: str):
     """The height field of a store folder, opened once for as long as the folder is the same."""
-    try:
-        stamp = (Path(store) / "store.json").stat().st_mtime_ns
-    except OSError:
-        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.") from None
-    key = str(Path(store).resolve()), stamp
+    changed = changed_ns(store)
+    if not changed:
+        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.")
+    key = str(Path(store).resolve()), changed
     if key not in _fields:
         for old in [other for other in _fields if other[0] == key[0]]:
             del _fields[old]

@@ -14,7 +14,7 @@ from ...cbt_terrain.run import warmup
 from . import land_tiles, live, session
 from .land_jobs import Work, running, stop_all
 from .land_properties import SEEN
-from .land_request import Land, land_of, made, raster_of, remove_old, wanted_tiles
+from .land_request import Land, is_whole, land_of, made, raster_of, remove_old, wanted_tiles
 from .land_tiles import Seen
 from .polls import on_terrain
 from .shot import frames_of, look_through
@@ -131,6 +131,8 @@ class ShapeLand(bpy.types.Operator):
         except TerrainError as error:
             self._end(context)
             return self._failed(obj, str(error))
+        except ReferenceError:  # Undo has put another scene in its place
+            self.work.stop()
         if self.work.stopped:
             self._end(context)
             self.report({"INFO"}, "Shaping was cancelled before it began")
@@ -139,6 +141,7 @@ class ShapeLand(bpy.types.Operator):
 
     def _start(self, obj, depsgraph, views: list[View]) -> None:
         self.land = land = wanted_land(obj, depsgraph, views)
+        is_whole(land, session.open_field)  # else it is taken away
         self.wanted = land_tiles.with_known(land.folder, wanted_tiles(land, session.open_field))
         self.work.job = ShapeJob(land.source, land.stack, land.folder, self.wanted, tiles=land.tiles)
         made["stores"] += 1

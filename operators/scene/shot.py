@@ -2,6 +2,7 @@
 """The views of a terrain in all frames of a shot."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import bpy
@@ -31,9 +32,10 @@ def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **loo
             views += [_as_seen_from(view, moved.placement, placement) for view in moved.views]
             yield number / len(frames)
     finally:
-        if (scene.frame_current, scene.frame_subframe) != now:
-            with paused():
-                scene.frame_set(now[0], subframe=now[1])
+        with suppress(ReferenceError):  # Undo or another file has taken the scene away while this was waiting
+            if (scene.frame_current, scene.frame_subframe) != now:
+                with paused():
+                    scene.frame_set(now[0], subframe=now[1])
     yield views
 
 

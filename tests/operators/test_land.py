@@ -13,6 +13,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import lands
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
 from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.mask import LIMITS
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
@@ -385,6 +386,87 @@ def test_shaped_land_that_was_damaged_is_made_again(terrain):
     assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
 
 
+def cut_off(store) -> bytes:
+    """Half a file of samples is left, as where a copy was cut off; what the whole one held."""
+    session.clear()
+    samples = next(Path(store).glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    samples.unlink()  # the old one may still be mapped
+    samples.write_bytes(whole[: len(whole) // 2])
+    return whole
+
+
+@pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
+def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mode):
+    """A render waits for it; a viewport shows its preview meanwhile."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = shaped_land.store_of(terrain)
+    whole = cut_off(folder)
+    session.update_object(terrain, mode=mode)
+    [line] = capsys.readouterr().out.splitlines()
+    assert line.startswith(f"Adaptive Terrain: The shaped land in {folder!r} is damaged, and is made again from its")
+    assert "samples.npy is damaged (it has" in line and line.endswith(").")
+    state = shaped_land.state_of(terrain)
+    assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
+    session.update_object(terrain, mode="RENDER")
+    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
+    assert land_request.made["stores"] == 2 and not capsys.readouterr().out
+
+
+def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp_path):
+    """When a store is opened a few blocks of each array are looked at, and this is none of them."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    terrain.adaptive_terrain.store = str(tmp_path / "wide")
+    terrain.adaptive_terrain.render.error_px, terrain.adaptive_terrain.render.error_m = 0.0, 3.0
+    add("relief")
+    bpy.ops.adaptive_terrain.shape()
+    folder = shaped_land.store_of(terrain)
+    session.clear()
+    samples = next(Path(folder).glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    first = PAGE_BYTES + BLOCK_BYTES
+    samples.unlink()
+    samples.write_bytes(whole[:first] + b"\xff" * BLOCK_BYTES + whole[first + BLOCK_BYTES :])  # no numbers
+    open_store(folder)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2
+    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
+
+
+def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
+    """A source, and what was baked: an error that names the file."""
+    source = terrain.adaptive_terrain.store
+    add("thermal")
+    cut_off(source)
+    for mode in ("RENDER", "VIEWPORT"):
+        with pytest.raises(session.TerrainError, match=r"hills/data-\w+/samples.npy is damaged .*import the terrain"):
+            session.update_object(terrain, mode=mode)
+    assert (Path(source) / "store.json").is_file() and land_request.made["stores"] == 0
+
+
+def test_a_damaged_baked_store_is_an_error(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.bake_land()
+    baked = terrain.adaptive_terrain.store
+    cut_off(baked)
+    with pytest.raises(session.TerrainError, match=r"hills_baked/data-\w+/samples.npy is damaged"):
+        session.update_object(terrain, mode="RENDER")
+    assert (Path(baked) / "store.json").is_file()
+
+
+def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file.unlink()
+    (file / "more").mkdir(parents=True)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+    session.update_object(terrain, mode="RENDER")
+    assert shaped_land.state_of(terrain).shown == "Shaped" and file.is_file()
+
+
 def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     add("thermal")
     bpy.ops.adaptive_terrain.shape()
@@ -427,11 +509,11 @@ def test_baked_land_needs_no_stack(terrain):
     baked = terrain.adaptive_terrain.store
     assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
     assert open_store(source).key == before != open_store(baked).key
-    session.update_object(terrain)
     beside = land_request.folder_beside(source)
     assert (beside / "tiles").is_dir() and str(beside) in land_cache.lines(baked), "for Undo"
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert not land_request.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
+    session.update_object(terrain)
     assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
     with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
         bpy.ops.adaptive_terrain.bake_land()
@@ -686,6 +768,31 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
         assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
     assert to_the_end(operator) == {"CANCELLED"}
     assert scene.frame_current == 450 and not land_jobs.running and land_request.made["stores"] == 0
+
+
+@pytest.mark.parametrize("by", ["file", "undo"])
+def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypatch, by):
+    """Another file is opened, which ends what runs; or Undo puts another scene in its place."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "land.blend"))
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert bpy.context.scene.frame_current != 1 and land_jobs.running
+    if by == "file":
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "land.blend"))
+        operator.cancel(operator.context)
+        operator.context.window_manager.event_timer_remove.assert_called_once()
+    else:
+        bpy.ops.ed.undo_push(message="before")
+        bpy.ops.ed.undo_push(message="after")
+        assert bpy.ops.ed.undo() == {"FINISHED"}
+        assert to_the_end(operator) == {"CANCELLED"}
+    assert not land_jobs.running and land_request.made["stores"] == 0
 
 
 def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):

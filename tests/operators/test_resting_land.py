@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.operators.scene import land_jobs, land_request, live, resting_land, session, shaped_land
@@ -94,26 +95,61 @@ def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
     turns(lambda: session.record_of(terrain).field is session.open_field(shaped_land.store_of(terrain)))
 
 
-def test_a_damaged_store_is_shown_as_soon_as_it_is_whole_again(terrain):
-    """Nothing else changes: neither the settings nor the view nor the store's folder."""
+def test_damaged_land_is_made_again_where_one_looks(terrain, capsys):
+    """The preview is shown meanwhile, and nobody has to ask for it."""
     until(terrain, "Shaped")
     turns(lambda: is_finished(terrain))
-    folder, record = Path(shaped_land.store_of(terrain)), session.record_of(terrain)
+    folder, record, made = Path(shaped_land.store_of(terrain)), session.record_of(terrain), []
     session._fields.clear()
     samples = next(folder.glob("data-*/samples.npy"))
-    half = samples.read_bytes()[: samples.stat().st_size // 2]
+    whole = samples.read_bytes()
     samples.unlink()  # the old one is still mapped
-    samples.write_bytes(half)
+    samples.write_bytes(whole[: len(whole) // 2])
     terrain.adaptive_terrain.smooth = not terrain.adaptive_terrain.smooth
     bpy.context.view_layer.update()
     live.mark_dirty()
-    turns(lambda: record.status.error)
-    assert "_views' is damaged: press Shape Now to make it again. " in record.status.error
-    land = land_request.land_of(terrain, terrain, bpy.context.evaluated_depsgraph_get(), waits=True)
-    land_request.raster_of("", land.of_views_alone, session.open_field)
+    for state in ("Preview", "Shaped"):
+        turns(lambda state=state: made.append(record.status.error) or shaped_land.state_of(terrain).shown == state)
+    assert set(made) == {""} and capsys.readouterr().out.count("_views' is damaged, and is made again from its") == 1
+    assert record.field is session.open_field(str(folder))
+    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
+
+
+@pytest.mark.parametrize("fault", ["folder", "rights"])
+@pytest.mark.parametrize("stack", [True, False])
+def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatch, fault, stack):
+    """What says that it is a store is a folder, or may not be read; then it is as it was before, to the nanosecond."""
+    terrain.adaptive_terrain.live, record = True, session.record_of(terrain)
+    monkeypatch.setattr(resting_land, "REST_S", 1e9)
+    if not stack:
+        bpy.ops.adaptive_terrain.land_remove()
+        live.mark_dirty()
+        turns(lambda: record.status.request.land is None)
+    file = Path(terrain.adaptive_terrain.store) / "store.json"
+    before = file.stat()
+    opened, aside = stores.open_regular, file.with_suffix(".aside")
+    file.rename(aside)
+    if fault == "folder":
+        file.mkdir()
+    else:
+        aside.rename(file)
+        file.chmod(0)
+        monkeypatch.setattr(
+            stores, "open_regular", lambda f: opened(f) if f.stat().st_mode & 0o400 else opened(f.parent)
+        )
+    land_request._key_of.cache_clear()
+    session._fields.clear()
+    live.mark_dirty()
+    turns(lambda: "store.json cannot be read (" in record.status.error)
+    if fault == "folder":
+        file.rmdir()
+        aside.rename(file)
+    else:
+        file.chmod(before.st_mode)
+        monkeypatch.setattr(stores, "open_regular", opened)
+    assert file.stat().st_mtime_ns == before.st_mtime_ns
     live.mark_dirty()
     turns(lambda: not record.status.error)
-    assert record.field is session.open_field(str(folder))
 
 
 def test_another_slider_ends_it_and_begins_anew(terrain):

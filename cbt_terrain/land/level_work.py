@@ -15,7 +15,7 @@ from .tile_cache import TileCache, content_key
 from .tiles import BAND, Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 3
+METHOD = 4
 Tell = Callable[[float], None]
 
 
@@ -141,17 +141,21 @@ def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarra
     return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
 
 
-def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray | None:
-    """What a tile adds to the coarser level's change, over its window with a BAND all round, [parts, rows,
-    columns]; None where its mask lets nothing through.
+def is_let(work: Work, tile: int) -> bool:
+    """Whether an effect has anything to do with a tile; not where its mask lets nothing through."""
+    if work.mask is None or work.entry.declaration.masks:
+        return True
+    return bool(work.mask[work.level.window(tile, BAND, BAND)].any())
+
+
+def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray:
+    """The change of a tile, over its window with a BAND all round, [parts, rows, columns].
 
     coarse: [rows, columns] of the parts of the next coarser level.
     """
     effect, level = work.entry.declaration, work.level
     count = parts(effect, level)
     band = level.window(tile, BAND, BAND)
-    if work.mask is not None and not effect.masks and not work.mask[band].any():
-        return None
     rows, columns = work.plan.halo(work.entry, level)
     window = level.window(tile, BAND + rows, BAND + columns)
     ground = work.ground(window, tell)
@@ -160,7 +164,7 @@ def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) 
 
     def make() -> np.ndarray:
         made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)), count)
-        return (made - coarser[:count])[(slice(None), *inner)]
+        return made[(slice(None), *inner)]
 
     shape = count, *(part.stop - part.start for part in band)
     return work.cache.take(effect.name, work.key(ground, coarser, "tile"), shape, make)

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..field.heightfield import HeightField
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import LevelGround, Work, apply_tile, apply_whole, parts, unpacked
-from .levels import finer, masked
+from .level_work import LevelGround, Work, apply_tile, apply_whole, is_let, parts, unpacked
+from .levels import finer, finer_window, masked
 from .mask import whole_mask
 from .mask_reads import values_of
 from .stack import Entry, Stack
@@ -222,18 +222,7 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequ
         return up, most, squares, None
     if how == TILES:
         change, made = up, tiles
-        for tile in tiles:
-            cost = run.plan.cost(entry, level, tile)
-            told = run.progress(cost, level, entry)
-            told(0.0)
-            delta = apply_tile(work, tile, coarse, told)
-            run.done += cost
-            if delta is None:
-                continue
-            window = level.window(tile, BAND, BAND)
-            for part, added in zip(change, delta, strict=True):
-                part[window] += added * level.weights(tile)
-            most[tile], squares[tile] = _sizes(delta[0], work.mask, window, level.window(tile))
+        _put_tiles(run, work, tiles, coarse, change, most, squares)
     else:
         cost = run.plan.cost(entry, level, None)
         told = run.progress(cost, level, entry)
@@ -253,6 +242,40 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequ
         level.number, spacing, number, entry.effect, rms, float(most.max()), how == WHOLE, count, computed, ms
     )
     return change, most, squares, figures
+
+
+def _put_tiles(
+    run: Shaping,
+    work: Work,
+    tiles: list[int],
+    coarse: Sequence[np.ndarray],
+    change: list[np.ndarray],
+    most: np.ndarray,
+    squares: np.ndarray,
+) -> None:
+    """Make tiles, and put them into `change`, the coarser one's brought to this level; fills in their `most` and
+    `squares`.
+
+    By weights of what is there, not of what is added: a depth that is nowhere below 0 stays so, by the bit.
+    """
+    level, let = work.level, {tile for tile in tiles if is_let(work, tile)}
+    rest = np.ones(level.shape, np.float32)
+    for tile in let:
+        rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
+    for part in change:
+        part *= rest
+    for tile in tiles:
+        cost = run.plan.cost(work.entry, level, tile)
+        told = run.progress(cost, level, work.entry)
+        told(0.0)
+        if tile in let:
+            window, weights = level.window(tile, BAND, BAND), level.weights(tile)
+            made = apply_tile(work, tile, coarse, told)
+            for part, its in zip(change, made, strict=True):
+                part[window] += its * weights
+            added = made[0] - finer_window(coarse[0], *window)
+            most[tile], squares[tile] = _sizes(added, work.mask, window, level.window(tile))
+        run.done += cost
 
 
 def _sizes(delta: np.ndarray, mask: np.ndarray | None, window, core) -> tuple[float, float]:

@@ -32,6 +32,7 @@ class Ground:
     `heights`: float32 [rows, columns] metres, row 0 south, column 0 west. `step_x`, `step_y`: metres between samples.
     `first`: row and column of sample [0, 0] in the numbering of the whole level, which decides phases, noise and beds.
     `whole`: rows and columns of the whole level. `level`: halvings of the spacing that are left until the raster's own.
+    `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
     `missing`: bool [rows, columns] or None, holes of the file: heights there are filled, nothing should change them.
     `mask`: float32 [rows, columns], 0 to 1, or None: how much of the effect is wanted. Effects with `masks` heed it
     themselves, of the others the change is multiplied by it.
@@ -45,6 +46,7 @@ class Ground:
     first: tuple[int, int] = (0, 0)
     whole: tuple[int, int] = (0, 0)
     level: int = 0
+    asked: tuple[slice, slice] | None = None
     missing: np.ndarray | None = None
     mask: np.ndarray | None = None
     layers: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -295,14 +295,16 @@ def _put_on(
     """The heights that an entry adds; its layers are put into `layers`. Nothing is copied that need not be: at a fine
     level an array takes hundreds of megabytes."""
     shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
-    heights = shown.heights
-    if ground.missing is not None:
-        heights = np.where(ground.missing, np.float32(0.0), heights)
     for layer in entry.declaration.layers:
-        array = shown.layers[layer.name]
+        array = _without(ground.missing, shown.layers[layer.name])
         add = layer.per_metre and layer.name in layers
         layers[layer.name] = layers[layer.name] + array if add else array
-    return heights
+    return _without(ground.missing, shown.heights)
+
+
+def _without(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
+    """0 in holes, into which a coarser level's samples are taken from beside them."""
+    return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
 def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
@@ -316,8 +318,9 @@ def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
     for level in reversed(levels[: state.level.number]):
         total = finer(total, level.shape)
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
-    if run.heights.valid is not None:
-        total = np.where(run.heights.valid == 0, np.float32(0.0), total)
+    if state.level.number and run.heights.valid is not None:
+        missing = run.heights.valid == 0
+        total, layers = _without(missing, total), {name: _without(missing, a) for name, a in layers.items()}
     left = float(np.sqrt(left_squares)), float(left_most)
     return Shaped(
         np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early

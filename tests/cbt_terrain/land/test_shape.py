@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
 
+import dataclasses
 from collections import namedtuple
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.land import level_plan
+from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.land_effect import Ground
 from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
@@ -178,6 +180,19 @@ def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
     assert not made.change[field.valid == 0].any() and made.change[field.valid == 1].any()
     hill = shape(field, Stack((Entry("hill", {"radius": 900.0}),)), whole_land(field.lattice)).change
     assert (hill[100:] == 0.0).all() and hill[33, 33] > 90
+
+
+@pytest.mark.parametrize("asked", ["of a coarser level", "of an effect that ends there"])
+def test_what_comes_from_a_coarser_level_is_not_in_holes(monkeypatch, asked):
+    """Depths and states of 4 m samples, between which holes of single samples lie."""
+    monkeypatch.setitem(LAND_EFFECTS, "hill", dataclasses.replace(HILL, finest=400 if asked.endswith("there") else 0))
+    heights = bumpy(700, 600)
+    heights[np.random.default_rng(2).random(heights.shape) < 0.05] = np.nan
+    field = from_array(heights, 2.0, holes=True)
+    wanted = whole_land(field.lattice, 0 if asked.endswith("there") else 1)
+    made = shape(field, Stack((Entry("hill", {"east": 500.0}),)), wanted)
+    for samples in (made.change, made.layers["fresh"], made.layers["mark"]):
+        assert not samples[field.valid == 0].any() and (samples[field.valid == 1] > 50.0).any()
 
 
 def test_a_mask_lets_through_its_part_at_every_level_alike(land):

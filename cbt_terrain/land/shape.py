@@ -145,18 +145,18 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
     """The last level that was made, and whether that was not all."""
     state = None
     for level in reversed(run.plan.levels):
-        tiles = run.plan.tiles_at(level, *((None, None) if state is None else (state.most, state.unsure)))
-        if not run.entries or not (level.is_whole or tiles):
+        chosen = run.plan.chosen_at(level, *((None, None) if state is None else (state.most, state.unsure)))
+        if not run.entries or not (level.is_whole or chosen):
             break
         try:
-            state = _level(run, level, sorted(tiles), state)
+            state = _level(run, level, chosen, state)
         except Finished:
             return state, True
     return state, False
 
 
-def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) -> State:
-    ground = LevelGround.of(run.heights, level)
+def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -> State:
+    ground, tiles = LevelGround.of(run.heights, level), run.plan.made_with(level, chosen)
     total, layers, added = np.zeros(level.shape, np.float32), {}, []
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes = []
@@ -179,7 +179,8 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
     run.added += added
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if below is not None and not level.is_whole:
-        for tile in set(range(level.tile_count)) - set(tiles):  # nobody knows better than the coarser level
+        # Nobody knows better than the coarser level; or who does was made for others only, and decides nothing here.
+        for tile in set(range(level.tile_count)) - set(chosen):
             parent = level.parent(tile)
             most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
     return State(level, changes, total, layers, most, squares, unsure)

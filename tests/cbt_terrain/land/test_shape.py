@@ -172,6 +172,25 @@ def test_levels_that_add_less_than_the_error_are_not_made(land):
     assert shape(land, stack, whole_land(land.lattice)).tiles[0] == list(range(12))
 
 
+def test_what_a_tile_is_does_not_depend_on_the_error_that_is_allowed():
+    """Beside a plain, where nothing is worth a finer level, a tile still starts from all that it looks at; and the
+    plain's tiles that are made for that ask for no finer ones."""
+    y, x = np.indices((300, 1700))
+    heights = np.where(x > 1040, 40.0, 0.5) * np.sin(x / 9) * np.cos(y / 11)
+    field = from_array(heights.astype(np.float32), *STEPS)
+    stack, levels = Stack((Entry("smooth", {"sweeps": 12}),)), levels_of(field.lattice)
+    all_of, some = (
+        shape(field, stack, [dict.fromkeys(tiles, metres) for tiles in all_tiles(field.lattice)])
+        for metres in (0.0, 2.0)
+    )
+    assert 0 < len(some.tiles[0]) < len(all_of.tiles[0]) == levels[0].tile_count
+    for number, tiles in enumerate(some.tiles[:2]):
+        assert {levels[number].parent(tile) for tile in tiles} <= set(some.tiles[number + 1])
+    for tile in some.tiles[0]:
+        inner = tuple(slice(part.start + BAND, part.stop - BAND) for part in levels[0].window(tile))
+        assert some.change[inner].tobytes() == all_of.change[inner].tobytes()
+
+
 def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
     heights = bumpy(400, 333)
     heights[50:90, 60:99] = np.nan

@@ -32,12 +32,12 @@ class Ground:
     `heights`: float32 [rows, columns] metres, row 0 south, column 0 west. `step_x`, `step_y`: metres between samples.
     `first`: row and column of sample [0, 0] in the numbering of the whole level, which decides phases, noise and beds.
     `whole`: rows and columns of the whole level. `level`: halvings of the spacing that are left until the raster's own.
-    `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
     `missing`: bool [rows, columns] or None, holes of the file: heights there are filled, nothing should change them.
     `mask`: float32 [rows, columns], 0 to 1, or None: how much of the effect is wanted. Effects with `masks` heed it
     themselves, of the others the change is multiplied by it.
     `layers`: what effects before this one have left, float32 [rows, columns] each.
     `seed`: of what is random. `progress`: told the part that is done, 0 to 1; raises to stop the work.
+    `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
     """
 
     heights: np.ndarray
@@ -46,13 +46,13 @@ class Ground:
     first: tuple[int, int] = (0, 0)
     whole: tuple[int, int] = (0, 0)
     level: int = 0
-    asked: tuple[slice, slice] | None = None
     missing: np.ndarray | None = None
     mask: np.ndarray | None = None
     layers: Mapping[str, np.ndarray] = field(default_factory=dict)
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], None] = lambda _part: None
+    asked: tuple[slice, slice] | None = None
 
     @property
     def rims(self) -> tuple[bool, bool, bool, bool]:

@@ -108,7 +108,7 @@ def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndar
     first = (ground.first[0] // 2, ground.first[1] // 2)
     layers = {name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"}
     arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
-    below = Ground(*arrays, None, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
+    below = Ground(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
     shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
     fallen, stuck = (finer(a, shape)[odd[0] :, odd[1] :] for a in _fallen(below, values))
     return fallen, stuck

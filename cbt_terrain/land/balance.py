@@ -9,8 +9,8 @@ import numpy as np
 from .land_effect import Ground
 from .levels import finer
 
-# A gain is taken from what was laid down within 2^4 samples, what is left of it within 2^5, and then within 2^6. That is
-# so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
+# A gain is taken from what was laid down within 2^4 samples, what is left of it within 2^5, and then within 2^6. That
+# is so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
 HALVINGS = 4, 5, 6
 
 

@@ -4,15 +4,14 @@
 So nothing is lost over all levels, and no tile needs to know of samples far away: it has what the whole has there.
 """
 
-import math
-
 import numpy as np
 
 from .land_effect import Ground
 from .levels import finer
 
-# A gain is taken from what was laid down within so many samples. A tile looks further than that.
-WITHIN = 16
+# A gain is taken from what was laid down within 2^4 samples, what is left of it within 2^5, and then within 2^6. That
+# is so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
+HALVINGS = 4, 5, 6
 
 
 def balanced(laid: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground) -> np.ndarray:
@@ -21,20 +20,19 @@ def balanced(laid: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground)
     All float32 [rows, columns] m. net: what a coarser level has moved, whose sum over that level's samples is 0,
     brought to this one. now: the same as it is to be here, of which `laid`, at least 0, may become less or more.
     """
-    gain = now - _all_of(net, ground)
-    padding = [(first % WITHIN, 0) for first in ground.first]  # grids lie alike in a tile and in the whole
-    there, gained, shapes = np.pad(laid, padding), np.pad(gain, padding), []
-    for _ in range(int(math.log2(WITHIN))):
-        shapes.append(there.shape)
-        there, gained = _gathered(there), _gathered(gained)
-    part = _part(gained, there)
+    elsewhere = now.sum(dtype=np.float64) - laid.sum(dtype=np.float64)
+    padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # grids lie alike in a tile and in the whole
+    laid, gained, done = np.pad(laid, padding), np.pad(now - _all_of(net, ground), padding), 0
+    for halvings in HALVINGS:
+        there, gained = _gathered(laid, halvings), _gathered(gained, halvings - done)
+        part, done = _part(gained, there), halvings
+        gained = gained - part * there
+        laid = laid - _spread(part, laid.shape, halvings) * laid
+    laid = laid[padding[0][0] :, padding[1][0] :]
     if all(ground.rims):  # nothing lay nearby, or the coarser level's sum was not quite 0
-        rest = now.sum(dtype=np.float64) - (part * there).sum()
-        part += (1.0 - part) * _part(rest, ((1.0 - part) * there).sum())
-    part = part.astype(np.float32)
-    for shape in reversed(shapes):
-        part = finer(part, shape)
-    return laid - part[padding[0][0] :, padding[1][0] :] * laid
+        there = laid.sum(dtype=np.float64)
+        laid = laid - np.float32(_part(elsewhere + there, there)) * laid
+    return laid
 
 
 def _part(gained, there):
@@ -42,10 +40,10 @@ def _part(gained, there):
     return np.clip(gained / np.maximum(there, 1e-12), -1.0, 1.0)
 
 
-def _gathered(samples: np.ndarray) -> np.ndarray:
-    """float64 [rows // 2 + 1, columns // 2 + 1], likewise: the samples of `finer`, each given back what it would give;
-    the sum stays."""
-    for axis in range(2):
+def _gathered(samples: np.ndarray, halvings: int) -> np.ndarray:
+    """float64: so many times [rows // 2 + 1, columns // 2 + 1]: the samples of `finer`, each given back what it would
+    give; the sum stays."""
+    for axis in (0, 1) * halvings:
         along = np.moveaxis(samples, axis, 0)
         some = np.zeros((len(along) // 2 + 1, along.shape[1]))
         some[: (len(along) + 1) // 2] = along[::2]
@@ -54,6 +52,13 @@ def _gathered(samples: np.ndarray) -> np.ndarray:
         some[1 : len(between) + 1] += between
         samples = np.moveaxis(some, 0, axis)
     return samples
+
+
+def _spread(part: np.ndarray, shape: tuple[int, int], halvings: int) -> np.ndarray:
+    """float32 of a shape, from what is so many halvings coarser."""
+    if halvings > 1:
+        part = _spread(part, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)
+    return finer(part.astype(np.float32), shape)
 
 
 def _all_of(net: np.ndarray, ground: Ground) -> np.ndarray:

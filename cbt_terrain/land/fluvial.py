@@ -157,7 +157,7 @@ def diffuse(
     common = {"step": "rivers", "threads": bed.threads}
     where = [flat(still, wp.uint8), flat(part, wp.float32)]
     if passes > MOST_PASSES:
-        arrays = [*where, flat(other, wp.float32), flat(values, wp.float32)]
+        arrays = [*where, *(flat(a, wp.float32) for a in (other, np.empty_like(values), values))]
         blocks, inputs = -(-columns // BLOCK), [BLOCK, grid, ns, *arrays]
         launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
         launch.spread(far_creep.creep_along_rows, rows, [grid, ew, *arrays], cost=columns, **common)

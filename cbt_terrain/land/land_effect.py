@@ -37,6 +37,7 @@ class Ground:
     themselves, of the others the change is multiplied by it.
     `layers`: what effects before this one have left, float32 [rows, columns] each.
     `seed`: of what is random. `progress`: told the part that is done, 0 to 1; raises to stop the work.
+    `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
     """
 
     heights: np.ndarray
@@ -51,6 +52,7 @@ class Ground:
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], None] = lambda _part: None
+    asked: tuple[slice, slice] | None = None
 
     @property
     def rims(self) -> tuple[bool, bool, bool, bool]:

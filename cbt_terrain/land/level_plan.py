@@ -2,7 +2,7 @@
 """What is to be done at each level: how each effect is applied there, to which tiles, and about how long it takes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class LevelPlan:
         self.asked_whole = [tiles is None for tiles in wanted]
         wanted = [every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)]
         halo = [np.max([(0, 0), *(self.halo(e, level) or (0, 0) for e in entries)], axis=0) for level in levels]
-        self.wanted = closed(levels, wanted, halo)
+        self.needed = closed(levels, wanted, halo)
         self.total = sum(self._cost(entry, level) for entry in entries for level in levels)
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
@@ -53,19 +53,23 @@ class LevelPlan:
         return shape[0] * shape[1] * max(entry.declaration.cost_ns, 1.0)
 
     def _cost(self, entry: Entry, level: Level) -> float:
-        tiles, how = self.wanted[level.number], self.how(entry, level)
+        tiles, how = self.made_with(level, self.needed[level.number]), self.how(entry, level)
         if how == UPSAMPLED or not (level.is_whole or tiles):
             return 0.0
         return self.cost(entry, level, None if how == WHOLE else min(tiles)) * (1 if how == WHOLE else len(tiles))
 
-    def tiles_at(self, level: Level, most: np.ndarray | None, unsure: np.ndarray | None) -> list[int]:
+    def chosen_at(self, level: Level, most: np.ndarray | None, unsure: np.ndarray | None) -> list[int]:
         """The tiles of a level that are wanted, and where more is to be expected than the error that is allowed.
 
         most: float64 [tiles of the next coarser level] metres: what that has added at most; finer ones add less, but
         where it is `unsure`, bool likewise.
         """
-        wanted = self.wanted[level.number]
+        needed = self.needed[level.number]
         if most is None or level.is_whole:
-            return list(wanted)
-        parents = {tile: level.parent(tile) for tile in wanted}
-        return [tile for tile, metres in wanted.items() if unsure[parents[tile]] or most[parents[tile]] > metres]
+            return list(needed)
+        parents = {tile: level.parent(tile) for tile in needed}
+        return [tile for tile, need in needed.items() if unsure[parents[tile]] or most[parents[tile]] > need.metres]
+
+    def made_with(self, level: Level, chosen: Iterable[int]) -> list[int]:
+        """All tiles of a level that are made if these are chosen."""
+        return sorted(frozenset().union(*(self.needed[level.number][tile].tiles for tile in chosen)))

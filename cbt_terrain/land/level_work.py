@@ -15,7 +15,7 @@ from .tile_cache import TileCache, content_key
 from .tiles import BAND, Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 3
+METHOD = 4
 Tell = Callable[[float], None]
 
 
@@ -67,8 +67,8 @@ class Work:
     mask: np.ndarray | None
     threads: int
 
-    def ground(self, window: Window, tell: Tell) -> Ground:
-        """What the effect sees of a window."""
+    def ground(self, window: Window, tell: Tell, asked: Window | None = None) -> Ground:
+        """What the effect sees of a window. asked: the part of it whose change is wanted, of the level."""
         level, source, effect = self.level, self.source, self.entry.declaration
         names = [name for name in effect.reads if name in self.layers or name in source.layers]
         return Ground(
@@ -78,6 +78,7 @@ class Work:
             first=(window[0].start, window[1].start),
             whole=level.shape,
             level=level.number,
+            asked=None if asked is None else _within(asked, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
             mask=None if self.mask is None else np.ascontiguousarray(self.mask[window]),
             layers={name: self._layer(name, window) for name in names},
@@ -103,6 +104,11 @@ class Work:
         arrays = [ground.heights, ground.missing, mask, coarser]
         layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]
         return content_key(about, place, *arrays, *layers)
+
+
+def _within(part: Window, window: Window) -> Window:
+    rows, columns = (slice(p.start - w.start, p.stop - w.start) for p, w in zip(part, window, strict=True))
+    return rows, columns
 
 
 def _names(effect: LandEffect) -> list[str]:
@@ -141,26 +147,29 @@ def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarra
     return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
 
 
-def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray | None:
-    """What a tile adds to the coarser level's change, over its window with a BAND all round, [parts, rows,
-    columns]; None where its mask lets nothing through.
+def is_let(work: Work, tile: int) -> bool:
+    """Whether an effect has anything to do with a tile; not where its mask lets nothing through."""
+    if work.mask is None or work.entry.declaration.masks:
+        return True
+    return bool(work.mask[work.level.window(tile, BAND, BAND)].any())
+
+
+def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray:
+    """The change of a tile, over its window with a BAND all round, [parts, rows, columns].
 
     coarse: [rows, columns] of the parts of the next coarser level.
     """
     effect, level = work.entry.declaration, work.level
     count = parts(effect, level)
     band = level.window(tile, BAND, BAND)
-    if work.mask is not None and not effect.masks and not work.mask[band].any():
-        return None
     rows, columns = work.plan.halo(work.entry, level)
     window = level.window(tile, BAND + rows, BAND + columns)
-    ground = work.ground(window, tell)
+    ground = work.ground(window, tell, asked=band)
     coarser = np.stack([finer_window(array, *window) for array in coarse])
-    inner = tuple(slice(b.start - w.start, b.stop - w.start) for b, w in zip(band, window, strict=True))
 
     def make() -> np.ndarray:
         made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)), count)
-        return (made - coarser[:count])[(slice(None), *inner)]
+        return made[(slice(None), *ground.asked)]
 
     shape = count, *(part.stop - part.start for part in band)
     return work.cache.take(effect.name, work.key(ground, coarser, "tile"), shape, make)

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..field.heightfield import HeightField
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import LevelGround, Work, apply_tile, apply_whole, parts, unpacked
-from .levels import finer, masked
+from .level_work import LevelGround, Work, apply_tile, apply_whole, is_let, parts, unpacked
+from .levels import finer, finer_window, masked
 from .mask import whole_mask
 from .mask_reads import values_of
 from .stack import Entry, Stack
@@ -145,18 +145,18 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
     """The last level that was made, and whether that was not all."""
     state = None
     for level in reversed(run.plan.levels):
-        tiles = run.plan.tiles_at(level, *((None, None) if state is None else (state.most, state.unsure)))
-        if not run.entries or not (level.is_whole or tiles):
+        chosen = run.plan.chosen_at(level, *((None, None) if state is None else (state.most, state.unsure)))
+        if not run.entries or not (level.is_whole or chosen):
             break
         try:
-            state = _level(run, level, sorted(tiles), state)
+            state = _level(run, level, chosen, state)
         except Finished:
             return state, True
     return state, False
 
 
-def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) -> State:
-    ground = LevelGround.of(run.heights, level)
+def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -> State:
+    ground, tiles = LevelGround.of(run.heights, level), run.plan.made_with(level, chosen)
     total, layers, added = np.zeros(level.shape, np.float32), {}, []
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes = []
@@ -179,7 +179,8 @@ def _level(run: Shaping, level: Level, tiles: list[int], below: State | None) ->
     run.added += added
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if below is not None and not level.is_whole:
-        for tile in set(range(level.tile_count)) - set(tiles):  # nobody knows better than the coarser level
+        # Nobody knows better than the coarser level; or who does was made for others only, and decides nothing here.
+        for tile in set(range(level.tile_count)) - set(chosen):
             parent = level.parent(tile)
             most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
     return State(level, changes, total, layers, most, squares, unsure)
@@ -222,18 +223,7 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequ
         return up, most, squares, None
     if how == TILES:
         change, made = up, tiles
-        for tile in tiles:
-            cost = run.plan.cost(entry, level, tile)
-            told = run.progress(cost, level, entry)
-            told(0.0)
-            delta = apply_tile(work, tile, coarse, told)
-            run.done += cost
-            if delta is None:
-                continue
-            window = level.window(tile, BAND, BAND)
-            for part, added in zip(change, delta, strict=True):
-                part[window] += added * level.weights(tile)
-            most[tile], squares[tile] = _sizes(delta[0], work.mask, window, level.window(tile))
+        _put_tiles(run, work, tiles, coarse, change, most, squares)
     else:
         cost = run.plan.cost(entry, level, None)
         told = run.progress(cost, level, entry)
@@ -255,6 +245,40 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequ
     return change, most, squares, figures
 
 
+def _put_tiles(
+    run: Shaping,
+    work: Work,
+    tiles: list[int],
+    coarse: Sequence[np.ndarray],
+    change: list[np.ndarray],
+    most: np.ndarray,
+    squares: np.ndarray,
+) -> None:
+    """Make tiles, and put them into `change`, the coarser one's brought to this level; fills in their `most` and
+    `squares`.
+
+    By weights of what is there, not of what is added: a depth that is nowhere below 0 stays so, by the bit.
+    """
+    level, let = work.level, {tile for tile in tiles if is_let(work, tile)}
+    rest = np.ones(level.shape, np.float32)
+    for tile in let:
+        rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
+    for part in change:
+        part *= rest
+    for tile in tiles:
+        cost = run.plan.cost(work.entry, level, tile)
+        told = run.progress(cost, level, work.entry)
+        told(0.0)
+        if tile in let:
+            window, weights = level.window(tile, BAND, BAND), level.weights(tile)
+            made = apply_tile(work, tile, coarse, told)
+            for part, its in zip(change, made, strict=True):
+                part[window] += its * weights
+            added = made[0] - finer_window(coarse[0], *window)
+            most[tile], squares[tile] = _sizes(added, work.mask, window, level.window(tile))
+        run.done += cost
+
+
 def _sizes(delta: np.ndarray, mask: np.ndarray | None, window, core) -> tuple[float, float]:
     """Most, and mean square, of a tile's own part of what was added in a window, as much of it as the mask lets."""
     own = tuple(slice(c.start - w.start, c.stop - w.start) for c, w in zip(core, window, strict=True))
@@ -272,14 +296,16 @@ def _put_on(
     """The heights that an entry adds; its layers are put into `layers`. Nothing is copied that need not be: at a fine
     level an array takes hundreds of megabytes."""
     shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
-    heights = shown.heights
-    if ground.missing is not None:
-        heights = np.where(ground.missing, np.float32(0.0), heights)
     for layer in entry.declaration.layers:
-        array = shown.layers[layer.name]
+        array = _without(ground.missing, shown.layers[layer.name])
         add = layer.per_metre and layer.name in layers
         layers[layer.name] = layers[layer.name] + array if add else array
-    return heights
+    return _without(ground.missing, shown.heights)
+
+
+def _without(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
+    """0 in holes, into which a coarser level's samples are taken from beside them."""
+    return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
 def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
@@ -293,8 +319,9 @@ def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
     for level in reversed(levels[: state.level.number]):
         total = finer(total, level.shape)
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
-    if run.heights.valid is not None:
-        total = np.where(run.heights.valid == 0, np.float32(0.0), total)
+    if state.level.number and run.heights.valid is not None:
+        missing = run.heights.valid == 0
+        total, layers = _without(missing, total), {name: _without(missing, a) for name, a in layers.items()}
     left = float(np.sqrt(left_squares)), float(left_most)
     return Shaped(
         np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early

@@ -219,5 +219,5 @@ SNOW = LandEffect(
     converges="depth to 0.27, 0.16, 0.09 m rms from 513 to 2,049 samples of the island",
     cost_ns=640,
     source="Winstral et al. 2002 (shelter from wind); Timonen and Westerholm 2010 (horizons)",
-    version=4,
+    version=5,
 )

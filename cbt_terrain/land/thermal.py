@@ -188,5 +188,5 @@ THERMAL = LandEffect(
     converges="257, 513 and 1,025 samples of the island, twice as steep: 0.94, then 0.48 m rms of 12 m; rests at 34°",
     cost_ns=350,
     source="Musgrave, Kolb and Mace 1989, section 3; here by pairs, one after the other",
-    version=2,
+    version=3,
 )

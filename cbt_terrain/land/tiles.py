@@ -172,19 +172,32 @@ def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
     return np.stack([four[..., 0, :].min(axis=(1, 3)), four[..., 1, :].max(axis=(1, 3))], axis=2)
 
 
+@dataclass(frozen=True)
+class Needed:
+    """What a tile calls for. `metres`: by which heights may be off in it. `tiles`: of its level, itself and those that
+    finer ones in it start from, which are made whenever it is: so what a tile is does not depend on any metres."""
+
+    metres: float
+    tiles: frozenset[int]
+
+
 def closed(
     levels: Sequence[Level], wanted: Sequence[Mapping[int, float]], halo: Sequence[tuple[int, int]]
-) -> list[dict[int, float]]:
-    """What is wanted, with what that starts from: the tiles of coarser levels under the windows of finer ones.
+) -> list[dict[int, Needed]]:
+    """What is wanted, and the tiles of coarser levels that it lies in, each with all that are made with it.
 
     halo: rows and columns that the effects look beyond a tile, by level.
     """
-    found = [dict(tiles) for tiles in wanted]
+    found = [{tile: Needed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):
         rows, columns = (BAND + h for h in halo[fine.number])
-        for tile, metres in found[fine.number].items():
+        needed, below = found[coarse.number], {}
+        for tile in set().union(*(need.tiles for need in found[fine.number].values())):
             window = fine.window(tile, rows, columns)
-            below = tuple(slice(part.start // 2, (part.stop - 1) // 2 + 2) for part in window)
-            for other in coarse.tiles_in(below):
-                found[coarse.number][other] = min(metres, found[coarse.number].get(other, math.inf))
+            below[tile] = coarse.tiles_in(tuple(slice(part.start // 2, (part.stop - 1) // 2 + 2) for part in window))
+        for tile, need in found[fine.number].items():
+            parent = fine.parent(tile)
+            known = needed.get(parent, Needed(math.inf, frozenset({parent})))
+            tiles = known.tiles.union(*(below[tile] for tile in need.tiles))
+            needed[parent] = Needed(min(need.metres, known.metres), tiles)
     return found

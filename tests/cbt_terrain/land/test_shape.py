@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
 
+import dataclasses
 from collections import namedtuple
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.land import level_plan
+from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.land_effect import Ground
 from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
@@ -170,6 +172,25 @@ def test_levels_that_add_less_than_the_error_are_not_made(land):
     assert shape(land, stack, whole_land(land.lattice)).tiles[0] == list(range(12))
 
 
+def test_what_a_tile_is_does_not_depend_on_the_error_that_is_allowed():
+    """Beside a plain, where nothing is worth a finer level, a tile still starts from all that it looks at; and the
+    plain's tiles that are made for that ask for no finer ones."""
+    y, x = np.indices((300, 1700))
+    heights = np.where(x > 1040, 40.0, 0.5) * np.sin(x / 9) * np.cos(y / 11)
+    field = from_array(heights.astype(np.float32), *STEPS)
+    stack, levels = Stack((Entry("smooth", {"sweeps": 12}),)), levels_of(field.lattice)
+    all_of, some = (
+        shape(field, stack, [dict.fromkeys(tiles, metres) for tiles in all_tiles(field.lattice)])
+        for metres in (0.0, 2.0)
+    )
+    assert 0 < len(some.tiles[0]) < len(all_of.tiles[0]) == levels[0].tile_count
+    for number, tiles in enumerate(some.tiles[:2]):
+        assert {levels[number].parent(tile) for tile in tiles} <= set(some.tiles[number + 1])
+    for tile in some.tiles[0]:
+        inner = tuple(slice(part.start + BAND, part.stop - BAND) for part in levels[0].window(tile))
+        assert some.change[inner].tobytes() == all_of.change[inner].tobytes()
+
+
 def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
     heights = bumpy(400, 333)
     heights[50:90, 60:99] = np.nan
@@ -178,6 +199,19 @@ def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
     assert not made.change[field.valid == 0].any() and made.change[field.valid == 1].any()
     hill = shape(field, Stack((Entry("hill", {"radius": 900.0}),)), whole_land(field.lattice)).change
     assert (hill[100:] == 0.0).all() and hill[33, 33] > 90
+
+
+@pytest.mark.parametrize("asked", ["of a coarser level", "of an effect that ends there"])
+def test_what_comes_from_a_coarser_level_is_not_in_holes(monkeypatch, asked):
+    """Depths and states of 4 m samples, between which holes of single samples lie."""
+    monkeypatch.setitem(LAND_EFFECTS, "hill", dataclasses.replace(HILL, finest=400 if asked.endswith("there") else 0))
+    heights = bumpy(700, 600)
+    heights[np.random.default_rng(2).random(heights.shape) < 0.05] = np.nan
+    field = from_array(heights, 2.0, holes=True)
+    wanted = whole_land(field.lattice, 0 if asked.endswith("there") else 1)
+    made = shape(field, Stack((Entry("hill", {"east": 500.0}),)), wanted)
+    for samples in (made.change, made.layers["fresh"], made.layers["mark"]):
+        assert not samples[field.valid == 0].any() and (samples[field.valid == 1] > 50.0).any()
 
 
 def test_a_mask_lets_through_its_part_at_every_level_alike(land):

@@ -7,7 +7,7 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.land.levels import coarser, finer, finer_window
-from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, closed, levels_of, tiles_seen
+from adaptive_terrain.cbt_terrain.land.tiles import BAND, Needed, all_tiles, closed, levels_of, tiles_seen
 
 SIZES = [(700, 1000), (513, 513), (514, 2050), (258, 1600), (3, 900), (1025, 770)]
 
@@ -62,8 +62,8 @@ def test_what_tiles_start_from_is_wanted_too():
     found = closed(levels, wanted, [(100, 300)] * len(levels))
     # Tile 17 is the second of the second row: samples 256 to 512 both ways; with a band and its halo from 140 to 629
     # north and from -60 to 829 east, of which half are 70 to 315 and 0 to 415, and a band more.
-    assert found[0] == {17: 0.25} and found[1] == {0: 0.25, 1: 0.25, 8: 0.25, 9: 0.25}
-    assert found[2] == dict.fromkeys((0, 1, 4, 5), 0.25)
+    assert found[0] == {17: Needed(0.25, frozenset({17}))} and found[1] == {0: Needed(0.25, frozenset({0, 1, 8, 9}))}
+    assert found[2] == {0: Needed(0.25, frozenset({0, 1, 4, 5}))}
     assert [len(tiles) for tiles in all_tiles(fit(4097, 4097, 1.0, 1.0))] == [256, 64, 16, 4, 1]
 
 

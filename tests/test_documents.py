@@ -38,7 +38,8 @@ def test_no_page_of_the_method_is_out_of_reach():
     }
 
 
-def test_figures_are_those_that_the_script_draws():
+def test_figures_are_those_that_the_script_draws(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tools")
     spec = importlib.util.spec_from_file_location("draw_figures", ROOT / "tools" / "draw_figures.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)

@@ -90,12 +90,12 @@ def settle(
     work = {"step": "thermal", "threads": ground.threads, "cost": 3.0 * slope.width}
     numbers = [LONGEST, OCTAVES, values["uneven"] * slope.repose]
     launch.spread(kernels.lie_unevenly, slope.height, [slope, *numbers, arrays[0]], **work)
-    breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
+    breaking, sweeps, recorded = times * BREAKING, times * (BREAKING + RESTING), {}
     for number in range(sweeps):
         if number == breaking:
             even_out(left, room)
             slope.weather = 0.0
-        for _half in sweep(slope, number, arrays, ground.threads):
+        for _half in sweep(slope, number, arrays, ground.threads, recorded):
             # What is still on its way is on rows of one parity after each half: the mean of four has no such comb.
             if number >= sweeps - 2:
                 rest += np.float32(0.25) * scree
@@ -103,12 +103,15 @@ def settle(
     return rest
 
 
-def sweep(slope: kernels.Slope, number: int, arrays: list[wp.array], threads: int) -> Iterator[None]:
-    """Sweep `number` over base, left, scree and scratch, flat; yields after each half of it.
+def sweep(
+    slope: kernels.Slope, number: int, arrays: list[wp.array], threads: int, recorded: dict | None = None
+) -> Iterator[None]:
+    """Sweep `number` over base, left, scree and scratch, flat; yields after each half of it. `recorded`: as launch.py
+    has it, for sweeps over the same arrays.
 
     To and fro: with one order always, slabs of one parity would be worn more than those of the other.
     """
-    work, odd = {"step": "thermal", "threads": threads}, number & 1
+    work, odd = {"step": "thermal", "threads": threads, "recorded": recorded}, number & 1
     launch.spread(kernels.face_rows, slope.height, [slope, *arrays], cost=0.1 * slope.width, **work)
     for along, parity in ((1, odd), (0, 1 - odd)):
         first = -((parity ^ slope.first_row) & 1)

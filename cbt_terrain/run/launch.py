@@ -100,14 +100,16 @@ def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None =
     with timed(step):
         _load(kernel)
         held = {} if recorded is None else recorded
-        together([_command(held, kernel, slot, values).launch for slot, values in enumerate(inputs)])
+        together([_command(held, kernel, (slot, 1), values).launch for slot, values in enumerate(inputs)])
 
 
-def _command(recorded: dict, kernel, slot: int, values: list):
-    """The launch of `kernel` that `recorded` has in this place, with these values."""
-    if (kernel, slot) not in recorded:
-        recorded[kernel, slot] = wp.launch(kernel, 1, inputs=values, device=DEVICE, record_cmd=True), list(values)
-    command, last = recorded[kernel, slot]
+def _command(recorded: dict, kernel, place: tuple[int, int], values: list):
+    """The launch of `kernel` that `recorded` has in this place, a slot and a count of items, with these values."""
+    key = kernel, *place
+    if key not in recorded:
+        launched = wp.launch(kernel, place[1], inputs=values, device=DEVICE, record_cmd=True)
+        recorded[key] = launched, list(values)
+    command, last = recorded[key]
     for i, value in enumerate(values):
         if last[i] is not value:
             command.set_param_at_index(i, value)
@@ -115,11 +117,20 @@ def _command(recorded: dict, kernel, slot: int, values: list):
     return command
 
 
-def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cost: float = 1.0) -> None:
+def spread(
+    kernel,
+    count: int,
+    inputs: list,
+    *,
+    step: str,
+    threads: int = 1,
+    cost: float = 1.0,
+    recorded: dict | None = None,
+) -> None:
     """Launch `kernel` over `count` items, cut into even ranges for `threads`.
 
     The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is how many times dearer an item
-    is than a lookup and a few operations (about 15 ns); small jobs stay on one thread.
+    is than a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: as in `slices`.
     """
     if count <= 0:
         return
@@ -129,10 +140,13 @@ def spread(kernel, count: int, inputs: list, *, step: str, threads: int = 1, cos
         pieces = max(1, min(threads, int(count * cost / SLICE_ITEMS)))
         cuts = [count * i // pieces for i in range(pieces + 1)]
 
-        def job(lo: int, hi: int) -> Callable[[], None]:
-            return lambda: wp.launch(kernel, hi - lo, inputs=[lo, *inputs], device=DEVICE)
+        def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
+            values = [lo, *inputs]
+            if recorded is not None:
+                return _command(recorded, kernel, (slot, hi - lo), values).launch
+            return lambda: wp.launch(kernel, hi - lo, inputs=values, device=DEVICE)
 
-        together([job(lo, hi) for lo, hi in zip(cuts, cuts[1:], strict=False)])
+        together([job(slot, *cut) for slot, cut in enumerate(zip(cuts, cuts[1:], strict=False))])
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:

@@ -198,6 +198,66 @@ def in_one_patch(
 
 
 @wp.func
+def in_one(
+    ground: Ground,
+    ray: Ray,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
+    tolerance: wp.float64,
+):
+    """`in_one_cell` or `in_one_patch`, as the surface is."""
+    hit = NOWHERE
+    if ground.curved == 1:
+        hit, side = in_one_patch(ground, ray, i, j, first, last, side, tolerance)
+    else:
+        hit, side = in_one_cell(ground, ray, i, j, first, last, side, tolerance)
+    return hit, side
+
+
+@wp.func
+def over_ground(ground: Ground, blocks: Blocks, ray: Ray, start: wp.float64, end: wp.float64):
+    """First and last t of start .. end where the ray is over the ground and near its heights."""
+    zero = wp.float64(0.0)
+    first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.columns - 1))
+    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.rows - 1))
+    # a ray begins far enough from the surface to know its side, also where that is flat
+    spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
+    return within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
+
+
+@wp.func
+def side_of_block(
+    ground: Ground, blocks: Blocks, n: wp.int32, ray: Ray, t: wp.float64, out: wp.float64, tolerance: wp.float64
+) -> wp.float64:
+    """1 where the ray is above all of block n from t to `out`, -1 where it is below, 0 where that is not sure."""
+    a = wp.float64(blocks.low[n]) * ground.scale + ground.offset
+    b = wp.float64(blocks.high[n]) * ground.scale + ground.offset
+    z0 = ray.z + t * ray.dz
+    z1 = ray.z + out * ray.dz
+    above = wp.min(z0, z1) - wp.max(a, b)
+    below = wp.min(a, b) - wp.max(z0, z1)
+    return wp.where(above > tolerance, wp.float64(1.0), wp.where(below > tolerance, wp.float64(-1.0), wp.float64(0.0)))
+
+
+@wp.func
+def time_to(place: wp.float64, speed: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
+    """t where the ray leaves low .. high along one axis, NOWHERE where it does not."""
+    t = NOWHERE
+    if speed != wp.float64(0.0):
+        t = (wp.float64(wp.where(speed > wp.float64(0.0), high, low)) - place) / speed
+    return t
+
+
+@wp.func
+def cell_behind(place: wp.float64, speed: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
+    """Along the axis that the ray does not leave by: its cell at `out`, of the cells low .. high - 1."""
+    return wp.clamp(wp.int32(wp.floor(place + out * speed)), low, high - 1)
+
+
+@wp.func
 def first_crossing(
     ground: Ground,
     blocks: Blocks,
@@ -208,72 +268,47 @@ def first_crossing(
     tolerance: wp.float64,
 ) -> wp.float64:
     """The first t in start .. end where the ray passes through the surface, infinite where it does not.
-
-    With a tolerance: where it is that many metres beyond. `start_level`: of the first block that is tried.
-    """
+    With a tolerance: where it is that many metres beyond. `start_level`: of the first block that is tried."""
     zero = wp.float64(0.0)
     cells_x = ground.columns - 1
     cells_y = ground.rows - 1
-    first, last = within(start, end, ray.u, ray.du, zero, wp.float64(cells_x))
-    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(cells_y))
-    # a ray begins far enough from the surface to know its side, also where that is flat
-    spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
-    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
+    t, last = over_ground(ground, blocks, ray, start, end)
     hit = NOWHERE
-    if first > last:
+    if t > last:
         return hit
     side = zero
     level = wp.min(start_level, blocks.levels)
-    t = first
-    i = wp.clamp(wp.int32(wp.floor(ray.u + t * ray.du)), 0, cells_x - 1)
-    j = wp.clamp(wp.int32(wp.floor(ray.v + t * ray.dv)), 0, cells_y - 1)
+    i = cell_behind(ray.u, ray.du, t, 0, cells_x)
+    j = cell_behind(ray.v, ray.dv, t, 0, cells_y)
     while True:
         bits = wp.where(level == 0, 0, level + CELL_BITS)
         x0 = (i >> bits) << bits
         y0 = (j >> bits) << bits
         x1 = wp.min(x0 + (1 << bits), cells_x)
         y1 = wp.min(y0 + (1 << bits), cells_y)
-        to_x = NOWHERE
-        to_y = NOWHERE
-        if ray.du != zero:
-            to_x = (wp.float64(wp.where(ray.du > zero, x1, x0)) - ray.u) / ray.du
-        if ray.dv != zero:
-            to_y = (wp.float64(wp.where(ray.dv > zero, y1, y0)) - ray.v) / ray.dv
+        to_x = time_to(ray.u, ray.du, x0, x1)
+        to_y = time_to(ray.v, ray.dv, y0, y1)
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
         if level == 0:
-            if ground.curved == 1:
-                hit, side = in_one_patch(ground, ray, i, j, t, out, side, tolerance)
-            else:
-                hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
+            hit, side = in_one(ground, ray, i, j, t, out, side, tolerance)
         else:
             n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
-            a = wp.float64(blocks.low[n]) * ground.scale + ground.offset
-            b = wp.float64(blocks.high[n]) * ground.scale + ground.offset
-            z0 = ray.z + t * ray.dz
-            z1 = ray.z + out * ray.dz
-            above = wp.min(z0, z1) - wp.max(a, b)
-            below = wp.min(a, b) - wp.max(z0, z1)
-            clear = above > tolerance or below > tolerance
-            if clear:
-                on_side = wp.where(above > tolerance, wp.float64(1.0), wp.float64(-1.0))
-                if side * on_side < zero:
-                    hit = t
-                side = on_side
-        if hit < NOWHERE:
+            on_side = side_of_block(ground, blocks, n, ray, t, out, tolerance)
+            clear = on_side != zero
+            hit = wp.where(side * on_side < zero, t, NOWHERE)
+            side = wp.where(clear, on_side, side)
+        if hit < NOWHERE or (clear and out >= last):
             break
         if clear:
-            if out >= last:
-                break
-            line = 0
+            line = wp.where(ray.dv > zero, y1, y0)
             if to_x <= to_y:
                 line = wp.where(ray.du > zero, x1, x0)
                 i = wp.where(ray.du > zero, x1, x0 - 1)
-                j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y0, y1 - 1)
+                j = cell_behind(ray.v, ray.dv, out, y0, y1)
             else:
-                line = wp.where(ray.dv > zero, y1, y0)
                 j = wp.where(ray.dv > zero, y1, y0 - 1)
-                i = wp.clamp(wp.int32(wp.floor(ray.u + out * ray.du)), x0, x1 - 1)
+                i = cell_behind(ray.u, ray.du, out, x0, x1)
             t = out
             if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
                 break

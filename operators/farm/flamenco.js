@@ -2,6 +2,8 @@
 // Flamenco job type "Adaptive Terrain Render": put this file into the manager's folder "scripts" as
 // adaptive_terrain_render.js. Workers need the extension and the stores; a guard ends a task where one is missing.
 const GUARD = "@GUARD@";
+// Blender's names of movies: tasks render parts of the frames, and each would write a movie of its own.
+const MOVIES = ["FFMPEG", "AVI_JPEG", "AVI_RAW"];
 const JOB_TYPE = {
     label: "Adaptive Terrain Render",
     description: "Pictures of a scene with adaptive terrains, each refined for its frame.",
@@ -22,6 +24,9 @@ function compileJob(job) {
     // Neither the manager's ranges nor Blender's --render-frame, where -3 counts from the last frame, can say them.
     if (/(^|[-,.])\s*-/.test(settings.frames.trim())) {
         throw `The frames "${settings.frames}" go below 0, which Flamenco cannot render; expected 0 or more: move the scene's frames up.`;
+    }
+    if (MOVIES.includes(settings.format)) {
+        throw `The scene is rendered into a movie (${settings.format}); expected a picture a frame: choose such a File Format under Output.`;
     }
     const prepare = author.Task("prepare", "blender");
     prepare.addCommand(author.Command("exec", {

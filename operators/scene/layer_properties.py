@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import bpy
+import numpy as np
 from bpy.props import (
     BoolProperty,
     FloatProperty,
@@ -33,7 +34,7 @@ def band(label: str, about: str, low: float, high: float, edge: float, ends: tup
         "edge": FloatProperty(
             name="Edge",
             description="How wide each limit is, from nothing to all, about its place",
-            default=edge, min=0.0, max=most - least, **options,
+            default=edge, min=0.0, max=min(most - least, rules.MOST_EDGE), **options,
         ),
     }  # fmt: skip
     members = {"__annotations__": limits, "__doc__": about}
@@ -41,6 +42,7 @@ def band(label: str, about: str, low: float, high: float, edge: float, ends: tup
 
 
 _HALF_TURN = math.pi / 2
+MOST_FLOAT = float(np.finfo(np.float32).max)  # panels show it as "inf"
 # Kind of rule -> its group. The order is that of the panel.
 BANDS = {
     rules.RELIEF: band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
@@ -48,8 +50,8 @@ BANDS = {
     rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
     rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, 1e15, 1.0, (0, 1e15),
-                     step=100),
+    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, MOST_FLOAT, 1.0,
+                     (0, MOST_FLOAT), step=100),
     rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
         name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")

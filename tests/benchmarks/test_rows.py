@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rows measured small: they time what they say, without a limit on how long it takes."""
 
-import importlib.util
-import json
-import os
-import re
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,9 +13,7 @@ from adaptive_terrain.benchmarks import (
     engine,
     files,
     fit_row,
-    goals,
     in_blender,
-    in_program,
     land_rows,
     layer_rows,
     light_rows,
@@ -27,7 +21,6 @@ from adaptive_terrain.benchmarks import (
     measure,
     morph_rows,
     query_rows,
-    report,
     scale,
     scatter_rows,
     scenes,
@@ -37,7 +30,6 @@ from adaptive_terrain.benchmarks import (
     suite,
     water_rows,
 )
-from adaptive_terrain.benchmarks.measure import Row
 from adaptive_terrain.benchmarks.report import MEANING
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -290,117 +282,6 @@ def test_without_blender_its_rows_are_left_out(small_suite, tmp_path, monkeypatc
     of_blender = {name for name in dir(in_blender) if name.endswith("_row")} | {"demand_rows", "ingest_row"}
     assert functions and not {function.__name__ for function in functions} & of_blender
     assert "There is no Blender. The rows ingest, frame and cycles" in notes and len(notes) == 3
-
-
-def a_program(tmp_path, script: str) -> list[str]:
-    path = tmp_path / "blender"
-    path.write_text(f"#!/bin/sh\n{script}\n")
-    path.chmod(0o755)
-    return [str(path)]
-
-
-def test_rows_from_inside_a_program(tmp_path):
-    rows = [Row("program_ingest", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})]
-    said = in_program.MARK + json.dumps([asdict(row) for row in rows])
-    command = a_program(tmp_path, f"echo a line of its own\necho '{said}'\necho Blender quit")
-    assert in_program.program_rows(command, tmp_path) == rows
-    with pytest.raises(TerrainError, match=r"has measured nothing \(Blender quit\)"):
-        in_program.program_rows(a_program(tmp_path, "echo Blender quit"), tmp_path)
-    assert set(f"{in_program.PREFIX}{name}" for name in ("ingest", "frame", "frame_meshlets", "still_frame")) <= set(
-        MEANING
-    )
-
-
-@pytest.mark.parametrize(
-    ("script", "said"),
-    [
-        ("echo Krita 5", "no Blender program"),
-        ("echo no display >&2; exit 3", "ended with code 3 \\(no display\\)"),
-        ("printf 'Krita \\351'", "no Blender program"),
-    ],
-)
-def test_what_is_no_blender_is_refused_before_anything_is_measured(one_row, tmp_path, capsys, script, said):
-    assert command_line.main(["bench", "--quick", "--blender", *a_program(tmp_path, script)]) == 1
-    printed = capsys.readouterr()
-    assert re.search(said, printed.err) and not printed.out
-    assert command_line.main(["bench", "--quick", "--blender", str(tmp_path / "nothing")]) == 1
-    assert "cannot be started" in capsys.readouterr().err
-
-
-@pytest.fixture
-def one_row(monkeypatch):
-    """The suite measures nothing: one row that fails its goal."""
-    monkeypatch.setattr(goals, "RECORDED", {})
-    monkeypatch.setattr(suite, "build_roam_rebuild", lambda *_: None)
-    monkeypatch.setattr(
-        suite, "everything", lambda *_: [lambda: Row("ingest", 1_000_000, 100.0, "plain_ingest", 100.0)]
-    )
-
-
-def test_a_quick_run_that_is_too_slow_fails_after_it_is_written(one_row, tmp_path, capsys):
-    target = tmp_path / "rows.json"
-    assert command_line.main(["bench", "--quick", "--json", str(target)]) == 1
-    said = capsys.readouterr()
-    assert said.err == (
-        "adaptive-terrain: error: Slower than allowed in each of 3 attempts: "
-        "ingest at 1,000,000 (ratio 1, at most 0.225).\n"
-    )
-    [row] = json.loads(target.read_text())
-    assert row["attempts"] == 3 and said.out.count("goal 0.15: missed") == 3
-    assert command_line.main(["bench"]) == 0
-
-
-def test_an_extension_without_benchmarks_has_no_such_verb(monkeypatch, capsys):
-    assert command_line.main(["--help"]) == 0
-    assert "bench " in capsys.readouterr().out
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, package: None)
-    assert command_line.main(["--help"]) == 0
-    assert "bench" not in capsys.readouterr().out
-    assert command_line.main(["bench"]) == 2
-    assert "invalid choice: 'bench'" in capsys.readouterr().err
-
-
-def test_documents_are_written_only_where_asked(one_row, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert command_line.main(["bench"]) == 0
-    assert list(tmp_path.iterdir()) == []
-    assert command_line.main(["bench", "--docs", "docs"]) == 0
-    assert (tmp_path / "docs" / "performance.md").exists()
-    assert command_line.main(["bench", "--quick", "--docs", "docs"]) == 2
-    assert "--quick leaves rows out" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("option", ["--json", "--docs"])
-def test_what_cannot_be_written_is_said_before_anything_is_measured(option, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(suite, "everything", lambda *_: pytest.fail("it was measured"))
-    (tmp_path / "file").write_text("in the way")
-    assert command_line.main(["bench", option, str(tmp_path / "file" / "below")]) == 1
-    said = capsys.readouterr()
-    assert "cannot be written (Not a directory); choose another name." in said.err and said.err.count("\n") == 1
-    assert said.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_run_that_is_stopped_leaves_what_was_there(one_row, tmp_path, monkeypatch, capsys):
-    def stop():
-        raise KeyboardInterrupt
-
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(suite.tempfile, "tempdir", None)
-    monkeypatch.setattr(suite, "everything", lambda *_: [stop])
-    (tmp_path / "rows.json").write_text("[]")
-    assert command_line.main(["bench", "--json", str(tmp_path / "rows.json")]) == 130
-    assert capsys.readouterr().err == "adaptive-terrain: stopped\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["rows.json"]
-    assert (tmp_path / "rows.json").read_text() == "[]"
-
-
-def test_results_go_into_a_pipe_too(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    report.write_json([Row("ingest", 1_000_000, 1.0)], tmp_path / "pipe")
-    assert json.loads(os.read(end, 10_000))[0]["name"] == "ingest"
-    os.close(end)
-    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
 
 
 def test_the_fit_stands_beside_interpolation_and_greedy_insertion(rough):

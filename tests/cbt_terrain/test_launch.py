@@ -31,6 +31,27 @@ def test_a_recorded_launch_takes_new_values_structs_and_arrays():
     assert len(recorded) == 2
 
 
+@wp.kernel
+def store_each(first: wp.int32, value: wp.int32, depth: Depth, out: wp.array(dtype=wp.int32)):
+    i = first + wp.tid()
+    out[i] = out[i] + value * (i + depth.step)
+
+
+@pytest.mark.parametrize("recorded", [None, {}])
+def test_items_of_a_recorded_launch_are_those_of_the_call(recorded, monkeypatch):
+    """Other counts and threads, values, fields and arrays than before."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    depth, found, wanted = Depth(), np.zeros((2, 11), np.int32), np.zeros((2, 11), np.int64)
+    outs = [shared(row, wp.int32) for row in found]
+    for value, (count, threads) in enumerate([(11, 3), (10, 1), (11, 2), (5, 3), (11, 3), (0, 2)], 1):
+        depth.step = 7 * value
+        row = value % 2
+        inputs = [value, depth, outs[row]]
+        launch.spread(store_each, count, inputs, step="store", threads=threads, recorded=recorded)
+        wanted[row, :count] += value * (np.arange(count) + 7 * value)
+        assert (found == wanted).all()
+
+
 @pytest.fixture
 def interruptible():
     """What a shell starts in the background ignores Ctrl-C."""

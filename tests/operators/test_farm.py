@@ -306,6 +306,18 @@ def test_parts_of_preparing_are_those_of_the_command():
         command_line.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", part])
 
 
+def movie_formats(image_settings) -> set[str]:
+    """Those of this Blender's formats that are movies."""
+    render, found = image_settings.id_data.render, set()
+    for name in [item.identifier for item in image_settings.bl_rna.properties["file_format"].enum_items_static]:
+        try:
+            image_settings.file_format = name
+        except TypeError:
+            continue  # this build has none of it
+        found |= {name} if render.is_movie_format else set()
+    return found
+
+
 MANAGER = """
 const fs = require("fs");
 const tasks = [];
@@ -318,7 +330,8 @@ global.author = { Task: (name, kind) => new Task(name, kind), Command: (name, pa
 global.frameChunker = (frames, size) => frames.split(",");
 const globals = ";globalThis.compileJob = compileJob; globalThis.type = JOB_TYPE;";
 (0, eval)(fs.readFileSync(process.argv[1], "utf8") + globals);
-const settings = { frames: process.argv[2], blendfile: "/x/a.blend", render_output_path: "/o/#", format: "PNG" };
+const [, , frames, format] = process.argv;
+const settings = { frames, format, blendfile: "/x/a.blend", render_output_path: "/o/#" };
 compileJob({ settings, addTask: (task) => tasks.push(task) });
 console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) => item.key) }));
 """
@@ -330,9 +343,9 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
     command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO)]
     for frames in ("-5", "1-4, -2", "-3-8", "-4..-1"):
-        refused = subprocess.run([*command, frames], capture_output=True, text=True)
+        refused = subprocess.run([*command, frames, "PNG"], capture_output=True, text=True)
         assert refused.returncode == 1 and f'The frames "{frames}" go below 0' in refused.stderr
-    said = json.loads(subprocess.run([*command, "1-10,20"], capture_output=True, text=True, check=True).stdout)
+    said = json.loads(subprocess.run([*command, "1-10,20", "PNG"], capture_output=True, text=True, check=True).stdout)
     assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(said["keys"])
     prepare, *chunks = said["tasks"]
     assert prepare["commands"][0]["parameters"]["args"][:3] == ["--command", "adaptive_terrain", "prepare"]
@@ -343,3 +356,14 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     arguments = chunks[0]["commands"][0]["parameters"]["args"]
     assert arguments[-2:] == ["--render-frame", "1..10"]
     assert arguments[arguments.index("--python-expr") + 1] == (tmp_path / "out" / "guard.py").read_text()
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")
+def test_flamenco_refuses_a_movie(shot, tmp_path):
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
+    movies = movie_formats(bpy.context.scene.render.image_settings)
+    assert "FFMPEG" in movies
+    for movie in movies:
+        command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO), "1-4", movie]
+        refused = subprocess.run(command, capture_output=True, text=True)
+        assert refused.returncode == 1 and f"a movie ({movie}); expected a picture a frame" in refused.stderr

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The extension comes and goes without a trace."""
 
+import gc
+
 import adaptive_terrain
 import bpy
 import pytest
@@ -30,7 +32,7 @@ def test_many_times_leaves_nothing(unregistered):
         adaptive_terrain.register()
         assert hasattr(bpy.types.Object, "adaptive_terrain")
         adaptive_terrain.unregister()
-    assert trace() == before
+    assert trace() == before and gc.isenabled()
 
 
 def test_every_handler_is_there_once_and_survives_loading(empty, tmp_path):

@@ -49,6 +49,18 @@ def add(layers, name, **bands):
     return layer
 
 
+def test_open_ends_of_rules_read_as_such(layers):
+    """The panel shows a float32: "inf" for the largest there is, else all its digits."""
+    largest = float(np.finfo(np.float32).max)
+    valleys = add(layers, "Valleys", flow={"low": 1000.0})
+    for kind in BANDS:
+        limits = getattr(valleys, kind).bl_rna.properties["high"]
+        short = kind == rules.SLOPE or float(f"{limits.hard_max:.3g}") == limits.hard_max
+        assert limits.hard_max == largest or short, kind
+    [rule] = layers_of(layers.id_data.adaptive_terrain)[0].rules
+    assert valleys.flow.high == largest and (rule.low, rule.high) == (1000.0, math.inf)
+
+
 def test_settings_become_rules(layers, terrain):
     add(layers, "Grass")
     rock = add(layers, "Rock", slope={"low": 0.6, "edge": 0.2}, relief={"low": 0.25, "high": 0.75, "edge": 0.125})

@@ -1,46 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Maps in Blender: baked for a camera, found again as images, and shading as the full mesh does."""
 
-import time
-from types import SimpleNamespace
-from unittest.mock import Mock
-
+import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.maps import sizing, tiling
 from adaptive_terrain.cbt_terrain.maps.folder import read_index
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-
-bpy = pytest.importorskip("bpy")
-
-from adaptive_terrain.operators.cli.command_line import main  # noqa: E402
-from adaptive_terrain.operators.effects import bake_maps, map_images, map_request  # noqa: E402
-from adaptive_terrain.operators.mesh.writer import write_mesh  # noqa: E402
-from adaptive_terrain.operators.scene import session  # noqa: E402
-
-
-@pytest.fixture
-def terrain(scene, store, tmp_path, add_terrain):
-    obj = add_terrain()
-    obj.adaptive_terrain.maps.folder = str(tmp_path / "maps")
-    bpy.context.view_layer.objects.active = obj
-    return obj
+from adaptive_terrain.operators.cli.command_line import main
+from adaptive_terrain.operators.effects import map_images, map_request
+from adaptive_terrain.operators.mesh.writer import write_mesh
+from adaptive_terrain.operators.scene import session
+from map_scenes import bake, keys
 
 
 @pytest.fixture
 def small_tiles(monkeypatch):
     monkeypatch.setattr(tiling, "SINGLE_CELLS", 32)
     monkeypatch.setattr(tiling, "TILE_CELLS", 60)
-
-
-def bake(obj) -> None:
-    assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
-
-
-def keys(obj) -> dict[str, str]:
-    maps = read_index(map_images.map_folder(obj))["maps"]
-    return {tile["file"]: tile["key"] for entry in maps.values() for tile in entry["tiles"]}
 
 
 def wear(obj, name: str | None = "detail_normal") -> None:
@@ -290,63 +268,6 @@ def test_what_the_materials_read_is_baked(terrain):
     assert map_request.names_of(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal", "slope"}
 
 
-def running(obj):
-    operator = SimpleNamespace(report=Mock())
-    for name in ("invoke", "modal", "cancel", "_look", "_end", "_finish"):
-        setattr(operator, name, getattr(bake_maps.BakeMaps, name).__get__(operator))
-    operator.context = SimpleNamespace(
-        window_manager=Mock(), window=None, object=obj, scene=bpy.context.scene, view_layer=bpy.context.view_layer
-    )
-    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
-    return operator
-
-
-def turns(operator, event: str = "TIMER"):
-    for _ in range(3000):
-        ended = operator.modal(operator.context, SimpleNamespace(type=event, value="PRESS"))
-        if ended & {"FINISHED", "CANCELLED"}:
-            operator.context.window_manager.event_timer_remove.assert_called_once()
-            return ended
-        event = "TIMER"
-        time.sleep(0.01)
-    raise AssertionError("baking never ended")
-
-
-def test_a_shot_is_looked_at_beside_the_window(terrain):
-    scene = bpy.context.scene
-    scene.frame_start, scene.frame_end = 1, 5
-    scene.frame_set(3)
-    terrain.adaptive_terrain.maps.frames = "SHOT"
-    operator = running(terrain)
-    assert bake_maps.progress() is not None
-    assert turns(operator) == {"FINISHED"} and bake_maps.progress() is None
-    assert scene.frame_current == 3 and len(keys(terrain)) == 1
-
-
-def test_a_shot_is_looked_at_from_every_frame(terrain):
-    """Also from that which the scene is at."""
-    scene = bpy.context.scene
-    for frame in range(1, 6):
-        scene.camera.location.x = 10.0 * frame
-        scene.camera.keyframe_insert("location", frame=frame)
-    scene.frame_start, scene.frame_end = 1, 5
-    for now in ((3, 0.0), (5, 0.25)):
-        scene.frame_set(now[0], subframe=now[1])
-        terrain.adaptive_terrain.maps.frames = "SHOT"
-        *_, request = map_request.gathered(terrain, scene)
-        east = [-float(view.world_to_camera[0, 3]) for view in request.views]
-        assert east == pytest.approx([10.0, 20.0, 30.0, 40.0, 50.0])
-        assert (scene.frame_current, scene.frame_subframe) == now
-
-
-def test_the_whole_terrain_needs_no_camera(terrain):
-    bpy.context.scene.camera, terrain.adaptive_terrain.maps.frames = None, "WHOLE"
-    bake(terrain)
-    terrain.adaptive_terrain.maps.frames = "FRAME"
-    with pytest.raises(RuntimeError, match="has no camera"):
-        bpy.ops.adaptive_terrain.bake_maps()
-
-
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused(terrain):
     terrain.adaptive_terrain.maps.folder = "//maps"
     with pytest.raises(RuntimeError, match="never saved"):
@@ -361,34 +282,6 @@ def test_a_material_is_made_without_maps_that_are_gone(terrain):
     (folder / "maps.json").write_text("{}")
     with pytest.raises(RuntimeError, match=r"^Error: The maps .*maps.json are damaged"):
         bpy.ops.adaptive_terrain.terrain_material()
-
-
-def test_a_terrain_that_is_removed_while_frames_are_looked_at_ends_the_bake(terrain):
-    bpy.context.scene.frame_end = 100_000
-    terrain.adaptive_terrain.maps.frames = "SHOT"
-    operator = running(terrain)
-    operator.modal(operator.context, SimpleNamespace(type="TIMER", value="PRESS"))
-    bpy.data.objects.remove(terrain)
-    assert turns(operator) == {"CANCELLED"} and bake_maps.progress() is None
-    assert bpy.context.scene.frame_current == 1
-
-
-def test_escape_leaves_the_maps_as_they_were(terrain, monkeypatch):
-    bake(terrain)
-    before = keys(terrain)
-    terrain.adaptive_terrain.maps.chosen = {"detail_normal", "slope", "height"}
-    going_on = bake_maps.Job._progress
-
-    def slow(self, fraction):
-        time.sleep(0.3)
-        going_on(self, fraction)
-
-    monkeypatch.setattr(bake_maps.Job, "_progress", slow)
-    operator = running(terrain)
-    operator.modal(operator.context, SimpleNamespace(type="TIMER", value=""))
-    assert turns(operator, "ESC") == {"CANCELLED"}
-    folder = map_images.map_folder(terrain)
-    assert keys(terrain) == before and len(list(folder.iterdir())) == 1 + len(before)
 
 
 def test_the_command_bakes_a_scene_and_a_store(terrain, tmp_path, capsys):

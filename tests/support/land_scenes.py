@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain whose land is shaped in Blender: its stack, and a store large enough for tiles."""
+
+import shutil
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft
+from adaptive_terrain.operators.scene import land_request, land_stack
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, store, tmp_path):
+    """A terrain with a store of its own, of which nothing was shaped."""
+    own = tmp_path / "hills"
+    shutil.copytree(store, own)
+    obj = add_terrain()
+    obj.adaptive_terrain.store = str(own)
+    land_request.forget()
+    land_request.made.update(previews=0, stores=0)
+    return obj
+
+
+def add(effect: str, **numbers):
+    assert bpy.ops.adaptive_terrain.land_add(effect=effect) == {"FINISHED"}
+    land = bpy.context.object.adaptive_terrain.land
+    entry = land.entries[land.active]
+    for name, value in numbers.items():
+        setattr(getattr(entry, effect), name, value)
+    return entry
+
+
+def names(terrain) -> list[str]:
+    return [entry.name for entry in terrain.adaptive_terrain.land.entries]
+
+
+def stack_now(terrain, tmp_path):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return land_stack.stack_of(terrain.evaluated_get(depsgraph), depsgraph, tmp_path / "masks")
+
+
+@pytest.fixture(scope="module")
+def wide_store(tmp_path_factory):
+    """1,100 x 1,500 samples, 10 and 8 m apart: three levels, of which the finest goes by tiles."""
+    path = tmp_path_factory.mktemp("wide") / "hills"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (1100, 1500), np.float32)
+    y, x = np.mgrid[0:1100, 0:1500]
+    samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
+    draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
+    return path

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The small store, exported along a flight by the command line."""
+
+import json
+
+import pytest
+from adaptive_terrain.operators.cli import command_line
+
+FLIGHT = {
+    "fov": 50,
+    "clip": [1, 50000],
+    "keyframes": [
+        {"frame": 1, "eye": [0, -900, 300], "target": [0, 0, 0]},
+        {"frame": 4, "eye": [300, -300, 120], "target": [0, 200, 0]},
+    ],
+}
+
+
+@pytest.fixture
+def flight(tmp_path):
+    path = tmp_path / "flight.json"
+    path.write_text(json.dumps(FLIGHT))
+    return path
+
+
+@pytest.fixture
+def export(store, flight, tmp_path, capsys):
+    """Run `export` of the small store; returns the exit code, what it printed, and the folder."""
+
+    def run(*arguments, out="out", path=flight):
+        folder = tmp_path / out
+        argv = ["export", "--store", store, "--path", path, "--resolution", "640x360", "--out", folder, *arguments]
+        code = command_line.main([str(argument) for argument in argv])
+        return code, capsys.readouterr(), folder
+
+    return run
+
+
+def bytes_of(folder, pattern="*.npz"):
+    return {path.name: path.read_bytes() for path in folder.glob(pattern)}

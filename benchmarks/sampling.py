@@ -145,13 +145,15 @@ def _loaded_kernels() -> list[_Kernel]:
         for compiled in loaded.execs.values():
             file = warmup.compiled_file(module)
             symbols = subprocess.run(["nm", "-f", "sysv", str(file)], capture_output=True, text=True, check=True).stdout
-            places = {cells[0]: cells for cells in (list(map(str.strip, s.split("|"))) for s in symbols.splitlines())}
+            places = {cells[0]: cells for cells in (list(map(str.strip, s.split("|"))) for s in symbols.splitlines()) if len(cells) == 7}
             for kernel in loaded.kernels.values():
-                hook = compiled.get_kernel_hooks(kernel).forward
-                _, value, _, _, size, _, section = places[f"{kernel.get_mangled_name()}_cpu_forward"]
-                start = ctypes.cast(hook, ctypes.c_void_p).value
+                mangled = kernel.get_mangled_name()
+                hook = ctypes.cast(compiled.get_kernel_hooks(kernel).forward, ctypes.c_void_p).value
+                moved = hook - int(places[f"{mangled}_cpu_forward"][1], 16)
                 name = f"{module.__name__.rpartition('.')[2]}.{kernel.key}"
-                found.append(_Kernel(name, start, int(size, 16), int(value, 16), section, file))
+                for symbol, value, _, _, size, _, section in places.values():  # a large body is a function of its own
+                    if mangled in symbol and "_forward" in symbol:
+                        found.append(_Kernel(name, int(value, 16) + moved, int(size, 16), int(value, 16), section, file))
     return found
 
 

@@ -45,7 +45,7 @@ class LocalView:
     ramp: wp.float64  # 0: at once; else it rises up to this slope below what hides it
     veil: wp.float64  # ... as (1 + veil * part)^4 does
     rings: Rings
-    planes: planes_type  # positive towards the frustum
+    planes: planes_type  # positive towards the frustum; after the last they begin anew
 
 
 @wp.struct
@@ -85,16 +85,39 @@ def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Whether the frustum holds a box (CLEAR), none of it (OUTSIDE), or may hold a part (CROSSED)."""
+def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """How far a box's corners are inside the frustum, by its planes: the furthest of all corners, for the plane that is
+    least for. Infinite where there are no planes.
+
+    Rows with numbers that the compiler knows: for any other one it copies the whole matrix, a quarter of a morph.
+    """
+    inside = wp.float64(wp.inf)
+    planes = view.planes
+    for p in range(view.plane_count):
+        inside = smaller(most_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """As `most_inside`, of the corner that is least inside."""
+    inside = wp.float64(wp.inf)
+    planes = view.planes
+    for p in range(view.plane_count):
+        inside = smaller(least_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
+    """Whether the frustum holds a box (CLEAR), the one with planes `beyond` metres further out none of it (OUTSIDE), or
+    neither is known (CROSSED)."""
     zero = wp.float64(0.0)
     stand = CLEAR
-    for p in range(view.plane_count):
-        if most_of(view.planes[p], low, high) < zero:
+    if least_inside(view, low, high) < zero:
+        stand = CROSSED
+        if most_inside(view, low, high) + beyond < zero:
             stand = OUTSIDE
-            break
-        if least_of(view.planes[p], low, high) < zero:
-            stand = CROSSED
     return stand
 
 
@@ -110,14 +133,10 @@ def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
 @wp.func
 def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
     """As `stand_of`; CROSSED also where pixels get coarser by parts."""
-    stand = stand_of(view, low, high)
-    if stand != CLEAR and view.fade > wp.float64(0.0):
-        stand = CROSSED
-        wide = fringe_at(view, most_of(view.depth, low, high))
-        for p in range(view.plane_count):
-            if most_of(view.planes[p], low, high) + wide <= wp.float64(0.0):
-                stand = OUTSIDE
-    return stand
+    beyond = wp.float64(0.0)
+    if view.fade > beyond:
+        beyond = fringe_at(view, most_of(view.depth, low, high))
+    return stand_of(view, low, high, beyond)
 
 
 @wp.func
@@ -219,7 +238,7 @@ def veil_of(
 
 @wp.func
 def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
-    """Squared factor by which pixels are coarser at `inner` metres, negative, from a plane and at a depth.
+    """Squared factor by which pixels are coarser at `inner` metres, negative, inside the planes and at a depth.
 
     It falls as either rises, also in rounded arithmetic.
     """
@@ -241,13 +260,9 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     if (known & IN_FRAME) == 0:
-        for p in range(view.plane_count):
-            inner = most_of(view.planes[p], d.low, d.high)
-            if inner < zero:
-                if view.fade == zero:
-                    coarser2 = view.off_screen2
-                    break
-                coarser2 = larger(faded2(view, inner, most_of(view.depth, d.low, d.high)), coarser2)
+        inner = most_inside(view, d.low, d.high)
+        if inner < zero:
+            coarser2 = faded2(view, inner, most_of(view.depth, d.low, d.high))
     if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
         part = wp.float64(1.0)
         if (known & HIDDEN) == 0:
@@ -260,18 +275,13 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
 @wp.func
 def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32):
     """Squared metres that a pixel spans at most, in whatever box inside this one; and what is known of it."""
-    zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     inside = wp.int32(IN_FRAME)
     if (known & IN_FRAME) == 0:
-        for p in range(view.plane_count):
-            least = least_of(view.planes[p], d.low, d.high)
-            if least < zero:
-                inside = 0
-                if view.fade == zero:
-                    coarser2 = view.off_screen2
-                    break
-                coarser2 = larger(faded2(view, least, least_of(view.depth, d.low, d.high)), coarser2)
+        least = least_inside(view, d.low, d.high)
+        if least < wp.float64(0.0):
+            inside = 0
+            coarser2 = faded2(view, least, least_of(view.depth, d.low, d.high))
     veil = veil_of(view, slopes, d.low, d.high, known)
     if veil != BARE:
         coarser2 = larger(coarser2, view.hidden2)

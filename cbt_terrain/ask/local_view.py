@@ -64,7 +64,7 @@ def localise(
         "off_screen2": factor**2,
         "fade": fade,
         "fringe": fringe,
-        "planes": np.resize(planes, (MAX_PLANES, 4)),
+        "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
     }
     local = LocalView()
     local.kind, local.plane_count = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind), len(planes)

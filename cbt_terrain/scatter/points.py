@@ -140,7 +140,7 @@ class Scatterer:
         for view in views:
             found = localise(view, placement, self._box, criterion, 1.0)
             planes = np.array(found.planes, np.float64).reshape(-1, 4)
-            planes[:, 3] += scatter.margin_m
+            planes[: found.plane_count, 3] += scatter.margin_m
             found.planes = planes
             local.append(found)
         if horizon is not None:

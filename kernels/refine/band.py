@@ -171,7 +171,7 @@ def band_below(
     """What is certain below a diamond that is split, from `limits` up to `coarse`, the same ones but in a count."""
     band = Band()
     fine2 = m.pixel2 * limits.finer
-    band.leaf_up_to = wp.float64(wp.inf)
+    band.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none
     if m.own > wp.float64(0.0):
         band.leaf_up_to = own_for(domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
     if asked.measures_edges == 1:

@@ -45,7 +45,7 @@ class LocalView:
     ramp: wp.float64  # 0: at once; else it rises up to this slope below what hides it
     veil: wp.float64  # ... as (1 + veil * part)^4 does
     rings: Rings
-    planes: planes_type  # positive towards the frustum; after the last they begin anew
+    planes: planes_type  # positive towards the frustum
 
 
 @wp.struct
@@ -86,13 +86,10 @@ def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """How far a box's corners are inside the frustum, by its planes: the furthest of all corners, for the plane that is
-    least for. Infinite where there are no planes.
-
-    Rows with numbers that the compiler knows: for any other one it copies the whole matrix, a quarter of a morph.
-    """
+    """How far the innermost corner of a box is inside of a plane of the frustum, of all planes the least: negative if
+    the box is outside. Infinite where there are no planes."""
     inside = wp.float64(wp.inf)
-    planes = view.planes
+    planes = view.planes  # here, or Warp copies all of them for each
     for p in range(view.plane_count):
         inside = smaller(most_of(planes[p], low, high), inside)
     return inside
@@ -100,7 +97,7 @@ def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """As `most_inside`, of the corner that is least inside."""
+    """As `most_inside`, of the outermost corner: negative unless the frustum holds the box."""
     inside = wp.float64(wp.inf)
     planes = view.planes
     for p in range(view.plane_count):

@@ -145,13 +145,15 @@ def _loaded_kernels() -> list[_Kernel]:
         for compiled in loaded.execs.values():
             file = warmup.compiled_file(module)
             symbols = subprocess.run(["nm", "-f", "sysv", str(file)], capture_output=True, text=True, check=True).stdout
-            places = {cells[0]: cells for cells in (list(map(str.strip, s.split("|"))) for s in symbols.splitlines())}
+            rows = [list(map(str.strip, line.split("|"))) for line in symbols.splitlines()]
+            places = {row[0]: (int(row[1], 16), int(row[4], 16), row[6]) for row in rows if row[3:4] == ["FUNC"]}
             for kernel in loaded.kernels.values():
-                hook = compiled.get_kernel_hooks(kernel).forward
-                _, value, _, _, size, _, section = places[f"{kernel.get_mangled_name()}_cpu_forward"]
-                start = ctypes.cast(hook, ctypes.c_void_p).value
-                name = f"{module.__name__.rpartition('.')[2]}.{kernel.key}"
-                found.append(_Kernel(name, start, int(size, 16), int(value, 16), section, file))
+                mangled, name = kernel.get_mangled_name(), f"{module.__name__.rpartition('.')[2]}.{kernel.key}"
+                hook = ctypes.cast(compiled.get_kernel_hooks(kernel).forward, ctypes.c_void_p).value
+                moved = hook - places[f"{mangled}_cpu_forward"][0]
+                for symbol, (value, size, section) in places.items():
+                    if mangled in symbol and "_forward" in symbol:  # a large body is a function of its own
+                        found.append(_Kernel(name, value + moved, size, value, section, file))
     return found
 
 

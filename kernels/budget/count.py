@@ -28,7 +28,7 @@ from ..refine.band import (
 )
 from ..refine.pixels import Asked, coarsest
 from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
-from .count_state import CELLS, Cell, Count, Part, Tally, add, last_of_edges, last_split, note
+from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_of_edges, last_split
 
 wp.set_module_options({"enable_backward": False})
 
@@ -98,11 +98,11 @@ def is_whole(domain: Domain, w: Count, p: Part) -> wp.bool:
 
 
 @wp.func
-def add_alike(domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m: Measured, band: Band, t: Tally):
+def add_alike(domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m: Measured, band: Band, step: wp.int32):
     """Count all diamonds below a quadrant at once, if those of each depth are split for the last time at the same step.
 
     No error asks for anything there. So all are, but for one depth at most, where edges say for which steps.
-    Returns whether they were counted.
+    Returns whether they were counted, and how many triangles of theirs are split at `step`.
     """
     split_depth = wp.min(band.split_depth, w.max_depth)
     doubtful = wp.min(band.leaf_depth, w.max_depth) - split_depth
@@ -110,36 +110,49 @@ def add_alike(domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m
     last = w.coarsest
     if doubtful == 1:
         coarse2, _told = coarsest(asked, m.diamond, band.known)
-        last = last_of_edges(asked, limits, w, t.step, domain.unit_bits, split_depth, m.climb2, m.pixel2 * limits.finer)
+        last = last_of_edges(asked, limits, w, step, domain.unit_bits, split_depth, m.climb2, m.pixel2 * limits.finer)
         climb2 = wp.float64(0.0)
         alike = last == last_of_edges(
-            asked, limits, w, t.step, domain.unit_bits, split_depth, climb2, coarse2 * limits.coarser
+            asked, limits, w, step, domain.unit_bits, split_depth, climb2, coarse2 * limits.coarser
         )
+    counted = wp.int64(0)
     if alike:
         # 4 triangles at its sides, and twice as many at each depth from there on.
         certain = wp.int64(4) << wp.int64(split_depth - p.depth - 1)
-        t = add(w, t, w.coarsest, certain - wp.int64(4))
+        counted = add(w, step, w.coarsest, certain - wp.int64(4))
         if doubtful == 1:
-            t = add(w, t, last, certain)
-    return alike, t
+            counted += add(w, step, last, certain)
+    return alike, counted
 
 
 @wp.func
 def judge(
-    domain: Domain, asked: Asked, limits: Limits, coarse: Limits, w: Count, cell: Cell, p: Part, top: wp.int32, t: Tally
+    domain: Domain,
+    asked: Asked,
+    limits: Limits,
+    coarse: Limits,
+    w: Count,
+    cell: Cell,
+    p: Part,
+    top: wp.int32,
+    step: wp.int32,
 ):
-    """The last step at which a diamond is split, and whether what is below it is looked into.
+    """The last step at which a diamond is split, and whether what is below it is looked into; or how many triangles
+    below it are counted already. At last whether it was measured: 1.
 
-    What is certain below it is left in entry `top` of the stack. limits, coarse: those of the first step that counts
-    and of the last.
+    What is certain below it is left in entry `top` of the stack. limits, coarse: those of `step`, the first that
+    counts, and of the last. Plain numbers are returned: a struct that changes in a branch Warp copies after it, taken
+    or not.
     """
     error = wp.float32(0.0)
     if w.has_errors == 1:
         error = error_at(domain, p.x, p.y, p.depth)
     own = wp.float64(error) * domain.error_scale
     verdict = foretold(cell.band, p.depth, own)
-    last = t.step - 1
+    last = step - 1
     looks = wp.bool(False)
+    counted = wp.int64(0)
+    measured = wp.int32(0)
     w.stack[top].band = cell.band
     if verdict == SPLIT:
         last = w.coarsest
@@ -147,10 +160,10 @@ def judge(
     # What is certain to be split is measured for what can be said below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
         m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.known)
-        t = note(w, t, p.code)
+        measured = 1
         looks = wp.bool(False)
         if too_coarse(asked, asked.limit, m):
-            last = last_split(asked, limits, w, t.step, m)
+            last = last_split(asked, limits, w, step, m)
             if p.number >= 0:
                 band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.known)
                 w.stack[top].band = band
@@ -158,9 +171,9 @@ def judge(
                 if own <= band.leaf_up_to:
                     looks = p.depth + 1 < wp.min(band.leaf_depth, w.max_depth)
                     if looks and is_whole(domain, w, p):
-                        alike, t = add_alike(domain, asked, limits, w, p, m, band, t)
+                        alike, counted = add_alike(domain, asked, limits, w, p, m, band, step)
                         looks = not alike
-    return last, looks, t
+    return last, looks, counted, measured
 
 
 @wp.func
@@ -183,16 +196,18 @@ def count(domain: Domain, asked: Asked, w: Count):
     none = wp.float64(0.0)
     asked.limit = w.limits[w.coarsest]
     coarse = limits_of(asked, none)
-    t = Tally()
-    t.step = w.finest
-    asked.limit = w.limits[t.step]
+    step = wp.int32(w.finest)
+    total = wp.int64(0)  # triangles that are split at it
+    measured = wp.int64(0)  # diamonds
+    noted = wp.int32(0)  # places
+    asked.limit = w.limits[step]
     limits = limits_of(asked, none)
     place = w.slot * CELLS
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
-    while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and t.step <= w.coarsest:
+    while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and step <= w.coarsest:
         w.stack[place] = square_cell(domain, w, square)
         top = place + 1
-        while top > place and t.step <= w.coarsest:
+        while top > place and step <= w.coarsest:
             top -= 1
             cell = w.stack[top]
             number = wp.int32(3)
@@ -200,9 +215,14 @@ def count(domain: Domain, asked: Asked, w: Count):
             while number >= last_number:
                 p = part_of(domain, w, cell, number)
                 if p.triangles > 0 and p.depth < w.max_depth:
-                    last, looks, t = judge(domain, asked, limits, coarse, w, cell, p, top, t)
+                    last, looks, counted, new = judge(domain, asked, limits, coarse, w, cell, p, top, step)
+                    total += counted
                     if p.code >= w.first_cell:
-                        t = add(w, t, last, wp.int64(p.triangles))
+                        total += add(w, step, last, wp.int64(p.triangles))
+                    measured += wp.int64(new)
+                    if measured >= wp.int64(noted + 1) * w.spacing and noted < MARKS:
+                        w.marks[w.slot * MARKS + noted] = p.code
+                        noted += 1
                     if looks:
                         w.stack[top].x = p.x
                         w.stack[top].y = p.y
@@ -211,11 +231,11 @@ def count(domain: Domain, asked: Asked, w: Count):
                         fetch_quadrants(domain, p)
                         top += 1
                 number -= 1
-            while t.total > w.most and t.step <= w.coarsest:
-                t.total -= w.last_steps[w.slot * w.limits.shape[0] + t.step]
-                t.step += 1
-                asked.limit = w.limits[t.step]
+            while total > w.most and step <= w.coarsest:
+                total -= w.last_steps[w.slot * w.limits.shape[0] + step]
+                step += 1
+                asked.limit = w.limits[step]
                 limits = limits_of(asked, none)
         square += 1
-    w.from_step[w.slot] = t.step
-    w.measured[w.slot] = t.measured
+    w.from_step[w.slot] = step
+    w.measured[w.slot] = measured

@@ -42,16 +42,6 @@ class Part:
 
 
 @wp.struct
-class Tally:
-    """What a slice has counted."""
-
-    step: wp.int32  # counts hold from here on
-    total: wp.int64  # triangles that are split at it
-    measured: wp.int64  # diamonds
-    noted: wp.int32  # places
-
-
-@wp.struct
 class Count:
     """Which part of the quadtree a slice counts, and for which steps."""
 
@@ -75,13 +65,14 @@ class Count:
 
 
 @wp.func
-def add(w: Count, t: Tally, last: wp.int32, triangles: wp.int64) -> Tally:
-    """Count triangles that are split at step `last` for the last time."""
-    if last >= t.step:
+def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
+    """Count triangles that are split at step `last` for the last time; returns how many are split at `step`."""
+    counted = wp.int64(0)
+    if last >= step:
         entry = w.slot * w.limits.shape[0] + last
         w.last_steps[entry] = w.last_steps[entry] + triangles
-        t.total = t.total + triangles
-    return t
+        counted = triangles
+    return counted
 
 
 @wp.func
@@ -125,13 +116,3 @@ def last_of_edges(
     if too_coarse(asked, w.limits[first], m):
         step = last_split(asked, limits, w, first, m)
     return step
-
-
-@wp.func
-def note(w: Count, t: Tally, code: wp.uint64) -> Tally:
-    """Count a diamond that is measured, and note its place if that is due."""
-    t.measured = t.measured + wp.int64(1)
-    if t.measured >= wp.int64(t.noted + 1) * w.spacing and t.noted < MARKS:
-        w.marks[w.slot * MARKS + t.noted] = code
-        t.noted = t.noted + 1
-    return t

@@ -11,6 +11,7 @@ import warp as wp
 
 from ..field.codes import error_of, sample_at
 from ..field.layout import tile_index
+from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .surface import Surface, jet_in
 
@@ -59,23 +60,11 @@ class Ray:
 
 
 @wp.func
-def less(a: wp.float64, b: wp.float64) -> wp.float64:
-    """The lesser of two numbers: one instruction, where Warp's own looks for NaN."""
-    return wp.where(a < b, a, b)
-
-
-@wp.func
-def more(a: wp.float64, b: wp.float64) -> wp.float64:
-    """The greater of two numbers."""
-    return wp.where(a > b, a, b)
-
-
-@wp.func
 def range_at(blocks: Blocks, at: wp.int64):
     """Lowest and highest metres of an entry of the ranges."""
     a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
     b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
-    return less(a, b) - blocks.more, more(a, b) + blocks.more
+    return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
 
 
 @wp.func
@@ -162,8 +151,8 @@ def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
         b = wp.float64(sample_at(surface.samples, at + wp.int64(1))) * surface.scale + surface.offset
         c = wp.float64(sample_at(surface.samples, north)) * surface.scale + surface.offset
         d = wp.float64(sample_at(surface.samples, north + wp.int64(1))) * surface.scale + surface.offset
-        low = less(less(a, b), less(c, d)) - blocks.more
-        high = more(more(a, b), more(c, d)) + blocks.more
+        low = smaller(smaller(a, b), smaller(c, d)) - blocks.more
+        high = larger(larger(a, b), larger(c, d)) + blocks.more
     return low, high
 
 
@@ -236,9 +225,9 @@ def in_curved(
 def clear_of(low: wp.float64, high: wp.float64, z0: wp.float64, z1: wp.float64, slack: wp.float64) -> wp.float64:
     """The side of heights low .. high on which heights z0 .. z1 are, 1 above and -1 below; 0: on neither."""
     side = wp.float64(0.0)
-    if less(z0, z1) > high + slack:
+    if smaller(z0, z1) > high + slack:
         side = wp.float64(1.0)
-    if more(z0, z1) < low - slack:
+    if larger(z0, z1) < low - slack:
         side = wp.float64(-1.0)
     return side
 

@@ -11,8 +11,9 @@ is a crossing, so that no ray slips through. crossing.py has what happens in a c
 import warp as wp
 
 from ..field.layout import tile_index
+from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, less, more, passed, range_at, side_of
+from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, passed, range_at, side_of
 from .surface import Surface, cell_of, is_ground
 
 wp.set_module_options({"enable_backward": False})
@@ -75,7 +76,7 @@ def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32
         to_x = (wp.float64(line_x) - ray.u) * ray.per_u
     if ray.dv != zero:
         to_y = (wp.float64(line_y) - ray.v) * ray.per_v
-    out = more(first, less(less(to_x, to_y), last))
+    out = larger(first, smaller(smaller(to_x, to_y), last))
     line = line_x
     if to_x <= to_y:
         i = line_x + east - 1

@@ -171,7 +171,9 @@ def band_below(
     """What is certain below a diamond that is split, from `limits` up to `coarse`, the same ones but in a count."""
     band = Band()
     fine2 = m.pixel2 * limits.finer
-    band.leaf_up_to = own_for(domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
+    band.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none
+    if m.own > wp.float64(0.0):
+        band.leaf_up_to = own_for(domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
     if asked.measures_edges == 1:
         band.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, fine2)
         band.calm = wp.int32(m.own <= band.leaf_up_to)
@@ -182,8 +184,10 @@ def band_below(
     else:
         coarse2, told = coarsest(asked, m.diamond, known)
         coarse2 = coarse2 * limits.coarser
-        above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
-        band.split_above = own_for(domain, above, domain.rounding)
+        band.split_above = wp.float64(wp.inf)
+        if m.own > wp.float64(0.0):
+            above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
+            band.split_above = own_for(domain, above, domain.rounding)
         if asked.measures_edges == 1:
             band.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
         band.known = told

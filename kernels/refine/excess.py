@@ -160,7 +160,7 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
 def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
-    if stand_of(view, d.low, d.high) != OUTSIDE:
+    if stand_of(view, d.low, d.high, wp.float64(0.0)) != OUTSIDE:
         pixel2 = nearest_pixel2(view, d)
         if view.kind == PERSPECTIVE:
             ahead = least_depth(view, d)

@@ -135,9 +135,11 @@ def looks_for_subtree(w: Walk, q: Square, c: Cursor) -> wp.bool:
 def open_subtree(asked: Asked, w: Walk, q: Square, c: Cursor, m: Measured, band: Band, n: Written):
     """Begin to keep what is below a triangle that is split, if only few bisections are left."""
     k = w.slot
-    few = m.own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
-    few = few or w.max_depth - c.depth <= LAST_LEVELS
-    if few and w.keeper[k].end == NOWHERE and w.keeper[k].count < w.room:
+    opens = w.keeper[k].end == NOWHERE and w.keeper[k].count < w.room
+    if opens:
+        few = m.own <= ERRORS_KEPT * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
+        opens = few or w.max_depth - c.depth <= LAST_LEVELS
+    if opens:
         stands = steady_stand_of(asked.view, m.diamond.low, m.diamond.high)
         veil = veil_in(asked, m.diamond.low, m.diamond.high, stands, band.known)
         if veil != 0 and stands_alone(w, q, c):

@@ -85,16 +85,36 @@ def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Whether the frustum holds a box (CLEAR), none of it (OUTSIDE), or may hold a part (CROSSED)."""
+def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """How far the innermost corner of a box is inside of a plane of the frustum, of all planes the least: negative if
+    the box is outside. Infinite where there are no planes."""
+    inside = wp.float64(wp.inf)
+    planes = view.planes  # here, or Warp copies all of them for each
+    for p in range(view.plane_count):
+        inside = smaller(most_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """As `most_inside`, of the outermost corner: negative unless the frustum holds the box."""
+    inside = wp.float64(wp.inf)
+    planes = view.planes
+    for p in range(view.plane_count):
+        inside = smaller(least_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
+    """Whether the frustum holds a box (CLEAR), the one with planes `beyond` metres further out none of it (OUTSIDE), or
+    neither is known (CROSSED)."""
     zero = wp.float64(0.0)
     stand = CLEAR
-    for p in range(view.plane_count):
-        if most_of(view.planes[p], low, high) < zero:
+    if least_inside(view, low, high) < zero:
+        stand = CROSSED
+        if most_inside(view, low, high) + beyond < zero:
             stand = OUTSIDE
-            break
-        if least_of(view.planes[p], low, high) < zero:
-            stand = CROSSED
     return stand
 
 
@@ -110,14 +130,10 @@ def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
 @wp.func
 def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
     """As `stand_of`; CROSSED also where pixels get coarser by parts."""
-    stand = stand_of(view, low, high)
-    if stand != CLEAR and view.fade > wp.float64(0.0):
-        stand = CROSSED
-        wide = fringe_at(view, most_of(view.depth, low, high))
-        for p in range(view.plane_count):
-            if most_of(view.planes[p], low, high) + wide <= wp.float64(0.0):
-                stand = OUTSIDE
-    return stand
+    beyond = wp.float64(0.0)
+    if view.fade > beyond:
+        beyond = fringe_at(view, most_of(view.depth, low, high))
+    return stand_of(view, low, high, beyond)
 
 
 @wp.func
@@ -219,7 +235,7 @@ def veil_of(
 
 @wp.func
 def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
-    """Squared factor by which pixels are coarser at `inner` metres, negative, from a plane and at a depth.
+    """Squared factor by which pixels are coarser at `inner` metres, negative, inside the planes and at a depth.
 
     It falls as either rises, also in rounded arithmetic.
     """
@@ -241,13 +257,9 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     if (known & IN_FRAME) == 0:
-        for p in range(view.plane_count):
-            inner = most_of(view.planes[p], d.low, d.high)
-            if inner < zero:
-                if view.fade == zero:
-                    coarser2 = view.off_screen2
-                    break
-                coarser2 = larger(faded2(view, inner, most_of(view.depth, d.low, d.high)), coarser2)
+        inner = most_inside(view, d.low, d.high)
+        if inner < zero:
+            coarser2 = faded2(view, inner, most_of(view.depth, d.low, d.high))
     if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
         part = wp.float64(1.0)
         if (known & HIDDEN) == 0:
@@ -260,18 +272,13 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, k
 @wp.func
 def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32):
     """Squared metres that a pixel spans at most, in whatever box inside this one; and what is known of it."""
-    zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     inside = wp.int32(IN_FRAME)
     if (known & IN_FRAME) == 0:
-        for p in range(view.plane_count):
-            least = least_of(view.planes[p], d.low, d.high)
-            if least < zero:
-                inside = 0
-                if view.fade == zero:
-                    coarser2 = view.off_screen2
-                    break
-                coarser2 = larger(faded2(view, least, least_of(view.depth, d.low, d.high)), coarser2)
+        least = least_inside(view, d.low, d.high)
+        if least < wp.float64(0.0):
+            inside = 0
+            coarser2 = faded2(view, least, least_of(view.depth, d.low, d.high))
     veil = veil_of(view, slopes, d.low, d.high, known)
     if veil != BARE:
         coarser2 = larger(coarser2, view.hidden2)

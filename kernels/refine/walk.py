@@ -34,8 +34,8 @@ from .walk_state import STACK, Cursor, Square, Walk, Written
 wp.set_module_options({"enable_backward": False})
 
 # A diamond that is surely split is measured if depths alone decide below it, but which ones is in doubt for more than
-# so many bisections: a narrower band may leave none.
-NARROWED = wp.constant(3)
+# so many bisections: a narrower band may leave none. One of even depth, whose box is tighter (`reach_of`).
+NARROWED = wp.constant(2)
 
 
 @wp.func
@@ -49,7 +49,8 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: C
         error = error_at(domain, middle[0], middle[1], c.depth)
     verdict = foretold(above, c.depth, wp.float64(error) * domain.error_scale)
     if c.depth < w.max_depth:
-        narrows = above.calm == 1 and above.even_depth == 0 and above.leaf_depth - c.depth > NARROWED
+        narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
+        narrows = narrows and above.leaf_depth - c.depth > NARROWED
         if (narrows and verdict == SPLIT) or looks_for_subtree(w, q, c):
             verdict = DOUBT
     elif w.keeper[w.slot].stopped == 1:

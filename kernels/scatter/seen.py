@@ -8,7 +8,7 @@ box that nearer ground hides from all views nothing is wanted; of others no less
 import warp as wp
 
 from ..refine.diamond import larger
-from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_of, stand_of, veil_of
+from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside, stand_of, veil_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,14 +40,11 @@ def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> w
 @wp.func
 def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
     """Of a view at a place that is in its frame with the margin (`clear`: which is known); 0 elsewhere."""
-    inside = wp.int32(1)
+    inside = wp.float64(0.0)
     if clear == 0:
-        for k in range(view.plane_count):
-            if most_of(view.planes[k], p, p) < wp.float64(0.0):
-                inside = 0
-                break
+        inside = most_inside(view, p, p)
     want = wp.float64(0.0)
-    if inside == 1:
+    if inside >= wp.float64(0.0):
         want = ramp(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))
     return want
 
@@ -73,7 +70,7 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
     bare = wp.bool(True)
     for v in range(views.count):
         view = views.views[v]
-        stand = stand_of(view, low, high)
+        stand = stand_of(view, low, high, wp.float64(0.0))
         if stand != OUTSIDE:
             veil = veil_of(view, views.slopes, low - views.reach, high + views.reach, 0)
             seen = seen or veil != HIDDEN

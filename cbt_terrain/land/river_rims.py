@@ -31,11 +31,12 @@ def sides(shape: tuple[int, int]) -> list[tuple]:
     return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
 
 
-def edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
-    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
+def edges(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
+    """What moves the samples along the four sides, where water leaves, after each step of `years` in all.
 
     At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
-    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
+    which is the land's base level; they never rise. At finer ones they go the coarser level's way, lifted in every step
+    with what lies beside them: moved after it they would be a moat around rising land, into which all of it drains.
     """
     (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
     for which in sides(bed.shape):
@@ -44,19 +45,15 @@ def edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[flo
     j, i = np.nonzero(side)
     at = j * columns + i
     if not len(at):
-        return lambda _done: None
+        return lambda: None
     if coarser is not None:
-        start = bed.heights[at]
-        way = origin[at] + coarser.heights.reshape(-1)[at] - start
-
-        def follow(done: float) -> None:
-            bed.heights[at] = start + way * np.float32(done)
-
-        return follow
+        way = origin[at] + coarser.heights.reshape(-1)[at] - bed.heights[at]
+        bed.lift[at] = way / np.float32(max(years, 1.0))
+        return lambda: None
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
     lowest = origin[at].min()
 
-    def fall(_done: float) -> None:
+    def fall() -> None:
         change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
         bed.heights[at] = np.maximum(origin[at] + change, lowest)
 

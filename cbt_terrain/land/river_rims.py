@@ -23,7 +23,7 @@ WALL = 1e4
 LEVEL = 0.01
 # Coarse samples along a cut: so near to where water comes in none leaves, but where the coarser level has a stream
 # leave, a few samples to either side, that is not so many times less.
-BESIDE, WANDER, LESS = 16, 2, 4.0
+BESIDE, WANDER, LESS = 48, 4, 16.0
 
 
 def sides(shape: tuple[int, int]) -> list[tuple]:

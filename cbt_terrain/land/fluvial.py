@@ -84,7 +84,8 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     bed.heights = raised.copy()
     rate, filled = _cut(bed, drainage, years, values)
     load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"], years)
-    bed.heights[bed.rim] = raised[bed.rim] = ground[bed.rim]  # water stood higher there
+    lifted = np.float32(years) * bed.lift[bed.rim]
+    bed.heights[bed.rim] = raised[bed.rim] = ground[bed.rim] + lifted  # water stood higher there
     if values["creep"] > 0.0:
         _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))

@@ -14,7 +14,6 @@ import numpy as np
 from ..effects.routing import route
 from .fluvial import Bed
 from .land_effect import Change, Ground
-from .levels import finer
 
 # What the next finer level is told beside the layers: m, and m3 of sediment that come to a sample in a year.
 LAKE, LOAD = "lake", "load"
@@ -22,8 +21,9 @@ LAKE, LOAD = "lake", "load"
 WALL = 1e4
 # Surfaces of a lake differ by less, metres: by rounding, and where tiles of the coarser level meet.
 LEVEL = 0.01
-# Of the root mean square by which a level is rougher than the coarser one: lakes may stand so much higher in it.
-ROUGHNESS = 4.0
+# Coarse samples along a cut: so near to where water comes in none leaves, but where the coarser level has a stream
+# leave, a few samples to either side, that is not so many times less.
+BESIDE, WANDER, LESS = 48, 4, 16.0
 
 
 def sides(shape: tuple[int, int]) -> list[tuple]:
@@ -31,11 +31,12 @@ def sides(shape: tuple[int, int]) -> list[tuple]:
     return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
 
 
-def edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[float], None]:
-    """What moves the samples along the four sides, where water leaves, given the part of the steps that is done.
+def edges(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
+    """What moves the samples along the four sides, where water leaves, after each step of `years` in all.
 
     At the coarsest level they fall with the sample inside them, so that a rim is no dam, but not below their lowest,
-    which is the land's base level; they never rise. At finer ones they go the coarser level's way.
+    which is the land's base level; they never rise. At finer ones they go the coarser level's way, lifted in every step
+    with what lies beside them: moved after it they would be a moat around rising land, into which all of it drains.
     """
     (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
     for which in sides(bed.shape):
@@ -44,19 +45,15 @@ def edges(bed: Bed, origin: np.ndarray, coarser: Change | None) -> Callable[[flo
     j, i = np.nonzero(side)
     at = j * columns + i
     if not len(at):
-        return lambda _done: None
+        return lambda: None
     if coarser is not None:
-        start = bed.heights[at]
-        way = origin[at] + coarser.heights.reshape(-1)[at] - start
-
-        def follow(done: float) -> None:
-            bed.heights[at] = start + way * np.float32(done)
-
-        return follow
+        way = origin[at] + coarser.heights.reshape(-1)[at] - bed.heights[at]
+        bed.lift[at] = way / np.float32(max(years, 1.0))
+        return lambda: None
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
     lowest = origin[at].min()
 
-    def fall(_done: float) -> None:
+    def fall() -> None:
         change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
         bed.heights[at] = np.maximum(origin[at] + change, lowest)
 
@@ -118,11 +115,8 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
         j, i = (n[most] for n in ring.at)
         ring.flow[lake] = ring.flow[most]
         ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
-    falls = bed.heights - (ground.heights + coarser.heights).reshape(-1)
-    falls[bed.fixed] = 0.0  # how far outlets will be cut down yet
-    higher = ROUGHNESS * _roughness(ground, seen.odd) + max(float(falls.max()), 0.0)
     bed.own, bed.brought = own.reshape(-1), load.reshape(-1)
-    bed.rim, bed.spill = _spills(bed, ground, seen, ring, higher)
+    bed.rim, bed.spill = _spills(bed, ground, seen, ring)
 
 
 def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
@@ -187,43 +181,27 @@ def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:
     return [] if not len(at) else np.split(at[order], np.flatnonzero(np.diff(level[order]) > LEVEL) + 1)
 
 
-def _roughness(ground: Ground, odd: tuple[int, int]) -> float:
-    """Root mean square of what the samples of a level tell of the heights beside every second one, metres."""
-    part = ground.heights[odd[0] :, odd[1] :]
-    rows, columns = (n - 1 + n % 2 for n in part.shape)
-    part = part[:rows, :columns]
-    rough = part - finer(np.ascontiguousarray(part[::2, ::2]), part.shape)
-    return float(np.sqrt(np.mean(np.square(rough, dtype=np.float64))))
+def _most(flow: np.ndarray, reach: int) -> np.ndarray:
+    """The most of what runs through so many samples to either side, once around."""
+    return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 
-def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring, higher: float) -> tuple[np.ndarray, np.ndarray]:
+def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
     """The samples along the cut that are no plain outlets, and metres to which water has to rise there.
 
-    Shut is also what lies beside shut samples and less than so much `higher`, since finer ground may dam what comes in;
-    but not where more water leaves than comes in there.
+    Shut is also what lies beside shut samples, since finer ground may dam what comes in there and lead it away; but not
+    where about as much leaves: a river that winds along the cut would else be counted with every bend.
     """
-    flow, shut = np.zeros(seen.to.shape), np.zeros(seen.to.shape, bool)
-    flow[ring.at], shut[ring.at] = ring.flow, ring.shut
+    wet = seen.wet[ring.at] & ring.cut
+    comes, leaves = np.where(ring.shut, ring.flow, 0.0), np.where(ring.cut & ~ring.shut, ring.flow, 0.0)
+    around = ring.shut | (ring.cut & ~wet & (_most(comes, BESIDE) > LESS * _most(leaves, WANDER)))
+    shut = np.zeros(seen.to.shape, bool)
+    shut[ring.at] = around
     at, cut = _around(bed.shape, ground.rims, 0)
     near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
     near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
     at = at[0] * bed.shape[1] + at[1]
     cut &= ~bed.fixed[at]
-    shut, wet, level = shut[near] & cut, seen.wet[near] & cut, seen.surface[near]
-    _shut_beside(shut, wet, cut, level.copy(), flow[near], bed.heights[at] - np.float32(higher))
+    shut, wet = shut[near] & cut, seen.wet[near] & cut
     some = shut | wet
-    return at[some], (level + np.float32(WALL) * shut)[some]
-
-
-def _shut_beside(shut, wet, cut, level, flow, heights) -> None:
-    """What lies lower than the level of shut samples next to it, once around; `shut` is written."""
-    made, level, most = shut.tolist(), level.tolist(), flow.tolist()
-    free, heights, flow = (cut & ~wet & ~shut).tolist(), heights.tolist(), flow.tolist()
-    n = len(made)
-    for step in (1, -1):
-        for q in range(2 * n):
-            at, back = step * q % n, step * (q - 1) % n
-            if made[back] and free[at] and heights[at] < level[back] and flow[at] < most[back]:
-                if not made[at] or level[back] > level[at]:
-                    made[at], level[at], most[at] = True, level[back], most[back]
-    shut[:] = made
+    return at[some], (seen.surface[near] + np.float32(WALL) * shut)[some]

@@ -38,14 +38,14 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
-    move_edges = edges(bed, origin, coarser)
+    move_edges = edges(bed, origin, coarser, years)
     kept, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
         came = step(bed, years / steps, values, max(number, kept))
         if came is not None and number >= steps // 2:  # those that the finer level takes again
             load += came
-        move_edges((number + 1) / steps)
+        move_edges()
     return _change(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
 
 
@@ -54,6 +54,8 @@ def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.nd
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
     wear = bed.lift * np.float32(values["years"]) - change + bed.sediment
+    for side in sides(bed.shape):  # no rock is lifted there
+        wear.reshape(bed.shape)[side] = (bed.sediment - change).reshape(bed.shape)[side]
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": drainage.catchments * cell}
     kept = {}

@@ -63,14 +63,22 @@ class Bed:
     rim: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     spill: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     brought: np.ndarray | None = None
+    sills: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    sill: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
         heights, fixed = self.heights, self.fixed.reshape(self.shape)
         if len(self.rim):
             heights = heights.copy()
             heights[self.rim] = np.maximum(heights[self.rim], self.spill)
-        heights = heights.reshape(self.shape)
-        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
+        lowered = heights
+        if len(self.sills):
+            lowered = heights.copy()
+            lowered[self.sills] = np.minimum(lowered[self.sills], self.sill)
+        drainage = route(lowered.reshape(self.shape), self.step_x, self.step_y, fixed, self.threads, draw, self.own)
+        if len(self.sills):
+            drainage.heights = heights if len(self.rim) else heights.copy()
+        return drainage
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:

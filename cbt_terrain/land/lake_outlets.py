@@ -10,25 +10,17 @@ import numpy as np
 from ..effects.routing import route
 from .fluvial import Bed
 from .land_effect import Change, Ground
-from .levels import finer
 
 # What the next finer level is told: metres of water above the ground.
 LAKE = "lake"
-# Of the root mean square by which a level is rougher than the coarser one: other passes may be so much lower in it.
-ROUGHNESS = 4.0
 # Coarse samples of a way out at most.
 FAR = 32
 # Surfaces of a lake differ by less, metres, by rounding.
 LEVEL = 0.01
 
 
-def roughness(ground: Ground, odd: tuple[int, int]) -> float:
-    """Root mean square of what the samples of a level tell of the heights beside every second one, metres."""
-    part = ground.heights[odd[0] :, odd[1] :]
-    rows, columns = (n - 1 + n % 2 for n in part.shape)
-    part = part[:rows, :columns]
-    rough = part - finer(np.ascontiguousarray(part[::2, ::2]), part.shape)
-    return float(np.sqrt(np.mean(np.square(rough, dtype=np.float64))))
+WALL = np.float32(1e4)
+LEAST = 48**2
 
 
 def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:
@@ -43,33 +35,31 @@ def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.astype(np.int64)
     surface, columns = surface.reshape(-1), floor.shape[1]
     away = (np.arange(9) // 3 - 1) * columns + np.arange(9) % 3 - 1
-    free = to != 4
-    at = np.flatnonzero(~wet & free)
+    base = to == 4
+    cell = ground.step_x * ground.step_y
+    at = np.flatnonzero(~wet & ~base & (flow >= LEAST * cell))
     over = np.zeros(len(at), bool)
     for step in np.delete(away, 4):
         near = at + step
         over |= wet[near] & (surface[near] >= surface[at] - LEVEL) & (flow[near] < flow[at])
     at = at[over]
-    higher = ROUGHNESS * roughness(ground, odd)
-    lowest = surface[at] - np.float32(2 * higher)
-    found, levels = [], []
-
-    def put(j, i, level):
-        found.append((2 * 0 + j) * bed.shape[1] + i)
-        levels.append(level)
-
+    found, levels, under = [], [], []
     for _ in range(FAR):
         y, x = np.divmod(at, columns)
-        put(2 * y + odd[0], 2 * x + odd[1], surface[at])
+        j, i = 2 * y + odd[0], 2 * x + odd[1]
         below = at + away[to[at]]
-        put(2 * y + odd[0] + to[at] // 3 - 1, 2 * x + odd[1] + to[at] % 3 - 1, surface[below])
-        on = free[below] & ~wet[below] & (surface[below] > lowest)
-        at, lowest = below[on], lowest[on]
+        found += [j * bed.shape[1] + i, (j + to[at] // 3 - 1) * bed.shape[1] + i + to[at] % 3 - 1]
+        levels += [surface[at], surface[below]]
+        under += [wet[at], wet[at] | wet[below]]
+        at = np.unique(below[~base[at]])
         if not len(at):
             break
-    at, level = np.concatenate(found), np.concatenate(levels) - np.float32(higher)
+    at, level, under = map(np.concatenate, (found, levels, under))
     order = np.lexsort((level, at))
     at, first = np.unique(at[order], return_index=True)
-    level = level[order][first]
-    some = ~bed.fixed[at]
-    bed.sills, bed.sill = at[some], level[some].astype(np.float32)
+    level, under = level[order][first], under[order][first]
+    some = ~bed.fixed[at] & (~under | (bed.heights[at] > level))
+    (rows, columns), (south, north, west, east) = bed.shape, ground.rims
+    j, i = np.divmod(at, columns)
+    some &= ((j > 0) | south) & ((j < rows - 1) | north) & ((i > 0) | west) & ((i < columns - 1) | east)
+    bed.sills, bed.sill = at[some], (level - WALL)[some].astype(np.float32)

@@ -31,7 +31,8 @@ BURIED = 1.0
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
 # Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
-SETTLING = 20
+SETTLING = 6
+FARTHEST = 8
 
 
 @dataclass(eq=False)
@@ -197,13 +198,32 @@ def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
     was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
     rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
     rock[at], old[at], new[at] = bed.heights[at] - was, was, was
-    ends = np.flatnonzero(np.diff(at // bed.shape[1], append=-1))
-    last = at[ends].astype(np.int32)
-    first = at[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
-    where = [bed.shape[1], flat(first, wp.int32), flat(last, wp.int32), flat(lake.view(np.uint8), wp.uint8)]
-    cost = len(at) / max(len(ends), 1) / 8
-    for _ in range(SETTLING if len(at) else 0):
-        arrays = [flat(a, wp.float32) for a in (rock, old, new)]
-        launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
-        old, new = new, old
+    far = FARTHEST
+    masks = _open_water(lake.reshape(bed.shape), FARTHEST) if len(at) else []
+    for water in masks:
+        at_ = np.flatnonzero(water)
+        if len(at_):
+            ends = np.flatnonzero(np.diff(at_ // bed.shape[1], append=-1))
+            last = at_[ends].astype(np.int32)
+            first = at_[np.append(0, ends[:-1] + 1)].astype(np.int32)
+            where = [bed.shape[1], far, flat(first, wp.int32), flat(last, wp.int32), flat(water.reshape(-1).view(np.uint8), wp.uint8)]
+            cost = len(at_) / len(ends) / 8
+            for _ in range(SETTLING):
+                arrays = [flat(a, wp.float32) for a in (rock, old, new)]
+                launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
+                old, new = new, old
+        far //= 2
     bed.heights[at] += old[at] - was
+
+
+def _open_water(lake: np.ndarray, most: int) -> list[np.ndarray]:
+    """Of a lake the samples that have it all round, so far: `most`, half of that and so on, 1 last: the lake itself."""
+    found, far = [lake], 1
+    while far < most:
+        inner = found[-1]
+        for axis in (0, 1):
+            by = [(far, 0), (0, far)][axis]
+            inner = inner & np.roll(inner, by, (0, 1)) & np.roll(inner, (-by[0], -by[1]), (0, 1))
+        found.append(inner)
+        far *= 2
+    return found[::-1]

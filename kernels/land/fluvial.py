@@ -254,7 +254,7 @@ def lay_down(
     };
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int i = first; i < end; ++i) {
-        const float v = comes(i, i - width) + comes(i, i + width), u = comes(i, i - 1) + comes(i, i + 1);
+        const float v = comes(i, i - far * width) + comes(i, i + far * width), u = comes(i, i - far) + comes(i, i + far);
         out[i] = m[i] + (u + v);
     }
 """)
@@ -262,6 +262,7 @@ def settle_samples(
     first: wp.int32,
     end: wp.int32,
     width: wp.int32,
+    far: wp.int32,
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
@@ -273,6 +274,7 @@ def settle_samples(
 def settle(
     offset: int,
     width: int,
+    far: int,
     first: wp.array(dtype=wp.int32),
     last: wp.array(dtype=wp.int32),
     lake: wp.array(dtype=wp.uint8),
@@ -284,7 +286,7 @@ def settle(
     water goes to lower neighbours: a fifth of the difference of heights, and no more than a fifth of what is there.
     Outside of a `lake` `laid` stays as `old`, and nothing comes from there."""
     part = offset + wp.tid()
-    settle_samples(first[part], last[part] + 1, width, lake, rock, old, laid)
+    settle_samples(first[part], last[part] + 1, width, far, lake, rock, old, laid)
 
 
 @wp.kernel

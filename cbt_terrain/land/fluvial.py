@@ -31,8 +31,8 @@ BURIED = 1.0
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
 # Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
-SETTLING = 6
-FARTHEST = 8
+SETTLING = 10
+FARTHEST = 4
 
 
 @dataclass(eq=False)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lakes leave where they left at the coarser level: in a tile, which cannot see all of their shore, and in the whole.
+"""Lakes leave where they left at the coarser level.
 
-Two passes out of a lake may be of nearly one height, and finer samples tell another order than every second one. So
-where the coarser level's lakes run over, the choice of ways finds the ground lower than it is.
+Of two passes out of a lake that are of nearly one height, the lower one may be another among finer samples. A tile that
+does not see all of the shore has to ask the coarser level; so the whole does, too. Where water left there, the choice
+of ways finds a trench, as deep as the ground will not be. The ground itself stays, for streams to cut.
 """
 
 import numpy as np
@@ -10,56 +11,52 @@ import numpy as np
 from ..effects.routing import route
 from .fluvial import Bed
 from .land_effect import Change, Ground
+from .river_rims import LAKE, LEVEL, WALL
 
-# What the next finer level is told: metres of water above the ground.
-LAKE = "lake"
-# Coarse samples of a way out at most.
+# Coarse samples along a way out: far enough down that no other pass is lower than its end.
 FAR = 32
-# Surfaces of a lake differ by less, metres, by rounding.
-LEVEL = 0.01
-
-
-WALL = np.float32(1e4)
+# Samples that drain through an outlet, at least: of smaller lakes a tile sees the whole shore, and judges as the whole.
 LEAST = 48**2
 
 
 def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:
-    odd = tuple(first % 2 for first in ground.first)
-    every = tuple(slice(n, None, 2) for n in odd)
+    """Tell the bed which samples count as low ground in the choice of ways: those along the outlets of lakes."""
+    every = tuple(slice(first % 2, None, 2) for first in ground.first)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
-    lake, fixed = coarser.kept[LAKE][every], bed.fixed.reshape(bed.shape)[every]
-    flow = np.ascontiguousarray(coarser.layers["flow"][every]).reshape(-1)
-    surface, wet = floor + lake, (lake > 0.0).reshape(-1)
+    fixed, wet = bed.fixed.reshape(bed.shape)[every], coarser.kept[LAKE][every] > 0.0
     if not wet.any():
         return
-    to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.astype(np.int64)
-    surface, columns = surface.reshape(-1), floor.shape[1]
-    away = (np.arange(9) // 3 - 1) * columns + np.arange(9) % 3 - 1
-    base = to == 4
-    cell = ground.step_x * ground.step_y
-    at = np.flatnonzero(~wet & ~base & (flow >= LEAST * cell))
-    over = np.zeros(len(at), bool)
-    for step in np.delete(away, 4):
-        near = at + step
-        over |= wet[near] & (surface[near] >= surface[at] - LEVEL) & (flow[near] < flow[at])
-    at = at[over]
-    found, levels, under = [], [], []
+    surface = floor + coarser.kept[LAKE][every]
+    to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
+    flow = coarser.layers["flow"][every] / np.float32(ground.step_x * ground.step_y)
+    found = np.full(bed.shape, np.inf, np.float32)
+    heights, y, x = bed.heights.reshape(bed.shape), *_overflows(surface, wet, to, flow)
+
+    def lower(half: int, after) -> None:
+        """The ground halfway on; floors of lakes only where they are yet to be cut down below the water."""
+        way, water = to[y, x].astype(np.int64), wet[y, x] | wet[after]
+        j, i = (2 * n + s.start + half * a for n, s, a in zip((y, x), every, (way // 3 - 1, way % 3 - 1), strict=True))
+        level = surface[after]
+        some = ~water | (heights[j, i] > level)
+        np.minimum.at(found, (j[some], i[some]), level[some])
+
     for _ in range(FAR):
-        y, x = np.divmod(at, columns)
-        j, i = 2 * y + odd[0], 2 * x + odd[1]
-        below = at + away[to[at]]
-        found += [j * bed.shape[1] + i, (j + to[at] // 3 - 1) * bed.shape[1] + i + to[at] % 3 - 1]
-        levels += [surface[at], surface[below]]
-        under += [wet[at], wet[at] | wet[below]]
-        at = np.unique(below[~base[at]])
-        if not len(at):
-            break
-    at, level, under = map(np.concatenate, (found, levels, under))
-    order = np.lexsort((level, at))
-    at, first = np.unique(at[order], return_index=True)
-    level, under = level[order][first], under[order][first]
-    some = ~bed.fixed[at] & (~under | (bed.heights[at] > level))
-    (rows, columns), (south, north, west, east) = bed.shape, ground.rims
-    j, i = np.divmod(at, columns)
-    some &= ((j > 0) | south) & ((j < rows - 1) | north) & ((i > 0) | west) & ((i < columns - 1) | east)
-    bed.sills, bed.sill = at[some], (level - WALL)[some].astype(np.float32)
+        lower(0, (y, x))
+        below = y + to[y, x] // 3 - 1, x + to[y, x] % 3 - 1
+        lower(1, below)
+        y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)
+    cut = np.zeros(bed.shape, bool)
+    for side, rim in zip((np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]), ground.rims, strict=True):
+        cut[side] |= not rim
+    bed.low = np.flatnonzero(np.isfinite(found) & ~cut & ~bed.fixed.reshape(bed.shape))
+    bed.level = found.reshape(-1)[bed.low] - np.float32(WALL)
+
+
+def _overflows(surface, wet, to, flow) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the samples over which lakes leave: dry, beside water of their height, with its catchment."""
+    y, x = np.nonzero(~wet & (to != 4) & (flow >= LEAST))
+    over = np.zeros(len(y), bool)
+    for way in (0, 1, 2, 3, 5, 6, 7, 8):
+        near = y + way // 3 - 1, x + way % 3 - 1
+        over |= wet[near] & (surface[near] >= surface[y, x] - np.float32(LEVEL)) & (flow[near] < flow[y, x])
+    return y[over], x[over]

@@ -30,8 +30,8 @@ LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
 BURIED = 1.0
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
-# What lies under water settles, in so many passes a step between samples so far apart, the farthest first: streams bring
-# it along single paths, which would show as worms, and where each runs would be left to chance.
+# What lies under water settles, in so many passes a step between samples so far apart: streams bring it along single
+# paths, which would show as worms, and where each of them runs is left to chance.
 SETTLING, APART = 12, (4, 2, 1)
 
 
@@ -69,7 +69,7 @@ class Bed:
     level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
-        heights = self.heights.copy()
+        heights = self.heights + np.float32(0.0)
         heights[self.rim] = np.maximum(heights[self.rim], self.spill)
         chosen = heights.copy()
         chosen[self.low] = np.minimum(chosen[self.low], self.level)

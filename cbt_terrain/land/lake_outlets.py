@@ -15,8 +15,8 @@ from .river_rims import LAKE, LEVEL, WALL
 
 # Coarse samples along a way out: far enough down that no other pass is lower than its end.
 FAR = 32
-# Samples that drain through an outlet, at least: of smaller lakes a tile sees the whole shore, and judges as the whole.
-LEAST = 48**2
+# Samples that drain through an outlet, at least: of smaller lakes a tile sees the shore, and judges as the whole.
+LEAST = 96**2
 
 
 def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:

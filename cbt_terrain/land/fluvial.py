@@ -30,8 +30,9 @@ LEAST_CREEP, CREEP_YEARS = 0.06, 5e3
 BURIED = 1.0
 # Beyond so many of them an implicit one is cheaper, of blocks of so many columns.
 MOST_PASSES, BLOCK = 16, 64
-# Passes in which what lies under water settles, a step: streams bring it along single paths, which would show as worms.
-SETTLING = 20
+# What lies under water settles, in so many passes a step between samples so far apart: streams bring it along single
+# paths, which would show as worms, and where each of them runs is left to chance.
+SETTLING, APART = 12, (4, 2, 1)
 
 
 @dataclass(eq=False)
@@ -43,7 +44,8 @@ class Bed:
     float32 metres a year. `own`: float64, samples that each counts for, with those beyond the cut of a tile. `first`,
     `seed`: of the noise, as a ground's. `bends`: float32, see `bends_of`, or 0. `rim`: numbers of samples of the rim
     where water leaves only when it has risen to `spill`, float32 metres. `brought`: float64, metres of sediment times
-    samples that come over the cut of a tile in a year, or None.
+    samples that come over the cut of a tile in a year, or None. `low`: numbers of samples that stand no higher than
+    `level`, float32 metres, when it is chosen where water goes (lake_outlets.py).
     """
 
     shape: tuple[int, int]
@@ -63,14 +65,18 @@ class Bed:
     rim: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     spill: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     brought: np.ndarray | None = None
+    low: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
-        heights, fixed = self.heights, self.fixed.reshape(self.shape)
-        if len(self.rim):
-            heights = heights.copy()
-            heights[self.rim] = np.maximum(heights[self.rim], self.spill)
-        heights = heights.reshape(self.shape)
-        return route(heights, self.step_x, self.step_y, fixed, self.threads, draw, self.own)
+        heights = self.heights + np.float32(0.0)
+        heights[self.rim] = np.maximum(heights[self.rim], self.spill)
+        chosen = heights.copy()
+        chosen[self.low] = np.minimum(chosen[self.low], self.level)
+        fixed = self.fixed.reshape(self.shape)
+        drainage = route(chosen.reshape(self.shape), self.step_x, self.step_y, fixed, self.threads, draw, self.own)
+        drainage.heights = heights
+        return drainage
 
 
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
@@ -190,13 +196,25 @@ def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
     was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
     rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
     rock[at], old[at], new[at] = bed.heights[at] - was, was, was
-    ends = np.flatnonzero(np.diff(at // bed.shape[1], append=-1))
-    last = at[ends].astype(np.int32)
-    first = at[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
-    where = [bed.shape[1], flat(first, wp.int32), flat(last, wp.int32), flat(lake.view(np.uint8), wp.uint8)]
-    cost = len(at) / max(len(ends), 1) / 8
-    for _ in range(SETTLING if len(at) else 0):
-        arrays = [flat(a, wp.float32) for a in (rock, old, new)]
-        launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
-        old, new = new, old
+    for apart in APART:
+        open_water = _inside(lake.reshape(bed.shape), apart - 1).reshape(-1)
+        wide = np.flatnonzero(open_water)
+        ends = np.flatnonzero(np.diff(wide // bed.shape[1], append=-1))
+        last = wide[ends].astype(np.int32)
+        first = wide[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
+        where = [bed.shape[1], apart, flat(first, wp.int32), flat(last, wp.int32)]
+        where.append(flat(open_water.view(np.uint8), wp.uint8))
+        cost = len(wide) / max(len(ends), 1) / 8
+        for _ in range(SETTLING if len(ends) else 0):
+            arrays = [flat(a, wp.float32) for a in (rock, old, new)]
+            launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
+            old, new = new, old
     bed.heights[at] += old[at] - was
+
+
+def _inside(lake: np.ndarray, far: int) -> np.ndarray:
+    """bool [rows, columns]: samples of a lake, none of which is of the rim, with water all round, so far."""
+    inside = lake
+    for axis in (0, 1) if far else ():
+        inside = np.logical_and.reduce([np.roll(inside, by, axis) for by in range(-far, far + 1)])
+    return inside

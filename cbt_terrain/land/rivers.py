@@ -9,6 +9,7 @@ import numpy as np
 
 from ..effects.effect import Parameter
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
+from .lake_outlets import keep_outlets
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
 from .levels import COARSEST, apply_by_levels
 from .river_rims import LAKE, LOAD, edges, sides, take_over
@@ -99,6 +100,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
         take_over(bed, ground, coarser)
+        keep_outlets(bed, ground, coarser)
     if values["variety"] > 0.0:
         vary_rock(bed, values["variety"])
     return bed, origin

@@ -218,7 +218,8 @@ def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequ
     how = run.plan.how(entry, level)
     before, start = run.cache.made[entry.effect], time.perf_counter()
     most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
-    up = None if coarse is None else [finer(array, level.shape) for array in coarse[: parts(entry.declaration, level)]]
+    count = None if how == WHOLE else parts(entry.declaration, level)
+    up = None if coarse is None else [finer(array, level.shape) for array in coarse[:count]]
     if how == UPSAMPLED:
         return up, most, squares, None
     if how == TILES:

@@ -243,6 +243,7 @@ def lay_down(
     const float* __restrict r = rock.data;
     const float* __restrict m = old.data;
     float* __restrict out = laid.data;
+    const int away = apart * width;
     const auto comes = [=](int i, int j) {
         float v = r[j] + m[j], h = r[i] + m[i];
         v = v - h;
@@ -254,7 +255,7 @@ def lay_down(
     };
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int i = first; i < end; ++i) {
-        const float v = comes(i, i - width) + comes(i, i + width), u = comes(i, i - 1) + comes(i, i + 1);
+        const float v = comes(i, i - away) + comes(i, i + away), u = comes(i, i - apart) + comes(i, i + apart);
         out[i] = m[i] + (u + v);
     }
 """)
@@ -262,6 +263,7 @@ def settle_samples(
     first: wp.int32,
     end: wp.int32,
     width: wp.int32,
+    apart: wp.int32,
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
@@ -273,6 +275,7 @@ def settle_samples(
 def settle(
     offset: int,
     width: int,
+    apart: int,
     first: wp.array(dtype=wp.int32),
     last: wp.array(dtype=wp.int32),
     lake: wp.array(dtype=wp.uint8),
@@ -281,10 +284,10 @@ def settle(
     laid: wp.array(dtype=wp.float32),
 ):
     """Samples `first` to `last` of part `offset + tid`, all of one row: a pass in which what is `laid` on `rock` under
-    water goes to lower neighbours: a fifth of the difference of heights, and no more than a fifth of what is there.
-    Outside of a `lake` `laid` stays as `old`, and nothing comes from there."""
+    water goes to lower samples, so many `apart` along rows and columns: a fifth of the difference of heights, and no
+    more than a fifth of what is there. Outside of a `lake` `laid` stays as `old`, and nothing comes from there."""
     part = offset + wp.tid()
-    settle_samples(first[part], last[part] + 1, width, lake, rock, old, laid)
+    settle_samples(first[part], last[part] + 1, width, apart, lake, rock, old, laid)
 
 
 @wp.kernel

@@ -67,6 +67,20 @@ def test_case_57_rivers_on_a_plain_that_rises(noise, bound):
     assert rms(moved) > 0.2 and rms(off) < bound * rms(moved) and max(parts) < 0.1
 
 
+@pytest.mark.parametrize(("noise", "step_y"), [(8.0, 11.0), (1.0, 10.0)])
+def test_case_57_rivers_out_of_lakes_whose_outlets_are_almost_alike(noise, step_y):
+    """Bowls of which every fourth or so would leave another way at the finer level, and to which many streams bring
+    sediment: all tiles are off by 4 % of what the levels moved at most, the worst by 5 %."""
+    y, x = np.indices((560, 930))
+    land = 300 + 160 * np.sin(x / 60) * np.cos(y / 47)
+    land += noise * np.random.default_rng(7 if noise > 1 else 5).standard_normal(land.shape)
+    field = from_array(land.astype(np.float32), 10.0, step_y)
+    off, moved = off_and_moved(field, Stack((Entry("rivers"),)))
+    level = levels_of(field.lattice)[0]
+    parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]
+    assert rms(moved) > 2 and rms(off) < 0.04 * rms(moved) and max(parts) < 0.05
+
+
 def test_case_57_neighbours_share_their_borders(monkeypatch):
     """A tile that is made with its neighbour and one that is made after it have the same bytes, and where tiles meet
     the change of heights has no step: neither between two tiles nor beside one that nobody asked for."""

@@ -124,21 +124,24 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
     assert np.array_equal(made, z) and np.array_equal(load, carried) and (z != h).mean() > 0.3
 
 
-def test_settling_is_that_of_numpy_and_keeps_all(case):
+@pytest.mark.parametrize("apart", [1, 4])
+def test_settling_is_that_of_numpy_and_keeps_all(case, apart):
     drainage, rock, _ = case
     rng, shape = np.random.default_rng(4), (53, 121)
-    lake = ((drainage.filled() > rock) & (drainage.base == 0)).astype(np.uint8)
+    inner = np.zeros(shape, bool)
+    inner[apart:-apart, apart:-apart] = True
+    lake = ((drainage.filled() > rock) & inner.reshape(-1)).astype(np.uint8)
     old = np.where(rng.random(rock.size) < 0.7, 9 * rng.random(rock.size), 0).astype(F)
     made = old.copy()
     arrays = [flat(lake, wp.uint8), *(flat(a, wp.float32) for a in (rock, old, made))]
     rows = np.flatnonzero(lake.reshape(shape).any(axis=1)).astype(np.int32)
-    ends = [flat((121 * rows + at).astype(np.int32), wp.int32) for at in (1, 119)]
-    launch.spread(fluvial.settle, len(rows), [121, *ends, *arrays], step="test", threads=3)
+    ends = [flat((121 * rows + at).astype(np.int32), wp.int32) for at in (apart, 120 - apart)]
+    launch.spread(fluvial.settle, len(rows), [121, apart, *ends, *arrays], step="test", threads=3)
     s, water, z = old.reshape(shape), lake.reshape(shape) == 1, (rock + old).reshape(shape)
     sums = []
     for axis in (1, 0):
         sides = []
-        for by in (1, -1):
+        for by in (apart, -apart):
             other, there, wet = (np.roll(a, by, axis) for a in (s, z, water))
             v = np.clip((there - z) * F(0.2), F(-0.2) * s, F(0.2) * other)
             sides.append(np.where(water & wet, v, F(0)))

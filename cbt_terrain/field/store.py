@@ -210,18 +210,32 @@ def check_target(path: str | os.PathLike) -> None:
             return
         if not folder.is_dir():
             raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
-        foreign = sorted(entry.name for entry in folder.iterdir() if not _is_own(entry) and os.path.lexists(entry))
-        if foreign and (folder / JSON_NAME).exists():
+        found = foreign(folder)
+        if found and (folder / JSON_NAME).exists():
             return  # another process has made a store of it meanwhile
     except OSError as reason:
         shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
         raise TerrainError(
             f"The store {shown} cannot be used ({reason.strerror or reason}): choose another folder."
         ) from reason
-    if foreign:
+    if found:
+        held = str(found[0].relative_to(folder))
         raise TerrainError(
-            f"The folder {folder} is no terrain store and holds {foreign[0]!r}: choose a new or an empty folder."
+            f"The folder {folder} is no terrain store and holds {held!r}: choose a new or an empty folder."
         )
+
+
+def foreign(folder: Path) -> list[Path]:
+    """What lies in the folder of a store, or in one of arrays in it, and was not made by this program."""
+    found = []
+    with suppress(FileNotFoundError):  # another import has just removed it
+        for entry in folder.iterdir():
+            if is_data_name(entry.name) and entry.is_dir() and not entry.is_symlink():
+                with suppress(FileNotFoundError):
+                    found += [inner for inner in entry.iterdir() if not _is_own_entry(inner)]
+            elif not _is_own(entry) and os.path.lexists(entry):
+                found.append(entry)
+    return sorted(found)
 
 
 def _is_own(folder: Path) -> bool:

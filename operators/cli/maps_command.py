@@ -85,13 +85,13 @@ def scene_subjects(
 
     from ..effects.map_request import gathered
     from ..scene import session
-    from ..scene.land_request import raster_of
+    from ..scene.land_request import whole_raster_of
 
     look = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
         *_, request = gathered(obj, source.scene, names, frames, **look)
         request = replace(request, folder=out / file_name(obj))
-        field = raster_of(request.store, request.land, session.open_field)
+        field = whole_raster_of(request.store, request.land, session.open_field)
         subjects.append(Subject(obj.name, field, request))
     return subjects

@@ -12,7 +12,7 @@ from ...cbt_terrain.maps.bake import Baked
 from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
 from ..scene import live, session
-from ..scene.land_request import raster_of
+from ..scene.land_request import whole_raster_of
 from . import map_images
 from .map_baking import MapRequest, carry_out, summary
 from .map_request import gathered
@@ -47,7 +47,7 @@ class Job:
         try:
             warmup.wait()
             with session.engine_lock:
-                field = raster_of(request.store, request.land, session.open_field)
+                field = whole_raster_of(request.store, request.land, session.open_field)
             self.baked = carry_out(request, field, self._progress, session.engine_lock)
         except Stopped:
             pass

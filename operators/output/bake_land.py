@@ -55,7 +55,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
 
     def _carry_out(self, obj, depsgraph):
         land = shape_land.wanted_land(obj, depsgraph)
-        land_request.raster_of("", land, session.open_field)
+        land_request.whole_raster_of("", land, session.open_field)
         settings = obj.adaptive_terrain
         folder = free_folder(settings.store.rstrip("/") + BAKED)
         copy_store(land.folder, bpy.path.abspath(folder))
@@ -94,7 +94,7 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
             raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
         check_export(self.filepath)
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-        land_request.raster_of(store, land, session.open_field)
+        land_request.whole_raster_of(store, land, session.open_field)
         files = export_raster(store if land is None else land.folder, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
         return {"FINISHED"}

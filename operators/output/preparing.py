@@ -17,7 +17,7 @@ from ..scene import session
 from ..scene.import_terrain import settings_of
 from ..scene.import_terrain import summary as import_summary
 from ..scene.land_properties import SEEN
-from ..scene.land_request import land_of, raster_of
+from ..scene.land_request import land_of, whole_raster_of
 from ..scene.map_properties import SHOT
 from ..scene.shape_land import wanted_land
 from ..scene.shot import look_through
@@ -58,12 +58,12 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
         views = []
         if obj.adaptive_terrain.land.where == SEEN:
             *_, views = look_through(obj, scene, frames, np.array(obj.matrix_world, np.float64))
-        raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field)
+        whole_raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field)
         say(f"{obj.name}: its land is shaped")
     if names := read_as_images(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
         *_, request = gathered(obj, scene, names, shot)
-        field = raster_of(request.store, request.land, session.open_field)
+        field = whole_raster_of(request.store, request.land, session.open_field)
         say(maps_summary(carry_out(request, field, to), obj.name))
 
 

@@ -6,12 +6,14 @@ settings alone decide which land is shown: Undo brings back the one before at on
 share it. Nothing here touches Blender but `land_of`.
 """
 
+import errno
 import functools
 import hashlib
 import os
 import re
 import shutil
 import threading
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,6 +37,9 @@ OF_VIEWS = "_views"  # ends the names of stores that are fine only where some vi
 BESIDE = "_land"  # ends the name of the folder beside a source's store
 _NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
 MOST_PREVIEWS = 4  # a preview holds about 12 MB
+_SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # what this process lacks, and no fault of a file
+MOST_REPAIRS = 3  # of one land: a disk that damages all that is written would keep a viewport at it for ever
+_repairs: Counter[str] = Counter()  # by folder, in this session
 _previews: dict[str, Preview] = {}  # by `Land.folder`, the last one last
 made = {"previews": 0, "stores": 0}  # how often land was made, for whoever wants to know what a scene costs
 _shaping = threading.Lock()
@@ -132,7 +137,7 @@ def release(uid: int) -> None:
 
 def is_in_use(folder: Path) -> bool:
     """Whether a terrain of the open file shows the land in a folder, by whatever path, or is about to."""
-    return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, _in_use.values())
+    return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, list(_in_use.values()))
 
 
 def _source_key(store: str) -> str:
@@ -152,6 +157,8 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
     For any thread. Raises TerrainError; DamagedLand where `store` was shaped."""
     if land is None:
         return _opened(store, open_field)
+    if not land.waits and not land.is_shaped:
+        return previewed(land, open_field).field
     if land.waits and (land.seen or not is_whole(land, open_field)):
         with _shaping:  # two renders of one land make it once
             wanted = wanted_tiles(land, open_field)
@@ -161,9 +168,18 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
                 land_tiles.note(land.folder, wanted)
                 made["stores"] += 1
                 remove_old(land)
-    if land.is_shaped:
-        return open_field(land.folder)
-    return previewed(land, open_field).field
+    return open_field(land.folder)
+
+
+def whole_raster_of(store: str, land: Land | None, open_field) -> HeightField:
+    """As `raster_of`, for who reads all of it: shaped land is damaged nowhere, not in a layer either."""
+    field = raster_of(store, land, open_field)
+    if land is not None and land.is_shaped:
+        changed = stores.changed_ns(land.folder)
+        fault = _fault_in(land.folder)
+        if fault is not None and _take_away(land.folder, changed, fault):
+            return raster_of(store, land, open_field)
+    return field
 
 
 def _opened(store: str, open_field) -> HeightField:
@@ -178,43 +194,59 @@ def _opened(store: str, open_field) -> HeightField:
 
 
 def is_whole(land: Land, open_field) -> bool:
-    """Whether the shaped store is there and can be opened. One that cannot is taken away, so that it is made again."""
+    """Whether the shaped store is there and can be opened. One that cannot is taken away, and whatever else lies in its
+    folder, so that it is made again."""
     changed = stores.changed_ns(land.folder)
-    if not changed:
-        return False
     try:
-        return open_field(land.folder) is not None
+        if changed:
+            return open_field(land.folder) is not None
     except TerrainError as error:
-        _take_away(land.folder, changed, error)
-        return False
+        if not _take_away(land.folder, changed, error):
+            return False
+    with suppress(OSError):
+        for other in stores.foreign(Path(land.folder)):
+            shutil.rmtree(other) if other.is_dir() and not other.is_symlink() else other.unlink()
+    return False
 
 
 def check_blocks(store: str, error: TerrainError) -> None:
     """Raise DamagedLand if it was the damage of a shaped store that an update ended with."""
     changed = stores.changed_ns(store)
-    if _is_shaped_store(store) and not _has_whole_blocks(store, changed) and _take_away(store, changed, error):
-        raise DamagedLand(_damage(store, error)) from error
+    fault = _fault_behind(store, changed, str(error)) if _is_made_here(store) else None
+    if fault is not None and _take_away(store, changed, fault):
+        raise DamagedLand(_damage(store, fault)) from error
 
 
 @functools.lru_cache(maxsize=8)
-def _has_whole_blocks(store: str, _changed_ns: int) -> bool:
+def _fault_behind(store: str, _changed_ns: int, _error: str) -> TerrainError | None:
+    """Looked for once: an error of other causes may come again with every update."""
+    return _fault_in(store)
+
+
+def _fault_in(store: str) -> TerrainError | None:
+    """The first in any block of a store."""
     try:
-        return bool(stores.verify(store))
-    except TerrainError:
-        return False
+        stores.verify(store)
+    except TerrainError as error:
+        return error
+    return None
 
 
 def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
     """Make what was shaped no store any more, unless it has changed since, and say so: nothing of it is anyone's own.
-    What others have mapped of it stays theirs. Returns whether it is none now; any other store is left alone."""
-    if not _is_shaped_store(store):
+    What others have mapped of it stays theirs. Returns whether it is none now; any other store is left alone, and land
+    that was made again often enough."""
+    if not _is_made_here(store) or getattr(why.__cause__, "errno", None) in _SHORT_OF:
         return False
     file = Path(store) / stores.JSON_NAME
     if changed_ns and stores.changed_ns(store) == changed_ns:
+        if _repairs[store] >= MOST_REPAIRS:
+            return False
         try:
             shutil.rmtree(file) if file.is_dir() and not file.is_symlink() else file.unlink(missing_ok=True)
         except OSError:
             return False
+        _repairs[store] += 1
         print(f"Adaptive Terrain: {_damage(store, why)}")
     return True
 
@@ -224,8 +256,9 @@ def _damage(store: str, why: TerrainError) -> str:
     return f"The shaped land in {store!r} is damaged, and is made again from its source: {what}."
 
 
-def _is_shaped_store(store: str) -> bool:
-    return _NAME.fullmatch(Path(store).name) is not None and Path(store).parent.name.endswith(BESIDE)
+def _is_made_here(store: str) -> bool:
+    """Whether a stack of the open file makes a store. One that a user has chosen as a source nobody makes again."""
+    return is_in_use(Path(store)) and _NAME.fullmatch(Path(store).name) is not None
 
 
 def wanted_tiles(land: Land, open_field) -> land_tiles.Tiles | None:
@@ -288,3 +321,4 @@ def preview_of(land: Land) -> Preview | None:
 def forget() -> None:
     _previews.clear()
     _in_use.clear()
+    _repairs.clear()

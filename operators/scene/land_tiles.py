@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which tiles of a shaped store its views have asked for: written beside it, since less may have been worth making."""
 
+import hashlib
 import json
 from contextlib import suppress
 from dataclasses import dataclass
@@ -37,12 +38,17 @@ def _file(folder: str) -> Path:
 
 
 def known(folder: str) -> Tiles:
-    """What the store in `folder` was asked for; [] where that is not known."""
+    """What the store in `folder` was asked for; [] where that is not known, or damaged."""
     try:
-        levels = json.loads(_file(folder).read_text())
-        return [{int(tile): float(metres) for tile, metres in level} for level in levels]
-    except (OSError, ValueError, TypeError):
+        digest, text = _file(folder).read_text().split("\n", 1)
+        levels = json.loads(text) if digest == _digest(text) else []
+    except (OSError, ValueError):
         return []
+    return [dict(map(tuple, level)) for level in levels]
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def has(folder: str, wanted: Tiles | None) -> bool:
@@ -73,7 +79,8 @@ def note(folder: str, wanted: Tiles | None) -> None:
     """Write down what a store was asked for; one in a folder that cannot be written is asked again."""
     if wanted is not None:
         with suppress(OSError), written_beside(_file(folder)) as partial:
-            partial.write_text(json.dumps([sorted(level.items()) for level in wanted]))
+            text = json.dumps([sorted(level.items()) for level in wanted])
+            partial.write_text(f"{_digest(text)}\n{text}")
 
 
 def forget(folder: str) -> None:

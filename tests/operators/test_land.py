@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.scene import (
@@ -148,101 +147,6 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     assert there() == {shown, second}
 
 
-def test_shaped_land_that_was_damaged_is_made_again(terrain):
-    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
-    add("thermal")
-    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-    folder = land_request.shaped_stores(terrain.adaptive_terrain.store)[0][0]
-    samples = next(folder.glob("data-*/samples.npy"))
-    whole = samples.read_bytes()
-    session.clear()
-    samples.unlink()
-    samples.write_bytes(whole[: len(whole) // 2])
-    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
-
-
-def cut_off(store) -> bytes:
-    """Half a file of samples is left, as where a copy was cut off; what the whole one held."""
-    session.clear()
-    samples = next(Path(store).glob("data-*/samples.npy"))
-    whole = samples.read_bytes()
-    samples.unlink()  # the old one may still be mapped
-    samples.write_bytes(whole[: len(whole) // 2])
-    return whole
-
-
-@pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
-def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mode):
-    """A render waits for it; a viewport shows its preview meanwhile."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    folder = shaped_land.store_of(terrain)
-    whole = cut_off(folder)
-    session.update_object(terrain, mode=mode)
-    [line] = capsys.readouterr().out.splitlines()
-    assert line.startswith(f"Adaptive Terrain: The shaped land in {folder!r} is damaged, and is made again from its")
-    assert "samples.npy is damaged (it has" in line and line.endswith(").")
-    state = shaped_land.state_of(terrain)
-    assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
-    session.update_object(terrain, mode="RENDER")
-    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
-    assert land_request.made["stores"] == 2 and not capsys.readouterr().out
-
-
-def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp_path):
-    """When a store is opened a few blocks of each array are looked at, and this is none of them."""
-    shutil.copytree(wide_store, tmp_path / "wide")
-    terrain.adaptive_terrain.store = str(tmp_path / "wide")
-    terrain.adaptive_terrain.render.error_px, terrain.adaptive_terrain.render.error_m = 0.0, 3.0
-    add("relief")
-    bpy.ops.adaptive_terrain.shape()
-    folder = shaped_land.store_of(terrain)
-    session.clear()
-    samples = next(Path(folder).glob("data-*/samples.npy"))
-    whole = samples.read_bytes()
-    first = PAGE_BYTES + BLOCK_BYTES
-    samples.unlink()
-    samples.write_bytes(whole[:first] + b"\xff" * BLOCK_BYTES + whole[first + BLOCK_BYTES :])  # no numbers
-    open_store(folder)
-    session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 2
-    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
-
-
-def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
-    """A source, and what was baked: an error that names the file."""
-    source = terrain.adaptive_terrain.store
-    add("thermal")
-    cut_off(source)
-    for mode in ("RENDER", "VIEWPORT"):
-        with pytest.raises(session.TerrainError, match=r"hills/data-\w+/samples.npy is damaged .*import the terrain"):
-            session.update_object(terrain, mode=mode)
-    assert (Path(source) / "store.json").is_file() and land_request.made["stores"] == 0
-
-
-def test_a_damaged_baked_store_is_an_error(terrain):
-    add("thermal")
-    bpy.ops.adaptive_terrain.bake_land()
-    baked = terrain.adaptive_terrain.store
-    cut_off(baked)
-    with pytest.raises(session.TerrainError, match=r"hills_baked/data-\w+/samples.npy is damaged"):
-        session.update_object(terrain, mode="RENDER")
-    assert (Path(baked) / "store.json").is_file()
-
-
-def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain):
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    file = Path(shaped_land.store_of(terrain)) / "store.json"
-    file.unlink()
-    (file / "more").mkdir(parents=True)
-    session.update_object(terrain)
-    assert shaped_land.state_of(terrain).shown == "Preview"
-    session.update_object(terrain, mode="RENDER")
-    assert shaped_land.state_of(terrain).shown == "Shaped" and file.is_file()
-
-
 def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     add("thermal")
     bpy.ops.adaptive_terrain.shape()
@@ -315,17 +219,6 @@ def only_shaped(terrain) -> str:
 
 def test_times_are_short():
     assert [time_text(ms) for ms in (None, 0.4, 35.2, 4200.0)] == ["-", "0.4 ms", "35.2 ms", "4.2 s"]
-
-
-def test_a_damaged_shaped_store_is_made_again(terrain):
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    file = Path(shaped_land.store_of(terrain)) / "store.json"
-    file.write_text("{}")
-    session.update_object(terrain)
-    assert shaped_land.state_of(terrain).shown == "Preview"
-    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-    assert shaped_land.state_of(terrain).shown == "Shaped"
 
 
 @pytest.mark.parametrize("by", ["ESC", "cross"])

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
@@ -183,3 +184,22 @@ def test_without_live_update_nothing_is_begun(terrain):
         live.tick()
         time.sleep(0.005)
     assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+
+
+def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, capsys):
+    """A disk that damages what is written: after some tries the panel says so, and nothing is made any more."""
+    opened, record = session.open_store, session.record_of(terrain)
+
+    def damaged(path):
+        if land_request.is_of_views(str(path)):
+            raise TerrainError(f"{path} is damaged (its disk is worn out): import the terrain again.")
+        return opened(path)
+
+    monkeypatch.setattr(session, "open_store", damaged)
+    turns(lambda: "its disk is worn out" in record.status.error)
+    turns(lambda: not land_jobs.running)
+    for _ in range(60):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    assert capsys.readouterr().out.count("is made again from its source") == land_request.MOST_REPAIRS

@@ -17,12 +17,14 @@ from ..effects.effect import Parameter
 @dataclass(frozen=True)
 class Layer:
     """A by-product: a number for each sample beside the heights. `name`: of the attribute, map or file. `per_metre`:
-    whether it is a depth, which is added up over a stack, or a state, of which the last one counts."""
+    whether it is a depth, which is added up over a stack, or a state, of which the last one counts. `signed`: depths
+    that may be below 0."""
 
     name: str
     unit: str
     about: str
     per_metre: bool = True
+    signed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -301,6 +301,10 @@ def _put_on(
         array = _without(ground.missing, shown.layers[layer.name])
         add = layer.per_metre and layer.name in layers
         layers[layer.name] = layers[layer.name] + array if add else array
+        if add and not layer.signed:
+            # Around a tile that was asked for alone an effect may take more of a depth than those before it have left
+            # there: it saw the tile's own ground, and what is there is blended with coarser ground.
+            np.maximum(layers[layer.name], np.float32(0.0), out=layers[layer.name])
     return _without(ground.missing, shown.heights)
 
 

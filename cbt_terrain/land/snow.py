@@ -209,7 +209,7 @@ SNOW = LandEffect(
     ),
     layers=(
         Layer("snow", "m", "Depth of the snow"),
-        Layer("slides", "m", "Snow that slides have brought; where negative, taken"),
+        Layer("slides", "m", "Snow that slides have brought; where negative, taken", signed=True),
     ),
     reads=("water_depth",),
     halo=_halo,

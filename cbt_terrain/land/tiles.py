@@ -26,7 +26,7 @@ TILE = 256
 BAND = 16
 # Samples along the longer side of the finest level that is worked on as a whole; and along the shorter one of a strip,
 # where what slides has no room in which a tile could make up for it.
-WHOLE, STRIP = 513, 32
+WHOLE, STRIP = 513, 128
 # A level shows where a pixel is at most so many of its spacings wide.
 PIXEL_SPACINGS = 2.0
 

@@ -109,6 +109,16 @@ def test_a_tile_of_the_first_effect_has_the_same_bytes_whatever_else_is_asked_fo
             assert first.layers["worn"][inner].tobytes() == other.layers["worn"][inner].tobytes()
 
 
+def test_around_a_lone_tile_no_effect_takes_more_scree_than_there_is():
+    """Scree that lies at 40 degrees is laid at 24 by a second effect, in one tile alone: it was 0.75 m below 0."""
+    y, x = np.indices((300, 700))
+    land = 200 * np.sin(x / 31) * np.cos(y / 27) + 60 * np.random.default_rng(1).standard_normal(x.shape)
+    field = from_array(land.astype(np.float32), 10.0, 10.0)
+    stack = Stack(tuple(Entry("thermal", {"scree_angle": angle}) for angle in (40.0, 24.0)))
+    made = shape(field, stack, [{1: 0.0}, {}, {}][: len(levels_of(field.lattice))])
+    assert made.layers["scree"].max() > 1.0 and made.layers["scree"].min() == 0.0
+
+
 def test_beside_tiles_that_are_left_out_the_ground_has_no_step(land):
     """Along the border of a tile, heights change from sample to sample by no more than within it."""
     made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 5))

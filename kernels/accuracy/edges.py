@@ -11,8 +11,6 @@ import warp as wp
 
 from .facets import Facet, Ground, Mesh, facet_of, plane_at, reference_at
 
-wp.set_module_options({"enable_backward": False})
-
 PLACES = wp.constant(8)
 
 

@@ -17,8 +17,6 @@ from ..query.rays import within
 from .cubic import heights_about
 from .facets import Ground, in_cell
 
-wp.set_module_options({"enable_backward": False})
-
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
 PLACES = wp.constant(8)

@@ -24,8 +24,6 @@ from .facets import (
 from .points import POINT_BITS
 from .rays import NOWHERE, Blocks, Ray, first_crossing
 
-wp.set_module_options({"enable_backward": False})
-
 OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
 HIDDEN = wp.constant(wp.uint8(2))

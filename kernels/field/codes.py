@@ -5,8 +5,6 @@ import warp as wp
 
 from ..unchecked import item_at, prefetch
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Samples:

@@ -12,8 +12,6 @@ from ..field.domain import Domain
 from ..field.hierarchy import diagonal_inside, row_inside
 from ..unchecked import item_at
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Facet:

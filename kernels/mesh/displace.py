@@ -9,8 +9,6 @@ from ..field.domain import Domain
 from ..refine.runs import Runs
 from ..unchecked import copy_items, item_at, put
 
-wp.set_module_options({"enable_backward": False})
-
 AHEAD = wp.constant(32)
 HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32 is infinite
 

@@ -8,8 +8,6 @@ from ..mesh.displace import height
 from .crossing import Blocks, range_at
 from .surface import Surface, is_ground
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def saddle_at(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:

@@ -15,8 +15,6 @@ from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .surface import Surface, jet_in
 
-wp.set_module_options({"enable_backward": False})
-
 NOWHERE = wp.constant(wp.float64(wp.inf))
 MOST_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
 CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that is shorter has arrived

@@ -8,8 +8,6 @@ from ..field.codes import Samples
 from ..field.detail import Coats, detail_at
 from ..mesh.displace import height, in_cell
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Surface:

@@ -14,8 +14,6 @@ from ..field.layout import tile_index
 from ..unchecked import item_at
 from .stored_errors import is_beyond, reach_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def smaller(a: wp.float64, b: wp.float64) -> wp.float64:

@@ -18,8 +18,6 @@ from .diamond import Diamond, diamond_at, larger, rest_of, smaller
 from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
 from .stored_errors import detail_missed, is_beyond, raster_error_at
 
-wp.set_module_options({"enable_backward": False})
-
 # What is looked for.
 FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
 ERROR = wp.constant(1)  # spans of a pixel of all error

@@ -19,8 +19,6 @@ from .excess import heights_between
 from .hiding import BINS, ROW, bin_of, radius_of
 from .pixels import Asked, LocalView
 
-wp.set_module_options({"enable_backward": False})
-
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
 FEW_CELLS = wp.constant(8)  # along a rectangle: up to here cells are read, beyond it blocks
 MOST_BLOCKS = wp.constant(6)  # ... along a side

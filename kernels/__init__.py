@@ -2,6 +2,7 @@
 """Warp kernels: arrays and numbers in, arrays out. No files, no state, no bpy."""
 
 import os
+import pkgutil
 
 import warp as wp
 
@@ -31,4 +32,11 @@ def _initialise() -> None:
         raise OSError(reason.errno, f"{advice} be written", reason.filename) from None
 
 
+def _without_gradients() -> None:
+    """Compile no kernel's derivative, half of the time: nobody asks for it. Other add-ons' modules stay as they are."""
+    for found in pkgutil.walk_packages(__path__, f"{__name__}."):
+        wp.set_module_options({"enable_backward": False}, found.name)
+
+
 _initialise_quietly()
+_without_gradients()

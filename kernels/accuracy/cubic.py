@@ -9,8 +9,6 @@ import warp as wp
 
 from ..field.codes import Samples, sample_at
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: wp.float64) -> wp.float64:

@@ -9,8 +9,6 @@ import warp as wp
 from ..field.detail import SHIFT_X, SHIFT_Y, Coats, Detail
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def weight(t: wp.float64) -> wp.float64:

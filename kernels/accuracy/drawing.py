@@ -3,8 +3,6 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 BAND = wp.constant(32)  # rows of pixels that one thread draws
 
 

@@ -11,17 +11,17 @@ import warp as wp
 
 from .facets import Facet, Ground, Mesh, facet_of, plane_at, reference_at
 
-wp.set_module_options({"enable_backward": False})
-
 PLACES = wp.constant(8)
 
 
 @wp.struct
 class Stretch:
-    """Part of a triangle's edge inside one cell, where mesh less reference is a parabola; it begins at `from_`."""
+    """Part of a triangle's edge inside one cell, where mesh less bilinear reference is a parabola."""
 
     from_: wp.float64  # along the edge, 0 .. 1
     to: wp.float64
+    turn: wp.float64  # where the parabola turns
+    difference: wp.float64  # mesh less reference at `to`, metres
     line_x: wp.int64  # the next grid lines that the edge meets
     line_y: wp.int64
 
@@ -36,10 +36,39 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
 
 
 @wp.func
+def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
+    """Cells east and north of the point `along` (0 .. 1) edge k."""
+    n = (k + 1) % 3
+    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
+    u = (wp.float64(f.x[k]) + along * wp.float64(f.x[n] - f.x[k])) * per_unit
+    v = (wp.float64(f.y[k]) + along * wp.float64(f.y[n] - f.y[k])) * per_unit
+    return u, v
+
+
+@wp.func
+def difference_at(ground: Ground, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Mesh less reference, metres."""
+    return plane_at(f, u, v) - reference_at(ground, u, v)
+
+
+@wp.func
+def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
+    """Where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns; 1/2 where it does not."""
+    bend = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
+    slope = e2 - e0 - bend
+    at = wp.float64(0.5)
+    if slope * bend < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(bend):
+        at = -slope / (wp.float64(2.0) * bend)
+    return at
+
+
+@wp.func
 def begin(ground: Ground, f: Facet, k: wp.int32) -> Stretch:
     """Before the first stretch of the edge from corner k to the next."""
     n = (k + 1) % 3
     s = Stretch()
+    u, v = on_edge(ground, f, k, wp.float64(0.0))
+    s.difference = difference_at(ground, f, u, v)
     s.line_x = next_line(f.x[k], f.x[n] - f.x[k], wp.int64(ground.bits))
     s.line_y = next_line(f.y[k], f.y[n] - f.y[k], wp.int64(ground.bits))
     return s
@@ -68,40 +97,30 @@ def advance(ground: Ground, f: Facet, k: wp.int32, s: Stretch) -> Stretch:
         s.line_x += wp.where(dx < wp.int64(0), wp.int64(-1), wp.int64(1))
     if at_y <= s.to:
         s.line_y += wp.where(dy < wp.int64(0), wp.int64(-1), wp.int64(1))
+    if ground.curved == 0:
+        e0 = s.difference
+        u, v = on_edge(ground, f, k, wp.float64(0.5) * (s.from_ + s.to))
+        e1 = difference_at(ground, f, u, v)
+        u, v = on_edge(ground, f, k, s.to)
+        s.difference = difference_at(ground, f, u, v)
+        s.turn = s.from_ + turning_point(e0, e1, s.difference) * (s.to - s.from_)
     return s
 
 
 @wp.func
-def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
-    """Cells east and north of the point `along` (0 .. 1) edge k."""
-    n = (k + 1) % 3
-    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
-    u = (wp.float64(f.x[k]) + along * wp.float64(f.x[n] - f.x[k])) * per_unit
-    v = (wp.float64(f.y[k]) + along * wp.float64(f.y[n] - f.y[k])) * per_unit
+def places_of(ground: Ground) -> wp.int32:
+    """How many places of a stretch are looked at."""
+    return wp.where(ground.curved == 1, PLACES, 2)
+
+
+@wp.func
+def place_in(ground: Ground, f: Facet, k: wp.int32, s: Stretch, q: wp.int32):
+    """Place q (1 .. `places_of`, the last one at the end) of a stretch of edge k: cells east and north."""
+    along = wp.where(q == 1, s.turn, s.to)
+    if ground.curved == 1:
+        along = s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))
+    u, v = on_edge(ground, f, k, along)
     return u, v
-
-
-@wp.func
-def place_in(s: Stretch, q: wp.int32) -> wp.float64:
-    """Where along the edge place q (1 .. PLACES, the last one at its end) of a stretch is."""
-    return s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))
-
-
-@wp.func
-def difference_at(ground: Ground, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Mesh less reference, metres."""
-    return plane_at(f, u, v) - reference_at(ground, u, v)
-
-
-@wp.func
-def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
-    """Where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns; 1/2 where it does not."""
-    bend = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
-    slope = e2 - e0 - bend
-    at = wp.float64(0.5)
-    if slope * bend < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(bend):
-        at = -slope / (wp.float64(2.0) * bend)
-    return at
 
 
 @wp.func
@@ -129,7 +148,6 @@ def edge_extremes(
     rounding: wp.array(dtype=wp.float64),
 ):
     """Raises `worst` to the largest difference along the edges of some triangles; what float32 has moved them by."""
-    half = wp.float64(0.5)
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         most = worst[t]
@@ -138,23 +156,10 @@ def edge_extremes(
             for k in range(3):
                 moved = wp.max(moved, rounded_away(ground, f, k, mesh.positions[mesh.corners[3 * t + k]]))
                 s = begin(ground, f, k)
-                u, v = on_edge(ground, f, k, wp.float64(0.0))
-                e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    if ground.curved == 1:
-                        for q in range(1, PLACES + 1):
-                            u, v = on_edge(ground, f, k, place_in(s, q))
-                            most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
-                    else:
-                        u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
-                        e1 = difference_at(ground, f, u, v)
-                        u, v = on_edge(ground, f, k, s.to)
-                        e2 = difference_at(ground, f, u, v)
-                        along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
-                        u, v = on_edge(ground, f, k, along)
-                        e1 = difference_at(ground, f, u, v)
-                        most = wp.max(most, wp.max(wp.abs(e1), wp.max(wp.abs(e0), wp.abs(e2))))
-                        e0 = e2
+                    for q in range(1, places_of(ground) + 1):
+                        u, v = place_in(ground, f, k, s, q)
+                        most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
         worst[t] = most
         rounding[t] = moved

@@ -16,8 +16,6 @@ from ..field.detail import Coats
 from .cubic import cubic_at
 from .detail import detail_height
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Ground:

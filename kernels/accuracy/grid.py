@@ -6,8 +6,6 @@ import warp as wp
 from .edges import difference_at
 from .facets import Ground, Mesh, covers, facet_of, shift_of
 
-wp.set_module_options({"enable_backward": False})
-
 PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of a smaller triangle
 
 

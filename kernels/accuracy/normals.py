@@ -7,8 +7,6 @@ from ..field.detail import detail_at
 from ..mesh.displace import on_sample
 from .facets import Facet, Ground, Mesh, facet_of, owns, sample_box
 
-wp.set_module_options({"enable_backward": False})
-
 DEGREES = wp.constant(wp.float64(57.29577951308232))
 
 

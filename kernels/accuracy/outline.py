@@ -9,8 +9,6 @@ from .facets import Ground, Mesh
 from .rays import NOWHERE, Ray
 from .screen import Eye, ray_through
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Boxes:

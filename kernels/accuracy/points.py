@@ -10,8 +10,6 @@ import warp as wp
 
 from .facets import Facet, Ground, Mesh, covers, facet_of, plane_at, reference_at, shift_of
 
-wp.set_module_options({"enable_backward": False})
-
 POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: cross products fit 63 bits
 
 

@@ -17,8 +17,6 @@ from ..query.rays import within
 from .cubic import heights_about
 from .facets import Ground, in_cell
 
-wp.set_module_options({"enable_backward": False})
-
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
 PLACES = wp.constant(8)
@@ -198,26 +196,6 @@ def in_one_patch(
 
 
 @wp.func
-def in_one(
-    ground: Ground,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    tolerance: wp.float64,
-):
-    """`in_one_cell` or `in_one_patch`, as the surface is."""
-    hit = NOWHERE
-    if ground.curved == 1:
-        hit, side = in_one_patch(ground, ray, i, j, first, last, side, tolerance)
-    else:
-        hit, side = in_one_cell(ground, ray, i, j, first, last, side, tolerance)
-    return hit, side
-
-
-@wp.func
 def over_ground(ground: Ground, blocks: Blocks, ray: Ray, start: wp.float64, end: wp.float64):
     """First and last t of start .. end where the ray is over the ground and near its heights."""
     zero = wp.float64(0.0)
@@ -290,8 +268,10 @@ def first_crossing(
         to_y = time_to(ray.v, ray.dv, y0, y1)
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
-        if level == 0:
-            hit, side = in_one(ground, ray, i, j, t, out, side, tolerance)
+        if level == 0 and ground.curved == 1:
+            hit, side = in_one_patch(ground, ray, i, j, t, out, side, tolerance)
+        elif level == 0:
+            hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
         else:
             n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
             on_side = side_of_block(ground, blocks, n, ray, t, out, tolerance)

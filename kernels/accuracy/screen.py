@@ -8,7 +8,7 @@ before and after. Its error is the distance of their projections.
 import warp as wp
 
 from ..refine.pixels import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
-from .edges import PLACES, advance, begin, difference_at, on_edge, place_in, turning_point
+from .edges import advance, begin, place_in, places_of
 from .facets import (
     Facet,
     Ground,
@@ -23,8 +23,6 @@ from .facets import (
 )
 from .points import POINT_BITS
 from .rays import NOWHERE, Blocks, Ray, first_crossing
-
-wp.set_module_options({"enable_backward": False})
 
 OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
@@ -268,7 +266,6 @@ def triangle_px(
     first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, eye: Eye, worst: wp.array(dtype=wp.float64)
 ):
     """Raises `worst` of some triangles to the most pixels of error at their samples and along their edges."""
-    half = wp.float64(0.5)
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         most = worst[t]
@@ -280,22 +277,9 @@ def triangle_px(
         if f.area2 > wp.int64(0):
             for k in range(3):
                 s = begin(ground, f, k)
-                u, v = on_edge(ground, f, k, wp.float64(0.0))
-                e0 = difference_at(ground, f, u, v)
                 while s.to < wp.float64(1.0):
                     s = advance(ground, f, k, s)
-                    if ground.curved == 1:
-                        for q in range(1, PLACES + 1):
-                            u, v = on_edge(ground, f, k, place_in(s, q))
-                            most = wp.max(most, seen_px(ground, eye, f, u, v))
-                    else:
-                        u, v = on_edge(ground, f, k, half * (s.from_ + s.to))
-                        e1 = difference_at(ground, f, u, v)
-                        u, v = on_edge(ground, f, k, s.to)
-                        e2 = difference_at(ground, f, u, v)
+                    for q in range(1, places_of(ground) + 1):
+                        u, v = place_in(ground, f, k, s, q)
                         most = wp.max(most, seen_px(ground, eye, f, u, v))
-                        along = s.from_ + turning_point(e0, e1, e2) * (s.to - s.from_)
-                        u, v = on_edge(ground, f, k, along)
-                        most = wp.max(most, seen_px(ground, eye, f, u, v))
-                        e0 = e2
         worst[t] = most

@@ -13,8 +13,6 @@ from ..field.hierarchy import round_up
 from ..field.layout import Depth, entry
 from ..field.ranges import quantise_down, quantise_up
 
-wp.set_module_options({"enable_backward": False})
-
 # Far more than float64 rounds off the sums below.
 OUTWARD = wp.constant(wp.float64(1.0 + 1e-12))
 vec12d = wp.types.vector(length=12, dtype=wp.float64)

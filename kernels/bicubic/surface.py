@@ -10,8 +10,6 @@ import warp as wp
 
 from ..field.codes import Samples, sample_at
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def weights(s: wp.float64) -> wp.vec4d:

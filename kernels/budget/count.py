@@ -30,8 +30,6 @@ from ..refine.pixels import Asked, coarsest
 from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
 from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_of_edges, last_split
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:

@@ -7,8 +7,6 @@ from ..refine.band import Band, Limits, Measured, too_coarse
 from ..refine.diamond import larger, smaller
 from ..refine.pixels import Asked, sizes
 
-wp.set_module_options({"enable_backward": False})
-
 CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
 STEPS_PER_OCTAVE = 32
 # Squared limits are 2^(1/16) apart.

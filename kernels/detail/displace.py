@@ -8,8 +8,6 @@ from ..field.domain import Domain
 from ..mesh.displace import AHEAD, Points, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
 from ..unchecked import item_at
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def with_detail(domain: Domain, coats: Coats, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:

@@ -6,8 +6,6 @@ import warp as wp
 from .logarithm import natural_log
 from .routing import ROOT, Grid, axis, towards
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def fill_lakes(

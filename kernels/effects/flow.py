@@ -6,8 +6,6 @@ import warp as wp
 from .logarithm import exponential, natural_log
 from .pyramid import Ground, filtered_height
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def bilinear(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:

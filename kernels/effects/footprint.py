@@ -3,8 +3,6 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 BLOCK = wp.constant(1024)  # places: their footprints stay in the first cache
 
 

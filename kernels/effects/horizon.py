@@ -13,8 +13,6 @@ import warp as wp
 
 from ..field.codes import Samples, sample_at
 
-wp.set_module_options({"enable_backward": False})
-
 # The smallest blocks have 2^FINEST cells a side; inside them crossings are visited one by one.
 FINEST = 2
 

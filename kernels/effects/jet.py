@@ -5,8 +5,6 @@ import warp as wp
 
 from .pyramid import Ground, Jet, jet_at
 
-wp.set_module_options({"enable_backward": False})
-
 # Bits of Values.wanted.
 HEIGHT = wp.constant(1)
 SLOPE = wp.constant(2)

@@ -9,8 +9,6 @@ import warp as wp
 
 from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
 
-wp.set_module_options({"enable_backward": False})
-
 # Five for each of 51 places of one hash in 64 that may be missed: of 3,000 places all are looked for.
 ALWAYS = wp.constant(256)
 LOOK = wp.constant(32)  # places, of both surfaces together, that are skipped to find the next run

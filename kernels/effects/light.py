@@ -9,8 +9,6 @@ import warp as wp
 from .horizon import Occluder, cells_of, gradient, horizon, surface
 from .jet import arc_tangent
 
-wp.set_module_options({"enable_backward": False})
-
 HALF_PI = wp.constant(wp.float64(1.5707963267948966))
 
 

@@ -3,8 +3,6 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 LN_2 = wp.constant(wp.float64(0.6931471805599453))
 ONE_BITS = wp.constant(wp.int64(0x3FF0000000000000))
 FRACTION_BITS = wp.constant(wp.int64(0x000FFFFFFFFFFFFF))

@@ -12,8 +12,6 @@ import warp as wp
 from ..field.codes import Samples, sample_at
 from ..unchecked import item_at
 
-wp.set_module_options({"enable_backward": False})
-
 # Height in metres; d/dx, d/dy; d2/dx2, d2/dxdy, d2/dy2: x to the east, y to the north, per metre.
 Jet = wp.types.vector(length=6, dtype=wp.float64)
 

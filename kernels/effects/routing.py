@@ -21,8 +21,6 @@ from .rows import (
     walk_downstream,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 ROOT = wp.constant(wp.uint8(4))
 # Added to the receiver of a flat's sample that stands in the queue of the first pass.
 WAITING = wp.constant(wp.uint8(16))

@@ -11,8 +11,6 @@ from ..field.noise import scramble
 from ..unchecked import item_at
 from .logarithm import natural_log
 
-wp.set_module_options({"enable_backward": False})
-
 MOST_LAYERS = wp.constant(12)
 Weights = wp.types.vector(length=12, dtype=wp.float32)
 

@@ -13,8 +13,6 @@ import warp as wp
 from .horizon import Occluder, cells_of, gradient
 from .light import open_part
 
-wp.set_module_options({"enable_backward": False})
-
 LINES = 64  # of one item of work
 
 

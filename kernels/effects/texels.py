@@ -5,8 +5,6 @@ import warp as wp
 
 from ..field.codes import Samples, sample_at
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Raster:

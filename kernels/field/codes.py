@@ -5,8 +5,6 @@ import warp as wp
 
 from ..unchecked import item_at, prefetch
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Samples:
@@ -29,6 +27,30 @@ def sample_at(s: Samples, i: wp.int64) -> wp.float32:
     else:
         h = wp.float32(wp.float64(wp.int32(item_at(s.numbers, i)) + s.first) * s.scale + s.offset)
     return h
+
+
+@wp.func
+def height(s: Samples, i: wp.int64) -> wp.float64:
+    """Sample `i`, metres."""
+    return wp.float64(sample_at(s, i))
+
+
+@wp.func
+def corners_of(s: Samples, columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.vec4d:
+    """Metres at the corners of cell (i, j), `columns` samples a row: south-west, south-east, north-west, north-east."""
+    south = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    north = south + wp.int64(columns)
+    one = wp.int64(1)
+    return wp.vec4d(height(s, south), height(s, south + one), height(s, north), height(s, north + one))
+
+
+@wp.func
+def bilinear(corners: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.float64:
+    """Height of the bilinear patch with such corners, s cells east and t cells north of the first."""
+    one = wp.float64(1.0)
+    south = corners[0] * (one - s) + corners[1] * s
+    north = corners[2] * (one - s) + corners[3] * s
+    return south * (one - t) + north * t
 
 
 @wp.func

@@ -9,8 +9,6 @@ import warp as wp
 
 from .noise import value_noise
 
-wp.set_module_options({"enable_backward": False})
-
 # Octaves have hashes of their own, lie at other places and are turned by the angle of (3, 4, 5): no lattice shows.
 SHIFT_X = wp.constant(wp.float64(0.37109375))
 SHIFT_Y = wp.constant(wp.float64(0.71484375))

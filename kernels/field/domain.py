@@ -5,8 +5,6 @@ import warp as wp
 
 from .codes import Samples
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Domain:

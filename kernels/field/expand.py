@@ -7,8 +7,6 @@ import warp as wp
 from .hierarchy import largest_below, round_up
 from .layout import Depth, diamond, entry, holds
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def raise_errors(offset: int, finer: Depth, own: Depth, errors: wp.array(dtype=wp.float32)):

@@ -7,8 +7,6 @@ in each column, then in each row the lower envelope of the parabolas that those 
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def nearest_in_columns(

@@ -11,8 +11,6 @@ import warp as wp
 
 from .layout import Depth, child, diamond, entry, holds
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def round_up(value: wp.float64):

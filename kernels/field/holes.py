@@ -9,8 +9,6 @@ import warp as wp
 
 from .layout import Depth, child, diamond, entry, holds
 
-wp.set_module_options({"enable_backward": False})
-
 GROUND = wp.constant(wp.uint8(1))
 HOLE = wp.constant(wp.uint8(2))
 

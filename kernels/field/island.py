@@ -9,8 +9,6 @@ import warp as wp
 
 from .noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 # Octaves of the eroded relief: the first is as long as half the island's side, the last 1 / 500 of that.
 RELIEF_OCTAVES = wp.constant(9)
 

@@ -3,8 +3,6 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:

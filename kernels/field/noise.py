@@ -7,8 +7,6 @@ are `seed + octave * 0x9E3779B9`.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def scramble(value: wp.uint32):

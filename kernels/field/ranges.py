@@ -9,8 +9,6 @@ import warp as wp
 
 from .layout import Depth, child, diamond, entry, holds
 
-wp.set_module_options({"enable_backward": False})
-
 # Samples that the box of a diamond at the middle of a side of 4 x 4 cells reaches from there.
 REACH = wp.constant(4)
 

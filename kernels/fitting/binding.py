@@ -6,8 +6,6 @@ import warp as wp
 from ..field.domain import Domain
 from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def slot_of(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:

@@ -8,11 +8,9 @@ heights metres before scaling, in float64: planes through float32 heights at pow
 
 import warp as wp
 
+from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from ..field.hierarchy import diagonal_inside, row_inside
-from ..unchecked import item_at
-
-wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
@@ -38,18 +36,10 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
     y = wp.min(y, d.north)
     i = wp.min(x >> bits, d.width - 2)
     j = wp.min(y >> bits, d.height - 2)
-    if ((x | y) & ((1 << bits) - 1)) == 0:
-        return wp.float64(item_at(d.samples.floats, wp.int64(y >> bits) * wp.int64(d.width) + wp.int64(x >> bits)))
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
-    u = wp.float64(x - (i << bits)) * part
-    v = wp.float64(y - (j << bits)) * part
-    at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
-    one = wp.float64(1.0)
-    south = wp.float64(item_at(d.samples.floats, at)) * (one - u)
-    south += wp.float64(item_at(d.samples.floats, at + wp.int64(1))) * u
-    north = wp.float64(item_at(d.samples.floats, at + wp.int64(d.width))) * (one - u)
-    north += wp.float64(item_at(d.samples.floats, at + wp.int64(d.width + 1))) * u
-    return south * (one - v) + north * v
+    s = wp.float64(x - (i << bits)) * part
+    t = wp.float64(y - (j << bits)) * part
+    return bilinear(corners_of(d.samples, d.width, i, j), s, t)
 
 
 @wp.func
@@ -101,12 +91,9 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
     j = wp.min(y, y + dy) >> bits
-    at = wp.int64(j) * wp.int64(d.width) + wp.int64(i)
-    north = at + wp.int64(d.width)
-    near = wp.float64(item_at(d.samples.floats, at)) - wp.float64(item_at(d.samples.floats, at + wp.int64(1)))
-    far = wp.float64(item_at(d.samples.floats, north + wp.int64(1))) - wp.float64(item_at(d.samples.floats, north))
+    p = corners_of(d.samples, d.width, i, j)
     cell = wp.float64(wp.int32(1) << bits)
-    return (near + far) * (wp.float64(dx) / cell) * (wp.float64(dy) / cell)
+    return ((p[0] - p[1]) + (p[3] - p[2])) * (wp.float64(dx) / cell) * (wp.float64(dy) / cell)
 
 
 @wp.func

@@ -11,8 +11,6 @@ from ..field.domain import Domain
 from .facet import Facet, surface
 from .raising import RAISED, climb
 
-wp.set_module_options({"enable_backward": False})
-
 # What is known of a vertex, bits.
 KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
 PINNED = wp.constant(wp.uint8(2))  # on the surface, for good

@@ -16,8 +16,6 @@ from .facet import farthest
 from .mesh import NOT_MEASURED, PINNED, Mesh, facet_of, is_marked, list_marked, mark, mark_around
 from .push import Pushes, pushes_in_cell, pushes_of
 
-wp.set_module_options({"enable_backward": False})
-
 # Above what single precision rounds off, relative to the heights in a triangle, and to a sum of weights.
 ROUNDED = wp.constant(wp.float64(1e-6))
 NO_WEIGHT = wp.constant(wp.float32(1e-4))

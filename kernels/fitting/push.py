@@ -6,8 +6,6 @@ import warp as wp
 from ..field.domain import Domain
 from .facet import Facet, above, bulge, is_beyond_rim, twist_over
 
-wp.set_module_options({"enable_backward": False})
-
 Pushes = wp.types.vector(length=7, dtype=wp.float32)
 
 

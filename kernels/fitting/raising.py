@@ -7,8 +7,6 @@ from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..refine.stored_errors import place
 
-wp.set_module_options({"enable_backward": False})
-
 # Codes of errors while a mesh is fitted: an octave has so many, the first is for LEAST of what is asked, and to be
 # split is to have RAISED, twice of it.
 PER_OCTAVE = wp.constant(16)

@@ -8,8 +8,6 @@ from ..refine.stored_errors import cell_error, error_at
 from .mesh import PINNED, Mesh, list_marked, mark, mark_around, put_on_surface, split
 from .raising import raise_cells
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def refine(

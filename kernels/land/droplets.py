@@ -13,8 +13,6 @@ import warp as wp
 
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Rain:

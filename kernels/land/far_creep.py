@@ -9,8 +9,6 @@ import warp as wp
 
 from ..effects.routing import Grid
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func_native("""
     const float* __restrict p = part.data;

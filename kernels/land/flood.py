@@ -11,8 +11,6 @@ Souvignet 2012); on slopes, where neighbours are of other streams, hardly any.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 # The part of either neighbour that a flux takes on open, level water.
 SMOOTHING = 0.05
 

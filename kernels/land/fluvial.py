@@ -10,8 +10,6 @@ import warp as wp
 from ..effects.routing import Grid
 from ..field.noise import value_noise
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func_native("""
     const double* __restrict a = area.data + (size_t)y * width;

@@ -10,7 +10,7 @@ import warp as wp
 from ..field.island import gullies, noise, relief, smooth
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options({"max_unroll": 0})
 
 MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 

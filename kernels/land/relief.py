@@ -10,8 +10,6 @@ import warp as wp
 
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 # Of one over the golden ratio: octaves have hashes of their own.
 NEXT_SEED = wp.constant(wp.uint32(-0x61C88647))
 BEND_SEED, BED_SEED, LENGTH_SEED = wp.constant(wp.uint32(101)), wp.constant(wp.uint32(102)), wp.constant(wp.uint32(103))

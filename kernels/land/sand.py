@@ -12,7 +12,7 @@ from ..field.island import noise, smooth
 from ..field.noise import scramble
 
 # The loops over patches are not unrolled: the compiler would take minutes.
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options({"max_unroll": 0})
 
 # tan 32 degrees, of sand at rest.
 REPOSE = wp.constant(wp.float64(0.625))

@@ -5,8 +5,6 @@ import warp as wp
 
 from ..effects.logarithm import exponential
 
-wp.set_module_options({"enable_backward": False})
-
 # Kelvin a metre of height: how fast air cools.
 LAPSE = wp.constant(wp.float64(0.0065))
 # Kelvin by which rain goes over into snow, and the part of it that is so little that it melts at once.

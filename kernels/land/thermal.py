@@ -15,8 +15,6 @@ import warp as wp
 
 from ..field.noise import value_noise
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Slope:

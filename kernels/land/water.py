@@ -5,8 +5,6 @@ import warp as wp
 
 from ..effects.logarithm import exponential, natural_log
 
-wp.set_module_options({"enable_backward": False})
-
 # Metres of a stream's width for the square root of its discharge in m^3/s (Leopold and Maddock 1953).
 WIDTH = wp.constant(wp.float64(3.0))
 # Metres a metre: water that stands would be infinitely deep.

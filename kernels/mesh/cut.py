@@ -9,8 +9,6 @@ import warp as wp
 
 from ..unchecked import has_near_corner
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Cut:

@@ -4,12 +4,10 @@
 import warp as wp
 
 from ..bicubic.surface import in_patch
-from ..field.codes import Samples, prefetch_sample, sample_at
+from ..field.codes import Samples, corners_of, height, prefetch_sample
 from ..field.domain import Domain
 from ..refine.runs import Runs
 from ..unchecked import copy_items, item_at, put
-
-wp.set_module_options({"enable_backward": False})
 
 AHEAD = wp.constant(32)
 HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32 is infinite
@@ -35,37 +33,23 @@ class Points:
 
 
 @wp.func
-def height(samples: Samples, i: wp.int64) -> wp.float64:
-    return wp.float64(sample_at(samples, i))
+def per_cell(cells: wp.int32) -> wp.float64:
+    """What a difference over so many cells, 1 or 2, is multiplied by for one."""
+    return wp.where(cells == 2, wp.float64(0.5), wp.float64(1.0))
 
 
 @wp.func
 def on_sample(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
     """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
+    west = wp.min(i, 1)  # cells that there are beside it
+    east = wp.min(columns - 1 - i, 1)
+    south = wp.min(j, 1)
+    north = wp.min(rows - 1 - j, 1)
     row = wp.int64(columns)
     at = wp.int64(j) * row + wp.int64(i)
-    west = at - wp.int64(1)
-    east = at + wp.int64(1)
-    south = at - row
-    north = at + row
-    per_x = wp.float64(0.5)
-    per_y = wp.float64(0.5)
-    if i == 0 or j == 0 or i == columns - 1 or j == rows - 1:
-        if i == 0:
-            west = at
-            per_x = wp.float64(1.0)
-        if i == columns - 1:
-            east = at
-            per_x = wp.float64(1.0)
-        if j == 0:
-            south = at
-            per_y = wp.float64(1.0)
-        if j == rows - 1:
-            north = at
-            per_y = wp.float64(1.0)
-    gx = (height(samples, east) - height(samples, west)) * per_x
-    gy = (height(samples, north) - height(samples, south)) * per_y
-    return wp.vec3d(height(samples, at), gx, gy)
+    gx = (height(samples, at + wp.int64(east)) - height(samples, at - wp.int64(west))) * per_cell(west + east)
+    gy = height(samples, at + wp.int64(north) * row) - height(samples, at - wp.int64(south) * row)
+    return wp.vec3d(height(samples, at), gx, gy * per_cell(south + north))
 
 
 @wp.func
@@ -78,13 +62,35 @@ def in_cell(
     s: wp.float64,
     t: wp.float64,
 ):
-    """Height and gradient inside cell (i, j), bilinear between its four samples."""
+    """Height and gradient inside cell (i, j), bilinear between those of its four samples: each of the twelve samples
+    that they need is read once."""
+    west = wp.min(i, 1)  # cells that there are beside it
+    east = wp.min(columns - 2 - i, 1)
+    south = wp.min(j, 1)
+    north = wp.min(rows - 2 - j, 1)
+    p = corners_of(samples, columns, i, j)
+    row = wp.int64(columns)
+    one = wp.int64(1)
+    at = wp.int64(j) * row + wp.int64(i)
+    above = at + row
+    per_x = per_cell(west + 1)
+    a_x = (p[1] - height(samples, at - wp.int64(west))) * per_x
+    c_x = (p[3] - height(samples, above - wp.int64(west))) * per_x
+    per_x = per_cell(east + 1)
+    b_x = (height(samples, at + one + wp.int64(east)) - p[0]) * per_x
+    d_x = (height(samples, above + one + wp.int64(east)) - p[2]) * per_x
+    below = at - wp.int64(south) * row
+    above += wp.int64(north) * row
+    per_y = per_cell(south + 1)
+    a_y = (p[2] - height(samples, below)) * per_y
+    b_y = (p[3] - height(samples, below + one)) * per_y
+    per_y = per_cell(north + 1)
+    c_y = (height(samples, above) - p[0]) * per_y
+    d_y = (height(samples, above + one) - p[1]) * per_y
     whole = wp.float64(1.0)
-    south = on_sample(samples, columns, rows, i, j) * ((whole - s) * (whole - t))
-    south += on_sample(samples, columns, rows, i + 1, j) * (s * (whole - t))
-    north = on_sample(samples, columns, rows, i, j + 1) * ((whole - s) * t)
-    north += on_sample(samples, columns, rows, i + 1, j + 1) * (s * t)
-    return south + north
+    lower = wp.vec3d(p[0], a_x, a_y) * ((whole - s) * (whole - t)) + wp.vec3d(p[1], b_x, b_y) * (s * (whole - t))
+    upper = wp.vec3d(p[2], c_x, c_y) * ((whole - s) * t) + wp.vec3d(p[3], d_x, d_y) * (s * t)
+    return lower + upper
 
 
 @wp.func

@@ -24,8 +24,6 @@ from .weld_state import (
     stack_base,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def settle(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:

@@ -14,8 +14,6 @@ from ..refine.curve import DEEPEST
 from ..refine.runs import Run
 from ..unchecked import item_at, look_up, look_up_pairs, number_row, put
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Template:

@@ -52,8 +52,6 @@ from .weld_state import (
     stack_base,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 PASSAGE = wp.constant(6)  # a leaf's word without the rest
 SHAPE = wp.constant(PASSAGE | 1 << PARITY)
 RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST

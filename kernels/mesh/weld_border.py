@@ -24,8 +24,6 @@ from .weld_state import (
     meet,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def own_side(w: Weld, e: wp.int32, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:

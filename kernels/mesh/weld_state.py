@@ -7,8 +7,6 @@ list; join.py finds what each stands for.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 # What an import asks for; above these LEVEL_SHIFT bits is the edge's level, of STACK and SIDE.
 LEVEL_SHIFT = wp.constant(3)
 FRONT = wp.constant(0)  # value 0, 1: that vertex of the front, 2: its edge

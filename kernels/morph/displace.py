@@ -8,8 +8,6 @@ from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put
 from ..unchecked import item_at
 from .residual import Memory, Rising, forget_all, has_settled, risen, settled_from
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def put_height(points: Points, o: wp.int32, domain: Domain, height: wp.float64):

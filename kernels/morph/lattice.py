@@ -6,8 +6,6 @@ All of it follows from the trailing zeros of a point's coordinates, in every roo
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class SplitVertex:

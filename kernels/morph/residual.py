@@ -23,8 +23,6 @@ from ..refine.pixels import Asked, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
 from .lattice import SplitVertex, above, depth_of, split_vertex
 
-wp.set_module_options({"enable_backward": False})
-
 REMEMBERED = wp.constant(1 << 12)  # lags in a table: neighbours on the curve come from the same points
 FRONT = wp.constant(8)  # points that are still to be looked at: three at most
 IN_PLACE = wp.constant(wp.float64(wp.inf))  # the lag of a point whose W is 1

@@ -3,24 +3,10 @@
 
 import warp as wp
 
+from ..field.codes import bilinear, corners_of
 from ..field.layout import tile_index
-from ..mesh.displace import height
 from .crossing import Blocks, range_at
 from .surface import Surface, is_ground
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def saddle_at(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Metres of the bilinear surface; at a sample exactly its height."""
-    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-    north = at + wp.int64(surface.columns)
-    one = wp.int64(1)
-    rest = wp.float64(1.0) - s
-    low = height(surface.samples, at) * rest + height(surface.samples, at + one) * s
-    high = height(surface.samples, north) * rest + height(surface.samples, north + one) * s
-    return (low * (wp.float64(1.0) - t) + high * t) * surface.scale + surface.offset
 
 
 @wp.kernel
@@ -55,11 +41,10 @@ def row_ranges(
             else:
                 s0 = wp.clamp(west - wp.float64(i), zero, one)
                 s1 = wp.clamp(east - wp.float64(i), zero, one)
-                a = saddle_at(surface, i, j, s0, t0)
-                b = saddle_at(surface, i, j, s1, t0)
-                c = saddle_at(surface, i, j, s0, t1)
-                d = saddle_at(surface, i, j, s1, t1)
-                low = wp.min(low, wp.min(wp.min(a, b), wp.min(c, d)))
-                high = wp.max(high, wp.max(wp.max(a, b), wp.max(c, d)))
+                p = corners_of(surface.samples, surface.columns, i, j)
+                z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1))
+                z = z * surface.scale
+                low = wp.min(low, wp.min(z) + surface.offset)
+                high = wp.max(high, wp.max(z) + surface.offset)
         i += 1
     found[n] = wp.vec2d(low, high)

@@ -9,13 +9,11 @@ intersections with implicit surfaces"). Near a crossing these are Newton's steps
 
 import warp as wp
 
-from ..field.codes import error_of, sample_at
+from ..field.codes import corners_of, error_of
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .surface import Surface, jet_in
-
-wp.set_module_options({"enable_backward": False})
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
 MOST_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
@@ -105,19 +103,14 @@ def in_bilinear(
 ):
     """Where (t) between first and last the ray comes to be `slack` beyond the surface; and its side at the end."""
     zero = wp.float64(0.0)
-    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-    h00 = wp.float64(sample_at(surface.samples, at))
-    h10 = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
-    at += wp.int64(surface.columns)
-    h01 = wp.float64(sample_at(surface.samples, at))
-    h11 = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
+    p = corners_of(surface.samples, surface.columns, i, j)
     s = ray.u + first * ray.du - wp.float64(i)
     r = ray.v + first * ray.dv - wp.float64(j)
-    low = h00 + (h10 - h00) * s
-    high = h01 + (h11 - h01) * s
-    per_s = (h10 - h00) * surface.scale
-    per_r = (h01 - h00) * surface.scale
-    twist = (h11 - h10 - h01 + h00) * surface.scale
+    low = p[0] + (p[1] - p[0]) * s
+    high = p[2] + (p[3] - p[2]) * s
+    per_s = (p[1] - p[0]) * surface.scale
+    per_r = (p[2] - p[0]) * surface.scale
+    twist = (p[3] - p[1] - p[2] + p[0]) * surface.scale
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * surface.scale + surface.offset)
@@ -145,14 +138,11 @@ def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
     if surface.bicubic == 1:
         low, high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
     else:
-        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-        north = at + wp.int64(surface.columns)
-        a = wp.float64(sample_at(surface.samples, at)) * surface.scale + surface.offset
-        b = wp.float64(sample_at(surface.samples, at + wp.int64(1))) * surface.scale + surface.offset
-        c = wp.float64(sample_at(surface.samples, north)) * surface.scale + surface.offset
-        d = wp.float64(sample_at(surface.samples, north + wp.int64(1))) * surface.scale + surface.offset
-        low = smaller(smaller(a, b), smaller(c, d)) - blocks.more
-        high = larger(larger(a, b), larger(c, d)) + blocks.more
+        p = corners_of(surface.samples, surface.columns, i, j)
+        a = wp.min(p) * surface.scale + surface.offset
+        b = wp.max(p) * surface.scale + surface.offset
+        low = smaller(a, b) - blocks.more
+        high = larger(a, b) + blocks.more
     return low, high
 
 
@@ -166,13 +156,8 @@ def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.in
         # what is stored is a quarter of the norm of the second derivatives over cells
         bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.bend_group, blocks.error, at)) * across
     else:
-        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-        north = at + wp.int64(surface.columns)
-        south_rise = wp.float64(sample_at(surface.samples, at + wp.int64(1)))
-        south_rise -= wp.float64(sample_at(surface.samples, at))
-        north_rise = wp.float64(sample_at(surface.samples, north + wp.int64(1)))
-        north_rise -= wp.float64(sample_at(surface.samples, north))
-        bend = wp.abs((north_rise - south_rise) * ray.du * ray.dv)
+        p = corners_of(surface.samples, surface.columns, i, j)
+        bend = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
     x = ray.du * surface.step_x
     y = ray.dv * surface.step_y
     return wp.abs(surface.scale) * (bend + wp.float64(0.5) * blocks.detail_bend * (x * x + y * y))

@@ -7,8 +7,6 @@ from ..effects.jet import arc_tangent
 from ..field.codes import prefetch_sample
 from .surface import Surface, cell_of, is_ground, shaded_in
 
-wp.set_module_options({"enable_backward": False})
-
 AHEAD = wp.constant(16)
 NOTHING = wp.constant(wp.float64(wp.nan))
 

@@ -16,8 +16,6 @@ from ..unchecked import item_at
 from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, passed, range_at, side_of
 from .surface import Surface, cell_of, is_ground
 
-wp.set_module_options({"enable_backward": False})
-
 STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; the least have 2^2 cells
 
 

@@ -4,11 +4,9 @@
 import warp as wp
 
 from ..bicubic.surface import in_patch
-from ..field.codes import Samples
+from ..field.codes import Samples, corners_of
 from ..field.detail import Coats, detail_at
-from ..mesh.displace import height, in_cell
-
-wp.set_module_options({"enable_backward": False})
+from ..mesh.displace import in_cell
 
 
 @wp.struct
@@ -72,43 +70,13 @@ def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_s
 
 
 @wp.func
-def in_inner_cell(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """The same bits as `in_cell` of a cell that is not on the rim: each of its twelve samples is read once."""
-    row = wp.int64(surface.columns)
-    at = wp.int64(j) * row + wp.int64(i)
-    one = wp.int64(1)
-    half = wp.float64(0.5)
-    whole = wp.float64(1.0)
-    a = height(surface.samples, at)
-    b = height(surface.samples, at + one)
-    c = height(surface.samples, at + row)
-    d = height(surface.samples, at + row + one)
-    a_y = (c - height(surface.samples, at - row)) * half
-    b_y = (d - height(surface.samples, at - row + one)) * half
-    a_x = (b - height(surface.samples, at - one)) * half
-    b_x = (height(surface.samples, at + one + one) - a) * half
-    at += row
-    c_x = (d - height(surface.samples, at - one)) * half
-    d_x = (height(surface.samples, at + one + one) - c) * half
-    at += row
-    c_y = (height(surface.samples, at) - a) * half
-    d_y = (height(surface.samples, at + one) - b) * half
-    south = wp.vec3d(a, a_x, a_y) * ((whole - s) * (whole - t)) + wp.vec3d(b, b_x, b_y) * (s * (whole - t))
-    north = wp.vec3d(c, c_x, c_y) * ((whole - s) * t) + wp.vec3d(d, d_x, d_y) * (s * t)
-    return south + north
-
-
-@wp.func
 def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Height and the bilinear patch's own gradient (metres a cell)."""
-    at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-    h = height(surface.samples, at)
-    east = height(surface.samples, at + wp.int64(1)) - h
-    at += wp.int64(surface.columns)
-    corner = height(surface.samples, at)
-    north = corner - h
-    twist = height(surface.samples, at + wp.int64(1)) - corner - east
-    return wp.vec3d(h + east * s + (north + twist * s) * t, east + twist * t, north + twist * s)
+    p = corners_of(surface.samples, surface.columns, i, j)
+    east = p[1] - p[0]
+    north = p[2] - p[0]
+    twist = p[3] - p[2] - east
+    return wp.vec3d(p[0] + east * s + (north + twist * s) * t, east + twist * t, north + twist * s)
 
 
 @wp.func
@@ -139,8 +107,6 @@ def shaded_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.f
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
-    elif i > 0 and j > 0 and i < surface.columns - 2 and j < surface.rows - 2:
-        g = in_inner_cell(surface, i, j, s, t)
     else:
         g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
     return metric(surface, i, j, s, t, g)

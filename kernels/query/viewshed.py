@@ -7,8 +7,6 @@ from .crossing import NOWHERE, Blocks
 from .rays import first_hit, ray_of
 from .surface import Surface, is_ground, jet_in
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def in_sight(

@@ -11,8 +11,6 @@ from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, metres2_of, own_for, rest_of, smaller
 from .pixels import Asked, coarsest, finest, sizes, too_coarse_at
 
-wp.set_module_options({"enable_backward": False})
-
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
 # Verdicts on a triangle, by its diamond.

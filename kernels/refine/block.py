@@ -9,8 +9,6 @@ import warp as wp
 
 from ..unchecked import copy_codes, item_at, place_legs
 
-wp.set_module_options({"enable_backward": False})
-
 MAX_BISECTIONS = wp.constant(8)
 
 

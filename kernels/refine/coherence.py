@@ -24,8 +24,6 @@ from .pixels import (
     veil_of,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
 ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
 

@@ -12,8 +12,6 @@ the opposite direction, last edge first.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 # A leaf's word of 16 bits: state, parity of the depth, role of the third edge on the square's border, flags, depth.
 # Shifts; the state is lowest.
 PARITY = wp.constant(3)

@@ -14,8 +14,6 @@ from ..field.layout import tile_index
 from ..unchecked import item_at
 from .stored_errors import is_beyond, reach_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
@@ -40,20 +38,33 @@ class Diamond:
 
 
 @wp.func
-def patches_range(domain: Domain, x: wp.int32, y: wp.int32, reach: wp.int32):
-    """Lowest and highest control height of the bicubic patches that a diamond's box touches."""
-    bits = domain.unit_bits - domain.levels
-    i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
-    j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
-    least = wp.int32(65535)
-    most = wp.int32(0)
-    for j in range(wp.max((y - reach) >> bits, 0), j1 + 1):
-        for i in range(wp.max((x - reach) >> bits, 0), i1 + 1):
-            index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
-            least = wp.min(least, wp.int32(domain.ranges[index]))
-            most = wp.max(most, wp.int32(domain.ranges[index + wp.int64(1)]))
-    low = domain.range_base + wp.float64(least) * domain.range_step
-    return low, domain.range_base + wp.float64(most) * domain.range_step
+def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32):
+    """Lowest and highest metres, before scaling, over the raster's cells from (i0, j0) to (i1, j1): of samples, or of
+    the control heights of bicubic patches."""
+    low = wp.float64(0.0)
+    high = wp.float64(0.0)
+    if domain.bicubic == 1:
+        least = wp.int32(65535)
+        most = wp.int32(0)
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
+                least = wp.min(least, wp.int32(item_at(domain.ranges, index)))
+                most = wp.max(most, wp.int32(item_at(domain.ranges, index + wp.int64(1))))
+        low = domain.range_base + wp.float64(least) * domain.range_step
+        high = domain.range_base + wp.float64(most) * domain.range_step
+    else:
+        lowest = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0))
+        highest = lowest
+        for j in range(j0, j1 + 2):
+            row = wp.int64(j) * wp.int64(domain.width)
+            for i in range(i0, i1 + 2):
+                h = sample_at(domain.samples, row + wp.int64(i))
+                lowest = wp.where(h < lowest, h, lowest)
+                highest = wp.where(h > highest, h, highest)
+        low = wp.float64(lowest)
+        high = wp.float64(highest)
+    return low, high
 
 
 @wp.func
@@ -118,25 +129,11 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         r = range_at(domain, x, y, depth)
         low = domain.range_base + wp.float64(r[0]) * domain.range_step
         high = domain.range_base + wp.float64(r[1]) * domain.range_step
-    elif domain.bicubic == 1:
-        low, high = patches_range(domain, x, y, reach)
     else:
         bits = domain.unit_bits - domain.levels
-        i0 = wp.max((x - reach) >> bits, 0)
-        j0 = wp.max((y - reach) >> bits, 0)
-        ahead = (wp.int32(1) << bits) - 1
-        i1 = wp.min((x + reach + ahead) >> bits, domain.width - 1)
-        j1 = wp.min((y + reach + ahead) >> bits, domain.height - 1)
-        least = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0))
-        most = least
-        for b in range(j0, j1 + 1):
-            row = wp.int64(b) * wp.int64(domain.width)
-            for a in range(i0, i1 + 1):
-                h = sample_at(domain.samples, row + wp.int64(a))
-                least = wp.where(h < least, h, least)
-                most = wp.where(h > most, h, most)
-        low = wp.float64(least)
-        high = wp.float64(most)
+        i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
+        j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+        low, high = heights_of_cells(domain, wp.max((x - reach) >> bits, 0), wp.max((y - reach) >> bits, 0), i1, j1)
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:
         d.rim = 1

@@ -26,8 +26,6 @@ from .curve import (
 from .steps import size_of
 from .walk_state import Cursor, Square, Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):

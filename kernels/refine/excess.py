@@ -12,13 +12,11 @@ in the frame: one that reaches from under the camera into the frame is seen no n
 
 import warp as wp
 
-from ..field.codes import sample_at
+from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, rest_of, smaller
 from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
 from .stored_errors import detail_missed, is_beyond, raster_error_at
-
-wp.set_module_options({"enable_backward": False})
 
 # What is looked for.
 FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
@@ -49,54 +47,28 @@ class Triangle:
 
 
 @wp.func
-def patch_at(domain: Domain, i: wp.int32, j: wp.int32) -> wp.vec4f:
-    """Heights at the corners of raster cell (i, j): south-west, south-east, north-west, north-east."""
-    south = wp.int64(j) * wp.int64(domain.width) + wp.int64(i)
-    north = south + wp.int64(domain.width)
-    one = wp.int64(1)
-    samples = domain.samples
-    return wp.vec4f(
-        sample_at(samples, south),
-        sample_at(samples, south + one),
-        sample_at(samples, north),
-        sample_at(samples, north + one),
-    )
-
-
-@wp.func
-def height_in(domain: Domain, p: wp.vec4f, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Height of a bilinear patch, x and y lattice units from its south-west corner."""
-    part = wp.float64(1.0) / wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    s = wp.float64(x) * part
-    t = wp.float64(y) * part
-    one = wp.float64(1.0)
-    south = wp.float64(p[0]) * (one - s) + wp.float64(p[1]) * s
-    north = wp.float64(p[2]) * (one - s) + wp.float64(p[3]) * s
-    return south * (one - t) + north * t
-
-
-@wp.func
 def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
     """Lowest and highest metres, before scaling, of the bilinear surface over a rectangle of the lattice.
 
     In each cell they are at corners of what the rectangle has of it.
     """
     bits = domain.unit_bits - domain.levels
+    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
     low = wp.float64(wp.inf)
     high = wp.float64(-wp.inf)
     for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.height - 2) + 1):
         y = j << bits
-        south = wp.max(y0, y) - y
-        north = wp.min(y1 - y, wp.int32(1) << bits)
+        south = wp.float64(wp.max(y0, y) - y) * part
+        north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * part
         for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.width - 2) + 1):
             x = i << bits
-            west = wp.max(x0, x) - x
-            east = wp.min(x1 - x, wp.int32(1) << bits)
-            p = patch_at(domain, i, j)
-            a = height_in(domain, p, west, south)
-            b = height_in(domain, p, east, south)
-            c = height_in(domain, p, west, north)
-            d = height_in(domain, p, east, north)
+            west = wp.float64(wp.max(x0, x) - x) * part
+            east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * part
+            corners = corners_of(domain.samples, domain.width, i, j)
+            a = bilinear(corners, west, south)
+            b = bilinear(corners, east, south)
+            c = bilinear(corners, west, north)
+            d = bilinear(corners, east, north)
             low = smaller(smaller(a, b), smaller(smaller(c, d), low))
             high = larger(larger(a, b), larger(larger(c, d), high))
     return low, high

@@ -34,8 +34,6 @@ hidden; a box inside another is covered no less, in rounded arithmetic, too.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 BINS = wp.constant(256)  # of each of the four sides
 ROW = wp.constant(1024)  # of all: entries of a ring
 RING_BITS = wp.constant(47)  # of a float64's 52 behind the first that tell no rings apart

@@ -10,16 +10,13 @@ Where ground is hidden by degrees (`LocalView.ramp`), least heights go on evenly
 
 import warp as wp
 
-from ..field.codes import sample_at
+from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
-from ..field.layout import tile_index
 from ..unchecked import item_at
-from .diamond import larger, smaller
+from .diamond import heights_of_cells, larger, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, bin_of, radius_of
 from .pixels import Asked, LocalView
-
-wp.set_module_options({"enable_backward": False})
 
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
 FEW_CELLS = wp.constant(8)  # along a rectangle: up to here cells are read, beyond it blocks
@@ -40,20 +37,8 @@ class Blocks:
 @wp.func
 def least_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
     """Least of up * height, before scaling, over the cells from (i0, j0) to (i1, j1)."""
-    least = wp.float64(wp.inf)
-    if domain.bicubic == 1:
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
-                index += wp.where(up > wp.float64(0.0), wp.int64(0), wp.int64(1))
-                h = domain.range_base + wp.float64(item_at(domain.ranges, index)) * domain.range_step
-                least = smaller(least, up * h)
-    else:
-        for j in range(j0, j1 + 2):
-            row = wp.int64(j) * wp.int64(domain.width)
-            for i in range(i0, i1 + 2):
-                least = smaller(least, up * wp.float64(sample_at(domain.samples, row + wp.int64(i))))
-    return least
+    low, high = heights_of_cells(domain, i0, j0, i1, j1)
+    return wp.where(up > wp.float64(0.0), low, -high)
 
 
 @wp.kernel
@@ -65,9 +50,10 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dty
     for k in range(wide):
         i = k << FINEST
         i1 = wp.min(i + beside, domain.width - 2)
-        for side in range(2):
-            h = least_of_cells(domain, i, j, i1, j1, wp.float64(1 - 2 * side))
-            least[2 * ((j >> FINEST) * wide + k) + side] = wp.float32(h - wp.abs(h) * OUTWARD)
+        low, high = heights_of_cells(domain, i, j, i1, j1)
+        at = 2 * ((j >> FINEST) * wide + k)
+        least[at] = wp.float32(low - wp.abs(low) * OUTWARD)
+        least[at + 1] = wp.float32(-high - wp.abs(high) * OUTWARD)
 
 
 @wp.func
@@ -113,16 +99,7 @@ def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
     """Height at a place, in cells from the south-west corner, before scaling."""
     i = wp.min(wp.int32(x), domain.width - 2)
     j = wp.min(wp.int32(y), domain.height - 2)
-    s = x - wp.float64(i)
-    at = wp.int64(j) * wp.int64(domain.width) + wp.int64(i)
-    north = at + wp.int64(domain.width)
-    one = wp.float64(1.0)
-    a = wp.float64(sample_at(domain.samples, at)) * (one - s)
-    a += wp.float64(sample_at(domain.samples, at + wp.int64(1))) * s
-    b = wp.float64(sample_at(domain.samples, north)) * (one - s)
-    b += wp.float64(sample_at(domain.samples, north + wp.int64(1))) * s
-    t = y - wp.float64(j)
-    return a * (one - t) + b * t
+    return bilinear(corners_of(domain.samples, domain.width, i, j), x - wp.float64(i), y - wp.float64(j))
 
 
 @wp.func

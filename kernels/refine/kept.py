@@ -13,8 +13,6 @@ from .pixels import CROSSED, Asked, coarsest, steady_stand_of
 from .steps import size_of
 from .walk_state import Cursor, Keeper, Square, Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 NOWHERE = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 # A subtree is kept from where errors are up to so many times those of its leaves; of fewer leaves rather a larger one.
 # Of a flight over rough ground, 1 M leaves, 77 % are taken from the last frame at 16 times, 88 % at 8, 90 % at 6.

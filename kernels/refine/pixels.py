@@ -10,8 +10,6 @@ import warp as wp
 from .diamond import Diamond, larger, smaller
 from .hiding import Rings, covered, is_bare, is_hidden
 
-wp.set_module_options({"enable_backward": False})
-
 PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)

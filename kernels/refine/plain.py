@@ -22,8 +22,6 @@ from .steps import advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 
 # Tests make it a kernel: as one of this module it would be compiled before anybody's first frame.
 def walk(domain: Domain, asked: Asked, w: Walk):

@@ -11,8 +11,6 @@ from .steps import advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.array(dtype=wp.float32)):

@@ -9,8 +9,6 @@ from .band import SPLIT, nothing_certain
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:

@@ -11,8 +11,6 @@ from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
 
-wp.set_module_options({"enable_backward": False})
-
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
 UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # ... of a dozen
 

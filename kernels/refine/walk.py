@@ -31,8 +31,6 @@ from .steps import advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at, fetch_ahead, leaves_tile
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
-wp.set_module_options({"enable_backward": False})
-
 # A diamond that is surely split is measured if depths alone decide below it, but which ones is in doubt for more than
 # so many bisections: a narrower band may leave none. One of even depth, whose box is tighter (`reach_of`).
 NARROWED = wp.constant(2)

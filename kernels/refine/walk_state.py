@@ -8,8 +8,6 @@ from .block import Blocks
 from .coherence import Motion, Subtree
 from .runs import Run
 
-wp.set_module_options({"enable_backward": False})
-
 STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
 
 

@@ -15,8 +15,6 @@ from ..mesh.displace import surface_at
 from .seams import PER_RANK, Pattern, drawn_for, shift_of, shifted, unhindered
 from .seen import Views, wanted_at
 
-wp.set_module_options({"enable_backward": False})
-
 UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16: points of the tile are so many of its sides
 RANKS = wp.constant(wp.int64(16384))
 # Points are there up to so many times what is wanted; those up to what is wanted are whole.

@@ -9,8 +9,6 @@ import warp as wp
 
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 UNIT_BITS = wp.constant(16)  # a side is so many halvings of units
 SHIFT_BITS = wp.constant(3)  # shifts are eighths of a side
 SQUARE_BITS = wp.constant(4)  # the smallest squares are sixteenths

@@ -10,8 +10,6 @@ import warp as wp
 from ..refine.diamond import larger
 from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside, stand_of, veil_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Views:

@@ -9,8 +9,6 @@ from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .seen import Views, wanted_over
 
-wp.set_module_options({"enable_backward": False})
-
 # Relative to what is furthest out: more than float32 positions and places that are rounded to the lattice are off.
 ROUNDING = wp.constant(wp.float64(1e-6))
 

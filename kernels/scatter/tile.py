@@ -10,8 +10,6 @@ import warp as wp
 
 from ..field.noise import scramble
 
-wp.set_module_options({"enable_backward": False})
-
 BITS = wp.constant(10)  # of a side of the map
 FINE_BITS = wp.constant(6)  # by which a point is more exact than its pixel
 CANDIDATES, MOST_CANDIDATES = wp.constant(8), wp.constant(2000)  # for each point so far, at most

@@ -1,23 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every effect that there is. A new one is a file beside this one, and its name in this list."""
 
-from . import (
-    aspect,
-    color,
-    flow,
-    height,
-    layers,
-    mean_curvature,
-    normal,
-    occlusion,
-    plan_curvature,
-    profile_curvature,
-    sky,
-    slope,
-    splat,
-    sun,
-    wetness,
-)
+from . import aspect, color, curvature, flow, height, layers, normal, occlusion, sky, slope, splat, sun, wetness
 from .effect import Effect
 
 EFFECTS: dict[str, Effect] = {
@@ -26,9 +10,9 @@ EFFECTS: dict[str, Effect] = {
         height.HEIGHT,
         slope.SLOPE,
         aspect.ASPECT,
-        mean_curvature.MEAN_CURVATURE,
-        profile_curvature.PROFILE_CURVATURE,
-        plan_curvature.PLAN_CURVATURE,
+        curvature.MEAN_CURVATURE,
+        curvature.PROFILE_CURVATURE,
+        curvature.PLAN_CURVATURE,
         normal.DETAIL_NORMAL,
         flow.FLOW,
         wetness.WETNESS,

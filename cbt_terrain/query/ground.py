@@ -58,7 +58,6 @@ def ground_at(
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
     outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
     inputs = [count, surface, shared(places, wp.vec2d), *outputs]
-    threads = launch.default_threads() if threads is None else threads
     launch.spread(kernels.ground_at, count, inputs, step="query", threads=threads, cost=COST)
     return found
 

@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 
 from . import stopping
+from .buffers import shared
 
 DEVICE = "cpu"
 # Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work.
@@ -123,11 +124,11 @@ def spread(
     inputs: list,
     *,
     step: str,
-    threads: int = 1,
+    threads: int | None = 1,
     cost: float = 1.0,
     recorded: dict | None = None,
 ) -> None:
-    """Launch `kernel` over `count` items, cut into even ranges for `threads`.
+    """Launch `kernel` over `count` items, cut into even ranges for `threads`; None: `default_threads`.
 
     The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is how many times dearer an item
     is than a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: as in `slices`.
@@ -137,7 +138,7 @@ def spread(
     stopping.check()
     with timed(step):
         _load(kernel)
-        pieces = max(1, min(threads, int(count * cost / SLICE_ITEMS)))
+        pieces = max(1, min(threads or default_threads(), int(count * cost / SLICE_ITEMS)))
         cuts = [count * i // pieces for i in range(pieces + 1)]
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
@@ -156,11 +157,7 @@ def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -
     """
     stopping.check()
     with timed(step):
-        arrays = [
-            wp.array(array, dtype=kind, device=DEVICE, copy=False)
-            for array, kind in ((keys, wp.float32), (values, wp.int32))
-        ]
-        wp.utils.radix_sort_pairs(*arrays, count)
+        wp.utils.radix_sort_pairs(shared(keys, wp.float32), shared(values, wp.int32), count)
 
 
 _loaded: set = set()

@@ -36,12 +36,7 @@ def level_for(shapes: list[tuple[int, int]]) -> int:
 
 
 def whole(
-    name: str,
-    version: int,
-    parameters: tuple,
-    field: HeightField,
-    lattice: Lattice,
-    make: Callable[[], np.ndarray],
+    name: str, version: int, parameters: tuple, field: HeightField, lattice: Lattice, make: Callable[[], np.ndarray]
 ) -> HeightField:
     """A result of the effect `name`: finite float32 [lattice.height, lattice.width], as the samples of a field.
 

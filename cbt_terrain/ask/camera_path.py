@@ -17,6 +17,7 @@ import json
 import math
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,7 @@ def read_camera_path(path: Path) -> CameraPath:
             raise _fault(path, f"{where} has its eye at its target; expected different points.")
         fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
-    if any(a >= b for a, b in zip(frames, frames[1:], strict=False)):
+    if any(a >= b for a, b in pairwise(frames)):
         raise TerrainError(
             f"In the camera path {path} the frames are {frames}; expected each larger than the one before."
         )

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -56,6 +57,11 @@ def timed(step: str):
         steps = getattr(_times, "steps", None)
         if steps is not None:
             steps[step] = steps.get(step, 0.0) + (time.perf_counter() - start) * 1e3
+
+
+def ranges(count: int, pieces: int) -> list[tuple[int, int]]:
+    """A range of items cut into even pieces: where each begins and ends."""
+    return list(pairwise(count * k // pieces for k in range(pieces + 1)))
 
 
 def together(jobs: Sequence[Callable[[], None]]) -> None:
@@ -139,7 +145,6 @@ def spread(
     with timed(step):
         _load(kernel)
         pieces = max(1, min(threads or default_threads(), int(count * cost / SLICE_ITEMS)))
-        cuts = [count * i // pieces for i in range(pieces + 1)]
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
             values = [lo, *inputs]
@@ -147,7 +152,7 @@ def spread(
                 return _command(recorded, kernel, (slot, hi - lo), values).launch
             return lambda: wp.launch(kernel, hi - lo, inputs=values, device=DEVICE)
 
-        together([job(slot, *cut) for slot, cut in enumerate(zip(cuts, cuts[1:], strict=False))])
+        together([job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))])
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:

@@ -11,9 +11,16 @@ import warp as wp
 from ...kernels.effects import pyramid as kernels
 from ..field import codes
 from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
 from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
 from ..run.buffers import flat
+
+
+def level_with(lattice: Lattice, most: int, finest: int = 0) -> int:
+    """The finest level, from `finest` on, that has `most` samples at most; the coarsest if none has so few."""
+    sizes = [rows * columns for rows, columns in shapes(lattice)]
+    return next((level for level, size in enumerate(sizes) if level >= finest and size <= most), len(sizes) - 1)
 
 
 def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:

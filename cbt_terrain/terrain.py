@@ -46,15 +46,15 @@ class Update:
     surface: Surface
     leaves: int
     changed: bool
-    bound_px: float | None
-    bound_m: float | None
-    bound_edge_px: float | None
-    bound_area_px: float | None
-    relaxed: float
-    limited: str
-    terms_px: Terms | None
-    terms_m: Terms | None
     ms: dict[str, float] = field(compare=False)
+    bound_px: float | None = None
+    bound_m: float | None = None
+    bound_edge_px: float | None = None
+    bound_area_px: float | None = None
+    relaxed: float = 1.0
+    limited: str = ""
+    terms_px: Terms | None = None
+    terms_m: Terms | None = None
 
     @property
     def triangles(self) -> int:
@@ -175,15 +175,9 @@ class Terrain:
             surface=surface,
             leaves=leaves.total,
             changed=changed,
-            bound_px=None,
-            bound_m=most_m,
-            bound_edge_px=None,
-            bound_area_px=None,
-            relaxed=1.0,
-            limited="",
-            terms_px=None,
-            terms_m=Terms.shares(most_m, *parts),
             ms=ms,
+            bound_m=most_m,
+            terms_m=Terms.shares(most_m, *parts),
         )
 
     def triangles_at(self, places: np.ndarray) -> np.ndarray:

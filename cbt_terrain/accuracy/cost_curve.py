@@ -60,12 +60,8 @@ class CostCurve:
         error = sorted(found, reverse=True)
         costs = [[statistics.median(column) for column in zip(*found[e], strict=True)] for e in error]
         triangles, ms = zip(*costs, strict=True) if costs else ((), ())
-        return cls(
-            unit,
-            tuple(error),
-            tuple(_level(_positive("triangles", triangles))),
-            tuple(_level(_positive("ms", ms))),
-        )
+        costs = (tuple(_level(_positive(name, of))) for name, of in (("triangles", triangles), ("ms", ms)))
+        return cls(unit, tuple(error), *costs)
 
     def at(self, error: float) -> tuple[float, float]:
         """(triangles, ms) at an error; beyond the measured points, along the slope at that end."""

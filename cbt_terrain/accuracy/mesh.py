@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -123,8 +124,8 @@ class MeasuredMesh:
 
     def walk(self, kernel, arrays: list) -> None:
         """Launch `kernel` over all triangles: it takes the first and the end, ground, mesh and `arrays`."""
-        cuts = list(zip(self._cuts, self._cuts[1:], strict=False))
-        launch.slices(kernel, [[lo, hi, self.ground.packed, self.packed, *arrays] for lo, hi in cuts], step="measure")
+        of = self.ground.packed, self.packed
+        launch.slices(kernel, [[*piece, *of, *arrays] for piece in pairwise(self._cuts)], step="measure")
 
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
         """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.

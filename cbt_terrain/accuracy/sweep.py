@@ -254,18 +254,8 @@ def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Ro
 def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
     """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
-    return [
-        popping(
-            terrain.field,
-            before,
-            after,
-            view,
-            *frame.heights,
-            threads=threads,
-            sight=sight(terrain.field, view, frame),
-        )
-        for view in frame.views
-    ]
+    looks = [(view, sight(terrain.field, view, frame)) for view in frame.views]
+    return [popping(terrain.field, before, after, v, *frame.heights, threads=threads, sight=s) for v, s in looks]
 
 
 def _bytes(surface: Surface) -> int:

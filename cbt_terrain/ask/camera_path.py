@@ -17,6 +17,7 @@ import json
 import math
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -88,32 +89,30 @@ def read_camera_path(path: Path) -> CameraPath:
     for number, key in enumerate(data["keyframes"], 1):
         where = f"keyframe {number}"
         if not isinstance(key, dict):
-            raise TerrainError(
-                f"In the camera path {path}, {where} is {key!r}; expected an object with frame, eye, target."
-            )
+            raise _fault(path, f"{where} is {key!r}; expected an object with frame, eye, target.")
         _only(path, where, key, KEY_KEYS)
         frames.append(_number(path, where, key, "frame"))
         eye, target = _numbers(path, where, key, "eye", 3), _numbers(path, where, key, "target", 3)
         if eye == target:
-            raise TerrainError(
-                f"In the camera path {path}, {where} has its eye at its target; expected different points."
-            )
+            raise _fault(path, f"{where} has its eye at its target; expected different points.")
         fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
-    if any(a >= b for a, b in zip(frames, frames[1:], strict=False)):
+    if any(a >= b for a, b in pairwise(frames)):
         raise TerrainError(
             f"In the camera path {path} the frames are {frames}; expected each larger than the one before."
         )
     return CameraPath(np.array(frames), np.array(values), clip)
 
 
+def _fault(path: Path, what: str) -> TerrainError:
+    return TerrainError(f"In the camera path {path}, {what}")
+
+
 def _clip(path, data: dict) -> tuple[float, float]:
     """Where the view starts and ends, metres; a start beyond the end is allowed, it hides nothing."""
     start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
-        raise TerrainError(
-            f"In the camera path {path}, the file has clip {[start, end]!r}; expected two different distances (m)."
-        )
+        raise _fault(path, f"the file has clip {[start, end]!r}; expected two different distances (m).")
     return start, end
 
 
@@ -125,18 +124,14 @@ def _fov(path, where: str, data: dict, sensor: float) -> float:
     else:
         fov = _number(path, where, data, "fov", 50.0)
     if not SMALLEST_FOV <= fov <= LARGEST_FOV:
-        raise TerrainError(
-            f"In the camera path {path}, {where} has a field of view of {fov:g} degrees; expected between "
-            f"{SMALLEST_FOV:g} and {LARGEST_FOV:.9g}."
-        )
+        expected = f"expected between {SMALLEST_FOV:g} and {LARGEST_FOV:.9g}."
+        raise _fault(path, f"{where} has a field of view of {fov:g} degrees; {expected}")
     return fov
 
 
 def _only(path, where: str, data: dict, known: set[str]) -> None:
     if unknown := sorted(set(data) - known):
-        raise TerrainError(
-            f"In the camera path {path}, {where} has {unknown[0]!r}; expected {', '.join(sorted(known))}."
-        )
+        raise _fault(path, f"{where} has {unknown[0]!r}; expected {', '.join(sorted(known))}.")
 
 
 def _number(path, where: str, data: dict, name: str, default: float | None = None) -> float:
@@ -149,5 +144,5 @@ def _numbers(path, where: str, data: dict, name: str, count: int) -> list[float]
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         shown = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise TerrainError(f"In the camera path {path}, {where} has {name} {shown!r}; expected {expected}.")
+        raise _fault(path, f"{where} has {name} {shown!r}; expected {expected}.")
     return [float(v) for v in value]

@@ -30,6 +30,7 @@ def localise(
     """
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
+    eye = eye_of(to_camera)
     # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
     # only under shear. The last factor keeps rounding on the safe side.
     stretch = lengths(linear)
@@ -48,12 +49,6 @@ def localise(
     elif criterion.rises_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
         fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else 1.0)
-    try:
-        eye = -solve(linear, shift[:, None])[:, 0]
-    except np.linalg.LinAlgError:
-        raise TerrainError(
-            "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
-        ) from None
     numbers = {
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
@@ -75,6 +70,16 @@ def localise(
             )
         setattr(local, name, value)
     return local
+
+
+def eye_of(to_camera: np.ndarray) -> np.ndarray:
+    """float64 [3]: the place that a matrix [4, 4] takes to the camera. Raises TerrainError where there is none."""
+    try:
+        return -solve(to_camera[:3, :3], to_camera[:3, 3:])[:, 0]
+    except np.linalg.LinAlgError:
+        raise TerrainError(
+            "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
+        ) from None
 
 
 def frustum_planes(view: View, guard_deg: float) -> np.ndarray:

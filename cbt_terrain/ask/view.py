@@ -36,9 +36,6 @@ class View:
         object.__setattr__(self, "world_to_camera", matrix)
         if self.projection is not None:
             object.__setattr__(self, "projection", np.array(self.projection, np.float64))
-        self._check()
-
-    def _check(self) -> None:
         if self.kind not in KINDS:
             raise TerrainError(f"The camera's kind is {self.kind!r}; expected one of {', '.join(KINDS)}.")
         if self.world_to_camera.shape != (4, 4) or not np.isfinite(self.world_to_camera).all():

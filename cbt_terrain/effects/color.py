@@ -10,7 +10,7 @@ from ..errors import TerrainError
 from . import splat
 from .decals import DECALS, cover
 from .effect import LINEAR_RGB, Effect, Evaluate, Parameter, Places, Wanted
-from .splat_rules import DEFAULT, Layer
+from .splat_rules import LAYERS, Layer
 
 DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
 
@@ -47,7 +47,7 @@ COLOR = Effect(
     reads=splat.SPLATS[0].reads,
     choose=splat.SPLATS[0].choose,
     parameters=(
-        Parameter("layers", DEFAULT, 1, splat.MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer"),
+        LAYERS,
         Parameter("colors", DEFAULT_COLORS, 0, math.inf, "", "Red, green and blue of each layer"),
         DECALS,
     ),

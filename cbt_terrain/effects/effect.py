@@ -2,7 +2,7 @@
 """What an effect is: a declaration, and a function over the places that it is asked for."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -50,8 +50,7 @@ class Places:
 
     def only(self, which: np.ndarray) -> "Places":
         """Those of the numbers `which`."""
-        scale = self.vertical_scale, self.vertical_offset
-        return Places(self.field, self.positions[which], self.level[which], *scale, self.threads, self.image_level)
+        return replace(self, positions=self.positions[which], level=self.level[which])
 
 
 # What is asked of effects that are made together: the parameters of each, by the effects' names.

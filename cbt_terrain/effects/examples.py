@@ -4,8 +4,8 @@
 import numpy as np
 
 from ..field.build import from_array
-from .catalogue import EFFECTS
-from .effect import Places
+from .effect import Asked, Places
+from .evaluate import values_at
 
 
 def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters) -> np.ndarray:
@@ -18,12 +18,6 @@ def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0,
     y = south + np.arange(lattice.height) * step
     inner = np.stack([*np.meshgrid(x, y), field.heights()], -1).astype(np.float32)[2:-2, 2:-2]
     grid = inner.reshape(-1, 3)
-    values = _value(name, Places(field, grid, np.full(len(grid), level, np.float32)), parameters)
+    places = Places(field, grid, np.full(len(grid), level, np.float32))
+    values = values_at(places, [Asked(name, (), parameters=tuple(parameters.items()))])[name]
     return values.reshape(*inner.shape[:2], *values.shape[1:])
-
-
-def _value(name: str, places: Places, parameters: dict) -> np.ndarray:
-    """With what it reads, at its defaults."""
-    effect = EFFECTS[name]
-    read = {other: _value(other, places, {}) for other in effect.reads_with(parameters.items())}
-    return effect.make(places, {name: effect.defaults() | parameters}, read)[name]

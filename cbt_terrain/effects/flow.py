@@ -13,16 +13,18 @@ from ..field.lattice import fit
 from ..run import launch
 from ..run.buffers import flat, shared
 from .effect import Effect, Evaluate, Places, Wanted
-from .pyramid import ground, level_of, shapes
+from .pyramid import ground, level_of, level_with, shapes
 from .routing import route
-from .whole import level_for, whole
+from .whole import whole
 
 VERSION = 1
+# A larger raster is taken at a coarser level, so that memory and time stay bounded.
+MOST_SAMPLES = 4097 * 4097
 
 
 def routed_level(field: HeightField) -> int:
     """The level of the pyramid on which a field's water is routed: 0 but for rasters of more than 4097 x 4097."""
-    return level_for(shapes(field.lattice))
+    return level_with(field.lattice, MOST_SAMPLES)
 
 
 def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightField:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects that are functions of the ground's height and its derivatives at a place: one kernel makes all that are
-wanted, because it takes the derivatives once."""
+"""Effects that are functions of the ground's height and its derivatives at a place: height, slope, aspect, curvatures
+and the normal. One kernel makes all that are wanted, because it takes the derivatives once."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,11 +11,13 @@ import warp as wp
 from ...kernels.effects import jet as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
-from .decals import tilt
-from .effect import Places, Wanted
+from .decals import DECALS, tilt
+from .effect import Effect, Evaluate, Places, Wanted
 from .pyramid import ground
 
 SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
+HORN = 'Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE
+EVANS = 'Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE
 HALO = "2 samples of the level"
 # Effects -> fields of the kernel's Values, Warp's and numpy's shape of an element, and the bit that asks for it.
 MADE = {
@@ -42,3 +45,152 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
     if "detail_normal" in made:
         tilt(made["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
     return made
+
+
+def height_example(evaluate: Evaluate) -> None:
+    """On a plane the mean about a place is the place's own height."""
+    heights = np.add.outer(np.arange(17) * 3.0, np.arange(17) * 5.0)
+    assert abs(evaluate("height", heights, step=10.0) - heights[2:-2, 2:-2]).max() < 1e-4
+
+
+HEIGHT = Effect(
+    name="height",
+    about="Height of the ground as displaced: a mean over the samples that are as far apart as the scale",
+    unit="m",
+    make=make,
+    example=height_example,
+    halo=HALO,
+    cost_ns=50,
+    source=SOURCE,
+)
+
+
+def slope_example(evaluate: Evaluate) -> None:
+    """A plane that rises 1 m in the root of 3 m has 30 degrees everywhere."""
+    east = np.arange(17, dtype=np.float32) * 10.0
+    slope = evaluate("slope", np.tile(east * np.float32(1 / math.sqrt(3)), (17, 1)), step=10.0)
+    assert abs(slope - math.radians(30)).max() < 1e-5
+
+
+SLOPE = Effect(
+    name="slope",
+    about="How steep the ground is: 0 is level, pi / 2 upright",
+    unit="rad",
+    make=make,
+    example=slope_example,
+    halo=HALO,
+    span=(0.0, math.pi / 2),
+    cost_ns=70,
+    source=HORN,
+)
+
+
+def aspect_example(evaluate: Evaluate) -> None:
+    """Ground that falls to the east faces east: the sine is 1. An angle would jump from 360 to 0 degrees."""
+    aspect = evaluate("aspect", np.tile(np.arange(17) * -4.0, (17, 1)), step=10.0)
+    assert abs(aspect - np.array([1.0, 0.0])).max() < 1e-6
+
+
+ASPECT = Effect(
+    name="aspect",
+    about="Direction downhill, clockwise from north, as its sine (to the east) and cosine (to the north); (0, 0) on "
+    "level ground",
+    unit="",
+    make=make,
+    example=aspect_example,
+    width=2,
+    halo=HALO,
+    span=(-1.0, 1.0),
+    cost_ns=55,
+    source=HORN,
+)
+
+
+def mean_curvature_example(evaluate: Evaluate) -> None:
+    """A round summit of the radius 50 m bends by 1 / 50 m, and a hollow by as much the other way."""
+    across = np.arange(-8, 9) * 2.0
+    summit = np.add.outer(across**2, across**2) / (-2 * 50.0)
+    middle = 6, 6  # of what is evaluated
+    assert abs(evaluate("mean_curvature", summit, step=2.0)[middle] - 1 / 50.0) < 1e-6
+    assert abs(evaluate("mean_curvature", -summit, step=2.0)[middle] + 1 / 50.0) < 1e-6
+
+
+MEAN_CURVATURE = Effect(
+    name="mean_curvature",
+    about="Mean curvature of the surface: positive on summits and ridges, negative in hollows and channels",
+    unit="1/m",
+    make=make,
+    example=mean_curvature_example,
+    halo=HALO,
+    cost_ns=55,
+    source='Shary 1995, "Land surface in gravity points classification"; ' + SOURCE,
+)
+
+
+def profile_curvature_example(evaluate: Evaluate) -> None:
+    """A slope that steepens downhill, z = -k x^2 / 2, bends as that parabola does: by k / (1 + (k x)^2)^(3/2)."""
+    k, x = 0.02, 40.0 + np.arange(17) * 2.0
+    heights = np.tile(-k * x**2 / 2, (17, 1))
+    expected = k / (1 + (k * x[2:-2]) ** 2) ** 1.5
+    assert abs(evaluate("profile_curvature", heights, step=2.0) - expected).max() < 1e-6
+    assert abs(evaluate("profile_curvature", -heights, step=2.0) + expected).max() < 1e-6
+
+
+PROFILE_CURVATURE = Effect(
+    name="profile_curvature",
+    about="Curvature down the slope: positive where it steepens downhill, negative at its foot; 0 on level ground",
+    unit="1/m",
+    make=make,
+    example=profile_curvature_example,
+    halo=HALO,
+    cost_ns=60,
+    source=EVANS,
+)
+
+
+def plan_curvature_example(evaluate: Evaluate) -> None:
+    """Contour lines of a round hill are circles: r metres from its summit they bend by 1 / r, of a hollow by -1 / r."""
+    across = np.arange(-8, 9) * 2.0
+    hill = np.add.outer(across**2, across**2) / -100.0
+    radius = np.hypot.outer(across, across)[2:-2, 2:-2]
+    away = radius > 0
+    assert abs(evaluate("plan_curvature", hill, step=2.0)[away] - 1 / radius[away]).max() < 1e-5
+    assert abs(evaluate("plan_curvature", -hill, step=2.0)[away] + 1 / radius[away]).max() < 1e-5
+
+
+PLAN_CURVATURE = Effect(
+    name="plan_curvature",
+    about="Curvature of the contour line: positive on ridges, negative in valleys; at most 1 / the distance of samples "
+    "at the scale, 0 on level ground",
+    unit="1/m",
+    make=make,
+    example=plan_curvature_example,
+    halo=HALO,
+    cost_ns=60,
+    source=EVANS,
+)
+
+
+def normal_example(evaluate: Evaluate) -> None:
+    """Ground that rises to the east by 45 degrees faces west and up."""
+    normal = evaluate("detail_normal", np.tile(np.arange(17) * 10.0, (17, 1)), step=10.0)
+    assert abs(normal - np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)])).max() < 1e-6
+
+
+DETAIL_NORMAL = Effect(
+    name="detail_normal",
+    about="Normal of the ground at the scale that is shown, in the terrain's own space: near by the detail's, far away "
+    "the land's beneath it",
+    unit="",
+    make=make,
+    example=normal_example,
+    width=3,
+    parameters=(DECALS,),
+    halo=HALO,
+    span=(-1.0, 1.0),
+    cost_ns=60,
+    source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,
+)
+
+
+JETS = (HEIGHT, SLOPE, ASPECT, MEAN_CURVATURE, PROFILE_CURVATURE, PLAN_CURVATURE, DETAIL_NORMAL)

@@ -99,8 +99,7 @@ class Kept:
     def _pieces(self) -> list[tuple[int, int]]:
         """Ranges of places, for as many threads as pay."""
         pieces = max(1, min(self._threads, self._count // launch.SLICE_ITEMS))
-        cuts = [self._count * k // pieces for k in range(pieces + 1)]
-        return list(zip(cuts, cuts[1:], strict=False))
+        return launch.ranges(self._count, pieces)
 
 
 def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:

@@ -35,12 +35,8 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
         made[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
             pyramid = ground(_as_field(places.field, name), 1.0, 0.0, places.threads)
-            inputs = [
-                pyramid,
-                shared(places.positions, wp.vec3f),
-                flat(places.level, wp.float32),
-                flat(out, wp.float32),
-            ]
+            where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
+            inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
     return made
 

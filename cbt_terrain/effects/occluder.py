@@ -4,16 +4,15 @@
 Whatever surface lies between the samples, the ground is the raster's profile from line to line; holes are filled.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import horizon as kernels
+from ..field.blocks import halvings, stacked
 from ..field.codes import packed
 from ..field.heightfield import HeightField
 from ..run import launch
-from ..run.buffers import flat
+from ..run.buffers import flat, shared
 from .effect import Places
 
 # Places of one launch: between two launches the work can be stopped.
@@ -57,25 +56,13 @@ def find_tops(occluder: kernels.Occluder, sign: float, threads: int) -> tuple[np
     finest = np.empty((high, wide), np.float32)
     inputs = [occluder, wp.float32(sign), flat(finest, wp.float32)]
     launch.spread(kernels.finest_tops, high, inputs, step="light", threads=threads, cost=4.0 * occluder.columns)
-    levels, higher = [finest], np.maximum if sign > 0 else np.minimum
-    while levels[-1].size > 1:
-        rows, columns = (np.arange(0, n, 2) for n in levels[-1].shape)
-        levels.append(higher.reduceat(higher.reduceat(levels[-1], rows, axis=0), columns, axis=1))
-    first = np.cumsum([0] * (kernels.FINEST + 1) + [level.size for level in levels[:-1]], dtype=np.int32)
-    wide = np.array([0] * kernels.FINEST + [level.shape[1] for level in levels], np.int32)
-    return np.concatenate([level.ravel() for level in levels]), first, wide
+    return stacked(halvings(finest, np.maximum if sign > 0 else np.minimum), int(kernels.FINEST))
 
 
-def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> Iterator[int]:
-    """Launch `kernel` for AT_ONCE places after another, with `inputs`, the places and their part of `out` (float32
-    [n]); yields after each how many are done."""
+def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> None:
+    """Launch `kernel` for AT_ONCE places after another: `inputs`, the places, and their part of `out`, float32 [n]."""
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         where = np.ascontiguousarray(places.positions[some], np.float32)
-        values = [
-            *inputs,
-            wp.array(where, dtype=wp.vec3f, device=launch.DEVICE, copy=False),
-            flat(out[some], wp.float32),
-        ]
+        values = [*inputs, shared(where, wp.vec3f), flat(out[some], wp.float32)]
         launch.spread(kernel, len(where), values, step="light", threads=places.threads, cost=cost)
-        yield first + len(where)

@@ -12,20 +12,23 @@ from ...kernels.effects import pyramid as kernels
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
-from ..field.store import shapes_of_effects
+from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
 from ..run.buffers import flat
 
 
-def shapes(lattice: Lattice) -> list[tuple[int, int]]:
-    """Rows and columns of each level. The last is the first with fewer than two cells one way."""
-    return shapes_of_effects(lattice)
+def level_with(lattice: Lattice, most: int, finest: int = 0) -> int:
+    """The finest level, from `finest` on, that has `most` samples at most; the coarsest if none has so few."""
+    sizes = [rows * columns for rows, columns in shapes(lattice)]
+    return next((level for level, size in enumerate(sizes) if level >= finest and size <= most), len(sizes) - 1)
 
 
 def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:
     """The pyramid as kernels read it; heights of the field become height * vertical_scale + vertical_offset."""
     if not field.prefiltered:
-        made, below = _empty(field)
+        count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
+        made = np.empty(max(count, 1), np.float32)
+        below = _ground(field, made)
         for level in range(1, below.levels):
             rows, columns = shapes(field.lattice)[level]
             inputs = [below, level, below.coarser]
@@ -43,12 +46,6 @@ def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
     first = int(ground(field, 1.0, 0.0, threads).first.numpy()[level])
     rows, columns = shapes(field.lattice)[level]
     return field.prefiltered[0][first : first + rows * columns].reshape(rows, columns)
-
-
-def _empty(field: HeightField) -> tuple[np.ndarray, kernels.Ground]:
-    count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
-    made = np.empty(max(count, 1), np.float32)
-    return made, _ground(field, made)
 
 
 def _ground(field: HeightField, coarser: np.ndarray) -> kernels.Ground:

@@ -13,12 +13,11 @@ import warp as wp
 
 from ...kernels.effects.light import sky_seen
 from ...kernels.effects.sweep import sky_between, take
-from ..field.heightfield import HeightField
 from ..run import launch
 from .effect import Effect, Evaluate, Parameter, Places, Wanted
 from .light import AZIMUTHS, azimuths
 from .occluder import every_crossing, for_places, occluder_of
-from .sky_layer import PREVIEW_AZIMUTHS, advance, is_known, preview_horizons, sky_layer
+from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
 # Beyond the raster there is ground: the sky begins at the horizontal.
 HORIZONTAL = 0.0
@@ -33,8 +32,7 @@ def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONT
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
     inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
-    for _done in for_places(sky_seen, places, inputs, out, cost=2000.0):
-        pass
+    for_places(sky_seen, places, inputs, out, cost=2000.0)
     return out
 
 
@@ -44,23 +42,10 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
         inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
-        jobs = for_places(sky_between, places, inputs, out, cost=25.0)
+        for_places(sky_between, places, inputs, out, cost=25.0)
     else:
-        jobs = for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
-    for _done in jobs:
-        pass
+        for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
     return {"sky": out}
-
-
-def is_quick(field: HeightField, scale: float) -> bool:
-    """Whether a view need not begin with a preview: the sky over the raster is known already."""
-    return is_known(field, scale)
-
-
-def refine(field: HeightField, scale: float, threads: int) -> bool:
-    """One step towards the sky in full quality, a sixteenth of its layer; returns whether none is left, so that who
-    asks for it now gets it."""
-    return advance(field, scale, threads)
 
 
 def example(evaluate: Evaluate) -> None:

@@ -18,7 +18,7 @@ from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat
 from .light import AZIMUTHS, azimuths
-from .pyramid import level_of, shapes
+from .pyramid import level_of, level_with, shapes
 from .whole import file_of, read_kept
 
 # So that memory and the time of a step stay bounded.
@@ -36,8 +36,7 @@ _making = threading.Lock()
 
 def layer_level(field: HeightField) -> int:
     """The level of the pyramid that the layer is of: the raster's size alone decides."""
-    sizes = [rows * columns for rows, columns in shapes(field.lattice)]
-    return next((level for level, size in enumerate(sizes) if size <= MOST_SAMPLES), len(sizes) - 1)
+    return level_with(field.lattice, MOST_SAMPLES)
 
 
 def is_known(field: HeightField, scale: float) -> bool:
@@ -116,7 +115,7 @@ def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
-    level = preview_level(field)
+    level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with _making:
         state = _kept(field, PREVIEW, scale)
         if "horizons" not in state:
@@ -127,13 +126,6 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
                 sweep(heights, steps, azimuth, scale, threads, out)
             state["horizons"] = found
     return _layer(field, state["horizons"], level)
-
-
-def preview_level(field: HeightField) -> int:
-    """The level of the pyramid that a preview is made from."""
-    sizes = [rows * columns for rows, columns in shapes(field.lattice)]
-    fits = [level for level, size in enumerate(sizes) if level >= PREVIEW_LEVEL and size <= PREVIEW_SAMPLES]
-    return fits[0] if fits else len(sizes) - 1
 
 
 def sweep(

@@ -14,30 +14,17 @@ import warp as wp
 from ...kernels.effects import splat as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
-from .effect import Effect, Evaluate, Parameter, Places, Wanted
-from .splat_rules import (
-    ASPECT,
-    DEFAULT,
-    FLOW,
-    IMAGE,
-    LAYER,
-    MOST_LAYERS,
-    NOISE,
-    READ_FROM,
-    RELIEF,
-    Layer,
-    Rule,
-    check,
-    reads,
-)
+from . import splat_rules
+from .effect import Effect, Evaluate, Places, Wanted
+from .splat_rules import LAYERS, READ_FROM, Layer, Rule, check, reads
 
 NAMES = ("splat_1", "splat_2", "splat_3")
 KIND_OF = {
-    ASPECT: kernels.DIRECTION,
-    FLOW: kernels.LOGARITHM,
-    NOISE: kernels.NOISE,
-    LAYER: kernels.LAYER,
-    IMAGE: kernels.IMAGE,
+    splat_rules.ASPECT: kernels.DIRECTION,
+    splat_rules.FLOW: kernels.LOGARITHM,
+    splat_rules.NOISE: kernels.NOISE,
+    splat_rules.LAYER: kernels.LAYER,
+    splat_rules.IMAGE: kernels.IMAGE,
 }
 # An edge of no width is this wide, in parts of any unit: a limit itself is half covered.
 LEAST_EDGE = 1e-30
@@ -87,7 +74,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
     check(layers)
     row, rows = 0, {}
     for name in reads(layers):
-        rows[name], row = row, row + (2 if name == READ_FROM[ASPECT] else 1)
+        rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
     own, rules, images = [], [], []
     for layer in layers:
         made = kernels.Layer()
@@ -96,10 +83,10 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         made.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         own.append(made)
         for rule in layer.rules:
-            at = rule.other if rule.of == LAYER else sum(image.size for image in images)
+            at = rule.other if rule.of == splat_rules.LAYER else sum(image.size for image in images)
             at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
             rules.append(_rule(rule, at, lowest, highest))
-            if rule.of == IMAGE:
+            if rule.of == splat_rules.IMAGE:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)
     arrays = (own, kernels.Layer), (rules or [kernels.Rule()], kernels.Rule)
@@ -108,11 +95,11 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
 
 def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
     limits, edge = np.array([rule.low, rule.high]), rule.edge
-    if rule.of == RELIEF:
+    if rule.of == splat_rules.RELIEF:
         # Level ground is all at its lowest place.
         relief = highest - lowest or max(abs(lowest), 1.0)
         limits, edge = lowest + limits * relief, edge * relief
-    elif rule.of == FLOW:
+    elif rule.of == splat_rules.FLOW:
         with np.errstate(divide="ignore"):
             limits = np.log10(np.maximum(limits, 0.0))
     found = kernels.Rule()
@@ -135,10 +122,6 @@ def example(evaluate: Evaluate) -> None:
         assert (weights == (1.0 - share, share, 0.0, 0.0)).all()
 
 
-def _chosen(values: Mapping[str, object]) -> tuple[str, ...]:
-    return reads(values["layers"])
-
-
 SPLATS = tuple(
     Effect(
         name=name,
@@ -149,11 +132,9 @@ SPLATS = tuple(
         width=4,
         span=(0.0, 1.0),
         reads=tuple(sorted(set(READ_FROM.values()))),
-        choose=_chosen,
+        choose=lambda values: reads(values["layers"]),
         nothing=lambda values, first=4 * k: len(values["layers"]) <= first,
-        parameters=(
-            Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer"),
-        ),
+        parameters=(LAYERS,),
         halo="as what the rules are about",
         cost_ns=100,
         source="Bands of rules; exact shares by the method of the largest remainder",

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.painted import Painted
+from .effect import Parameter
 from .layers import NAMES as LAYER_NAMES
 
 MOST_LAYERS = 12
@@ -88,6 +89,9 @@ DEFAULT = (
         seed=3,
     ),
 )
+
+
+LAYERS = Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer")
 
 
 def covering(other: int) -> Rule:

@@ -24,8 +24,7 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
     if strips is not None:
         numbers = [wp.float64(strips[name]) for name in ("elevation", "radius", "low", "high")]
         inputs = [occluder_of(places), *numbers, strips["strips"]]
-        for _done in for_places(sun_seen, places, inputs, out, cost=300.0):
-            pass
+        for_places(sun_seen, places, inputs, out, cost=300.0)
     return {"sun": out}
 
 

@@ -22,26 +22,13 @@ from ..field.store_arrays import verify_array
 
 # Bytes that results may hold in memory, the pyramids over them included; the last one stays whatever it holds.
 MOST_BYTES = 1 << 28
-# Samples of a result, at most: a larger raster is taken at a coarser level, so that memory and time stay bounded.
-MOST_SAMPLES = 4097 * 4097
 
 _kept: OrderedDict[str, HeightField] = OrderedDict()
 _making = threading.RLock()
 
 
-def level_for(shapes: list[tuple[int, int]]) -> int:
-    """The finest level of a pyramid, by the rows and columns of each, with MOST_SAMPLES at most."""
-    fitting = (level for level, (rows, columns) in enumerate(shapes) if rows * columns <= MOST_SAMPLES)
-    return next(fitting, len(shapes) - 1)
-
-
 def whole(
-    name: str,
-    version: int,
-    parameters: tuple,
-    field: HeightField,
-    lattice: Lattice,
-    make: Callable[[], np.ndarray],
+    name: str, version: int, parameters: tuple, field: HeightField, lattice: Lattice, make: Callable[[], np.ndarray]
 ) -> HeightField:
     """A result of the effect `name`: finite float32 [lattice.height, lattice.width], as the samples of a field.
 

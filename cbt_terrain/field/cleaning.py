@@ -40,9 +40,8 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
     cost = 0.5 * COLUMN_BLOCK * height
     blocks = -(-width // COLUMN_BLOCK)
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
-    cuts = [height * i // threads for i in range(threads + 1)]
     jobs = []
-    for first, end in zip(cuts, cuts[1:], strict=False):
+    for first, end in launch.ranges(height, threads):
         apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
         start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
         jobs.append([h, width, first, end, nearest, apex, start])

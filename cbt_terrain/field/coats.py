@@ -14,6 +14,7 @@ import warp as wp
 from ...kernels.field import detail as kernels
 from ..errors import TerrainError
 from ..run.buffers import flat
+from .blocks import halvings
 from .detail import Detail
 from .detail_bounds import Part, masked, tables
 from .lattice import Lattice
@@ -42,17 +43,8 @@ class Mask:
         """uint8 [n]: the most of each cell, and of 2 x 2 of those, and so on to one of all; row by row, level by level,
         as `mask_levels` has them."""
         v = self.values
-        level = np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
-        found = [level]
-        while level.size > 1:
-            rows, columns = level.shape
-            level = np.pad(level, ((0, rows % 2 if rows > 1 else 0), (0, columns % 2 if columns > 1 else 0)))
-            if rows > 1:
-                level = np.maximum(level[::2], level[1::2])
-            if columns > 1:
-                level = np.maximum(level[:, ::2], level[:, 1::2])
-            found.append(level)
-        return np.concatenate([level.reshape(-1) for level in found])
+        cells = np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
+        return np.concatenate([level.reshape(-1) for level in halvings(cells, np.maximum)])
 
 
 @dataclass(frozen=True)

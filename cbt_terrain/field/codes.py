@@ -14,6 +14,7 @@ stays at or above its children.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -61,7 +62,7 @@ def parts(lattice: Lattice, count: int) -> list[slice]:
     """Where the arrays hold each group, the cells, and behind those the bends of a bicubic surface."""
     ends = lattice.layout()[0].tolist()
     ends += [count] if count > ends[-1] else []
-    return [slice(first, end) for first, end in zip(ends, ends[1:], strict=False)]
+    return [slice(first, end) for first, end in pairwise(ends)]
 
 
 def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int) -> list[int]:

@@ -17,7 +17,7 @@ import hashlib
 from dataclasses import dataclass
 
 from ...kernels.field import detail as kernels
-from ..errors import TerrainError
+from ..errors import check_number, check_seed
 from .detail_bounds import Part, Way
 
 MOST_OCTAVES = 9
@@ -40,11 +40,10 @@ class Detail:
     seed: int = 0
 
     def __post_init__(self):
-        check_number("amplitude", self.amplitude, 0.0, LARGEST, "metres")
-        check_number("wavelength", self.wavelength, 1e-3, LARGEST, "metres")
-        check_number("roughness", self.roughness, 0.0, 1.0, "parts of the octave before")
-        if not (isinstance(self.seed, int) and 0 <= self.seed < 2**32):
-            raise TerrainError(f"The detail's seed is {self.seed!r}; expected a whole number, 0 .. {2**32 - 1}.")
+        check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
+        check_number("The detail's wavelength", self.wavelength, 1e-3, LARGEST, "metres")
+        check_number("The detail's roughness", self.roughness, 0.0, 1.0, "parts of the octave before")
+        check_seed("The detail's seed", self.seed)
 
     @property
     def key(self) -> str:
@@ -76,9 +75,3 @@ class Detail:
         d.amplitude = waves[0][0] if waves else 0.0
         d.gain, d.frequency = self.roughness, 1.0 / self.wavelength
         return d
-
-
-def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raise TerrainError for a number of a detail that is not between `low` and `high`."""
-    if not (isinstance(value, int | float) and low <= value <= high):
-        raise TerrainError(f"The detail's {name} is {value!r}; expected {low:g} .. {high:g} {unit}.")

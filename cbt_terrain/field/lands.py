@@ -36,7 +36,6 @@ class Land:
         Heights depend only on the seed and on the place, so that resolutions agree where their samples coincide.
         """
         inputs = [*self.inputs(size, first_row, wp.uint32(seed & 0xFFFFFFFF)), flat(rows, wp.float32)]
-        threads = threads or launch.default_threads()
         launch.spread(self.kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
 
     def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:

@@ -4,7 +4,7 @@
 import re
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
 from .codes import LEAST_EXPONENT, MOST_EXPONENT, exponent_of
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
@@ -134,9 +134,7 @@ def check_entries(file: Path, content: dict) -> None:
         if name not in content:
             raise damaged(f"{name!r} is missing, expected {expected}")
         if not good(content[name]):
-            shown = repr(content[name])
-            shown = shown if len(shown) < 200 else f"{shown[:200]}..."
-            raise damaged(f"its {name!r} is {shown}, expected {expected}")
+            raise damaged(f"its {name!r} is {shown(repr(content[name]))}, expected {expected}")
     low, high, exponents = content["min_height"], content["max_height"], content["exponents"]
     if low > high:
         raise damaged(f"its 'min_height' {low} is above its 'max_height' {high}")

@@ -21,8 +21,8 @@ from functools import lru_cache, reduce
 import numpy as np
 
 from ...kernels.field import detail as kernels
-from ..errors import TerrainError
-from .detail import EDGES_A_WAVE, LARGEST, check_number
+from ..errors import TerrainError, check_number
+from .detail import EDGES_A_WAVE, LARGEST
 from .detail_bounds import OUTWARD, Part, Way
 from .painted import Painted
 
@@ -41,8 +41,8 @@ class Tiled:
     image: Painted
 
     def __post_init__(self):
-        check_number("amplitude", self.amplitude, 0.0, LARGEST, "metres")
-        check_number("tile", self.size, 1e-3, LARGEST, "metres")
+        check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
+        check_number("The detail's tile", self.size, 1e-3, LARGEST, "metres")
         if self.image.values.size > MOST_PIXELS:
             raise TerrainError(
                 f"The detail's image has {self.image.values.size:,} pixels; expected {MOST_PIXELS:,} at most, as 2048 "

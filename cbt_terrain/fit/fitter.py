@@ -167,10 +167,7 @@ class Fitter:
         Memory is committed where it is used."""
         across, up = self.field.lattice.span
         vertices = (across + 1) * (up + 1)
-        return [
-            shared(np.zeros(vertices, np.float32), wp.float32),
-            shared(np.zeros(vertices, np.uint8), wp.uint8),
-        ]
+        return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
 
     def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
         triangles = len(surface.triangles)

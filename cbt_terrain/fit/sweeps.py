@@ -100,8 +100,7 @@ class Sweeps:
 
     def _pull(self) -> None:
         pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
-        cuts = [self.count * i // pieces for i in range(pieces + 1)]
-        inputs = [[lo, hi, self.m] for lo, hi in zip(cuts, cuts[1:], strict=False)]
+        inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
         launch.slices(kernels.pull, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, local: float) -> dict[str, int]:

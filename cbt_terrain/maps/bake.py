@@ -163,7 +163,8 @@ def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress,
                 files = [_opened(folder, image, pool, stack) for image in together]
                 for first in range(0, side, _band(side)):
                     with lock:
-                        values = _values(place, together, tile, side, first)
+                        texels = _texel_places(place, tile, side, first, _band(side))
+                        values = values_at(texels, [image.asked for image in together])
                     for image, file in zip(together, files, strict=True):
                         file.add(_coded(values[image.asked.name], image, place.threads))
                     done += _band(side) * side
@@ -182,11 +183,6 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
     file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
     stack.callback(file.leave)
     return file
-
-
-def _values(place: _Place, images: list[_Image], tile: int, side: int, first: int) -> dict[str, np.ndarray]:
-    """The effects of the images at a band of a tile's texels, by name."""
-    return values_at(_texel_places(place, tile, side, first, _band(side)), [image.asked for image in images])
 
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:

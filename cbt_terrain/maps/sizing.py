@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..ask.linear import least_stretch, lengths, product, solve
-from ..ask.local_view import frustum_planes
+from ..ask.linear import least_stretch, lengths, product
+from ..ask.local_view import eye_of, frustum_planes
 from ..ask.view import ORTHOGRAPHIC, View
 from ..effects.effect import Asked
 from ..errors import TerrainError
@@ -66,12 +66,7 @@ def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
     if view.kind == ORTHOGRAPHIC:
         distance = np.ones(len(boxes))
     else:
-        try:
-            eye = -solve(linear, to_camera[:3, 3:])[:, 0]
-        except np.linalg.LinAlgError:
-            raise TerrainError(
-                "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
-            ) from None
+        eye = eye_of(to_camera)
         away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0) * stretch
         # As in local_view.py: with shear a distance may be shorter than its axes say.
         distance = least_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))

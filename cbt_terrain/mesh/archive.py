@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
 from ..run.partial_files import written_beside
 from .surface import Surface
 
@@ -62,12 +62,10 @@ def read_npz(path: Path) -> dict:
         if not isinstance(info, dict):
             raise ValueError("its entry 'info' is no JSON object")
     except OSError as reason:
-        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:200]}..."
-        raise TerrainError(
-            f"{shown} cannot be read ({reason.strerror or reason}): expected an exported .npz."
-        ) from reason
+        why = reason.strerror or reason
+        raise TerrainError(f"{shown(path)} cannot be read ({why}): expected an exported .npz.") from reason
     except Exception as reason:  # whatever the parsers of a damaged file raise
-        said = " ".join(str(reason).split()).rstrip(".") or type(reason).__name__
+        said = shown(reason).rstrip(".") or type(reason).__name__
         raise TerrainError(f"{path} is no .npz that was exported here ({said}): export it again.") from reason
     return entries | {"info": info}
 

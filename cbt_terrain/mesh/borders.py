@@ -42,13 +42,8 @@ def in_holes(surface, field: HeightField, domain: Domain, threads: int = 1) -> n
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)
     lattice, valid = field.lattice, np.ascontiguousarray(field.valid).reshape(-1)
-    place = [
-        wp.vec2d(domain.west, domain.south),
-        wp.vec2d(lattice.step_x, lattice.step_y),
-        lattice.width,
-        lattice.height,
-    ]
+    corner, steps = wp.vec2d(domain.west, domain.south), wp.vec2d(lattice.step_x, lattice.step_y)
     arrays = [shared(surface.positions, wp.vec3f), shared(surface.corner_verts, wp.int32), shared(valid, wp.uint8)]
-    inputs = [*place, *arrays, shared(flags.view(np.uint8), wp.uint8)]
+    inputs = [corner, steps, lattice.width, lattice.height, *arrays, shared(flags.view(np.uint8), wp.uint8)]
     launch.spread(kernels.flag_holes, triangles, inputs, step="cut", threads=threads)
     return flags

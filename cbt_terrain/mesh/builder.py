@@ -205,9 +205,9 @@ class SurfaceBuilder:
         pieces = self._pieces(triangles)
         room = t.points + t.lines
         numbers = get("template_numbers", pieces * room, wp.int32)
+        both = zip(launch.ranges(edges, pieces), launch.ranges(leaves, pieces), strict=True)
         inputs = [
-            [*_piece(edges, k, pieces), *_piece(leaves, k, pieces), k * room, t, coarse, fine, numbers]
-            for k in range(pieces)
+            [*of_edges, *of_leaves, k * room, t, coarse, fine, numbers] for k, (of_edges, of_leaves) in enumerate(both)
         ]
         launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=self._recorded)
         return triangles, all_vertices, all_edges
@@ -276,7 +276,7 @@ class SurfaceBuilder:
         )
         inputs, first = [], 0
         for (base, n), slot in zip(parts, slots, strict=True):
-            inputs += [[*_piece(n, k, pieces), base, first, slot, domain, p] for k in range(pieces)]
+            inputs += [[*piece, base, first, slot, domain, p] for piece in launch.ranges(n, pieces)]
             first += n
         not_finite = self._buffers.numpy("not_finite")
         not_finite[0] = 0
@@ -318,11 +318,6 @@ def _no_runs() -> Runs:
     runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")
     runs.room = 1
     return runs
-
-
-def _piece(count: int, k: int, pieces: int) -> tuple[int, int]:
-    """The k-th of even pieces of a range: where it begins and ends."""
-    return count * k // pieces, count * (k + 1) // pieces
 
 
 def _check_memory(triangles: int) -> None:

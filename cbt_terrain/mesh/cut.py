@@ -206,6 +206,6 @@ def _listed(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndar
     pieces = threads if triangles >= launch.SLICE_ITEMS else 1
     listed, found = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)
     arrays = [shared(near.view(np.uint8), wp.uint8), *(shared(a, wp.int32) for a in (corner_verts, listed, found))]
-    cuts = [triangles * k // pieces for k in range(pieces + 1)]
-    launch.slices(kernels.list_near, [[cuts[k], cuts[k + 1], k, *arrays] for k in range(pieces)], step="cut")
-    return np.concatenate([listed[first : first + n] for first, n in zip(cuts, found, strict=False)])
+    ranges = launch.ranges(triangles, pieces)
+    launch.slices(kernels.list_near, [[*piece, k, *arrays] for k, piece in enumerate(ranges)], step="cut")
+    return np.concatenate([listed[first : first + n] for (first, _), n in zip(ranges, found, strict=True)])

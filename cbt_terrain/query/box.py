@@ -47,15 +47,8 @@ def box_range(
     column, first = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
     rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
     found = np.empty((rows, 2))
-    threads = launch.default_threads() if threads is None else threads
-    inputs = [
-        surface,
-        blocks_of(field, surface),
-        column,
-        first,
-        *map(wp.float64, (*low, *high)),
-        shared(found, wp.vec2d),
-    ]
+    corners = map(wp.float64, (*low, *high))
+    inputs = [surface, blocks_of(field, surface), column, first, *corners, shared(found, wp.vec2d)]
     launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
     least, greatest = float(found[:, 0].min()), float(found[:, 1].max())
     if least > greatest:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights, normals and slopes at places, and along a line."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,6 @@ def ground_at(
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
     outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
     inputs = [count, surface, shared(places, wp.vec2d), *outputs]
-    threads = launch.default_threads() if threads is None else threads
     launch.spread(kernels.ground_at, count, inputs, step="query", threads=threads, cost=COST)
     return found
 
@@ -114,7 +114,7 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []
-    for n, (a, b) in enumerate(zip(line, line[1:], strict=False)):
+    for n, (a, b) in enumerate(pairwise(line)):
         parts, own = [np.array([0.0])], [a[None]]
         for axis in (0, 1):
             low, high = sorted(cells[n : n + 2, axis])

@@ -41,7 +41,6 @@ def pick(
     origins, directions = _rays(origins, directions)
     surface = packed(field, vertical_scale, vertical_offset)
     distance = np.empty(len(origins))
-    threads = launch.default_threads() if threads is None else threads
     blocks = blocks_of(field, surface)
     for first in range(0, len(origins), AT_ONCE):
         some = slice(first, first + AT_ONCE)

@@ -60,19 +60,19 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     return b
 
 
-def vectors(values, width: int, name: str, unit: str = "metres") -> np.ndarray:
+def vectors(values, width: int, name: str) -> np.ndarray:
     """float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
     try:
         found = np.ascontiguousarray(values, np.float64)
     except (TypeError, ValueError):
-        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] {unit}.") from None
+        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] metres.") from None
     if found.ndim == 1 and found.size in (0, width):
         found = found.reshape(-1, width)
     if found.ndim != 2 or found.shape[1] != width:
-        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] {unit}.")
+        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] metres.")
     finite = np.isfinite(found)
     if not finite.all():
         at = int(np.argmin(finite.all(axis=1)))
         said = ", ".join(f"{value:g}" for value in found[at])
-        raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite {unit}: correct or leave it out.")
+        raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite metres: correct or leave it out.")
     return found

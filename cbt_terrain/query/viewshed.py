@@ -52,7 +52,6 @@ def viewshed(
     seen = np.zeros(field.samples.shape, bool)
     numbers = map(wp.float64, (target_height, radius * radius, slack))
     inputs = [surface, blocks, wp.vec3d(*eye[0]), *numbers, flat(seen, wp.bool)]
-    threads = launch.default_threads() if threads is None else threads
     start, end = (surface.columns * row for row in _rows_near(surface, float(eye[0, 1]), radius))
     for first in range(start, end, AT_ONCE):
         count = min(AT_ONCE, end - first)

@@ -12,6 +12,7 @@ from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_hori
 from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.criterion import LARGEST
 from ..ask.view import KINDS, ORTHOGRAPHIC
+from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, flat
@@ -90,14 +91,7 @@ def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, 
     finest = np.empty((high, wide, 2), np.float32)
     inputs = [domain, wide, flat(finest, wp.float32)]
     launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
-    levels = [finest]
-    while levels[-1].size > 2:
-        rows, columns = (np.arange(0, n, 2) for n in levels[-1].shape[:2])
-        levels.append(np.minimum.reduceat(np.minimum.reduceat(levels[-1], rows, axis=0), columns, axis=1))
-    below = [0] * int(FINEST)
-    first = np.cumsum([*below, 0, *(level.size // 2 for level in levels[:-1])], dtype=np.int32)
-    wide = np.array([*below, *(level.shape[1] for level in levels)], np.int32)
-    return np.concatenate([level.ravel() for level in levels]), first, wide
+    return stacked(halvings(finest, np.minimum), int(FINEST))
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:

@@ -13,11 +13,13 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
 
 from . import stopping
+from .buffers import shared
 
 DEVICE = "cpu"
 # Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work.
@@ -55,6 +57,11 @@ def timed(step: str):
         steps = getattr(_times, "steps", None)
         if steps is not None:
             steps[step] = steps.get(step, 0.0) + (time.perf_counter() - start) * 1e3
+
+
+def ranges(count: int, pieces: int) -> list[tuple[int, int]]:
+    """A range of items cut into even pieces: where each begins and ends."""
+    return list(pairwise(count * k // pieces for k in range(pieces + 1)))
 
 
 def together(jobs: Sequence[Callable[[], None]]) -> None:
@@ -123,11 +130,11 @@ def spread(
     inputs: list,
     *,
     step: str,
-    threads: int = 1,
+    threads: int | None = 1,
     cost: float = 1.0,
     recorded: dict | None = None,
 ) -> None:
-    """Launch `kernel` over `count` items, cut into even ranges for `threads`.
+    """Launch `kernel` over `count` items, cut into even ranges for `threads`; None: `default_threads`.
 
     The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is how many times dearer an item
     is than a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: as in `slices`.
@@ -137,8 +144,7 @@ def spread(
     stopping.check()
     with timed(step):
         _load(kernel)
-        pieces = max(1, min(threads, int(count * cost / SLICE_ITEMS)))
-        cuts = [count * i // pieces for i in range(pieces + 1)]
+        pieces = max(1, min(threads or default_threads(), int(count * cost / SLICE_ITEMS)))
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
             values = [lo, *inputs]
@@ -146,7 +152,7 @@ def spread(
                 return _command(recorded, kernel, (slot, hi - lo), values).launch
             return lambda: wp.launch(kernel, hi - lo, inputs=values, device=DEVICE)
 
-        together([job(slot, *cut) for slot, cut in enumerate(zip(cuts, cuts[1:], strict=False))])
+        together([job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))])
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
@@ -156,11 +162,7 @@ def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -
     """
     stopping.check()
     with timed(step):
-        arrays = [
-            wp.array(array, dtype=kind, device=DEVICE, copy=False)
-            for array, kind in ((keys, wp.float32), (values, wp.int32))
-        ]
-        wp.utils.radix_sort_pairs(*arrays, count)
+        wp.utils.radix_sort_pairs(shared(keys, wp.float32), shared(values, wp.int32), count)
 
 
 _loaded: set = set()

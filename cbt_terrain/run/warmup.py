@@ -59,14 +59,6 @@ class _Preparation:
         self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
         self.thread.start()
 
-    @property
-    def done(self) -> threading.Event:
-        return self.ready[0]
-
-    @property
-    def overlay_done(self) -> threading.Event:
-        return self.ready[-1]
-
     def _run(self) -> None:
         processes = []
         try:
@@ -105,7 +97,7 @@ class _Preparation:
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
-        names = [[_name_of(module) for module in group] for group in self._groups]
+        names = [[module.__name__.removeprefix(HOUSE) for module in group] for group in self._groups]
         processes = []
         try:
             for i in range(count):
@@ -150,7 +142,7 @@ def stop() -> None:
 
 def preparing() -> bool:
     """Whether kernels are being made ready, so that an update would have to wait."""
-    return any(p is not None and not p.done.is_set() for p in (_current, _asked))
+    return any(p is not None and not p.ready[0].is_set() for p in (_current, _asked))
 
 
 def progress() -> float | None:
@@ -164,7 +156,7 @@ def wait(overlay: bool = False) -> None:
     TerrainError if that was stopped."""
     for preparation in (_current, _asked):
         if preparation is not None:
-            ready = preparation.overlay_done if overlay else preparation.done
+            ready = preparation.ready[-1 if overlay else 0]
             while not ready.wait(POLL_SECONDS):
                 stopping.check()
             if preparation.stopping.is_set():
@@ -224,11 +216,6 @@ def load(module: ModuleType) -> None:
     """Load a module's kernels, and compile them first if that has not been done."""
     for kernel in _kernels_of(module):
         launch.slices(kernel, [], step="load")  # loads the kernel and launches nothing
-
-
-def _name_of(module: ModuleType) -> str:
-    """Within the house of kernels."""
-    return module.__name__.removeprefix(HOUSE)
 
 
 def child_main(*names: str) -> None:

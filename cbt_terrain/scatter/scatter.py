@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from ..effects.effect import GEOMETRY, Asked
 from ..effects.splat import NAMES
 from ..effects.splat_rules import Layer, check
-from ..errors import TerrainError
+from ..errors import TerrainError, check_number, check_seed
 from .tile import POINTS
 
 ANYWHERE = Layer("Anywhere")
@@ -52,11 +52,8 @@ class Scatter:
             ("margin_deg", 0.0, 89.0, "degrees"),
             ("margin_m", 0.0, LARGEST, "metres"),
         ):
-            value = getattr(self, name)
-            if not (isinstance(value, int | float) and low <= value <= high):
-                raise TerrainError(f"The scatter's {name} is {value!r}; expected {low:g} .. {high:g} {unit}.")
-        if not (isinstance(self.seed, int) and 0 <= self.seed < 2**32):
-            raise TerrainError(f"The scatter's seed is {self.seed!r}; expected a whole number, 0 .. {2**32 - 1}.")
+            check_number(f"The scatter's {name}", getattr(self, name), low, high, unit)
+        check_seed("The scatter's seed", self.seed)
         if not -1 <= self.on < len(self.layers):
             raise TerrainError(
                 f"The scatter stands on splat layer {self.on}, and there are {len(self.layers)}; choose one of them."

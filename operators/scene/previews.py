@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from ...cbt_terrain.effects import sky
+from ...cbt_terrain.effects import sky, sky_layer
 from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.run import launch
@@ -13,7 +13,7 @@ from .request import Request
 def begun(request: Request, heights: HeightField) -> Request:
     """The request with previews in place of what is not known yet; the same one if there is nothing of the kind."""
     names = [item.name for item in request.effects.asked]
-    if sky.SKY.name not in names or sky.is_quick(heights, request.vertical_scale):
+    if sky.SKY.name not in names or sky_layer.is_known(heights, request.vertical_scale):
         return request
     asked = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.asked)
     return replace(request, effects=replace(request.effects, asked=asked))
@@ -21,7 +21,7 @@ def begun(request: Request, heights: HeightField) -> Request:
 
 def refine(request: Request, heights: HeightField) -> bool:
     """One step of what can be made ahead for the request in full; returns whether none is left."""
-    return sky.refine(heights, request.vertical_scale, launch.default_threads())
+    return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
 
 
 def _preview(item: Asked) -> Asked:

@@ -4,7 +4,8 @@
 import hashlib
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.island import island, island_rows
+from adaptive_terrain.cbt_terrain.field.island import island
+from adaptive_terrain.cbt_terrain.field.lands import LANDS
 
 
 def test_resolutions_agree_where_their_samples_coincide():
@@ -16,7 +17,7 @@ def test_rows_and_threads_do_not_matter():
     whole = island(129)
     for threads in (1, 2):
         rows = np.empty((50, 129), np.float32)
-        island_rows(129, 40, rows, threads=threads)
+        LANDS["island"].rows(129, 40, rows, 7, threads)
         assert np.array_equal(rows, whole[40:90])
 
 

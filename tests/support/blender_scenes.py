@@ -104,8 +104,7 @@ def preparing(monkeypatch):
     """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
     from adaptive_terrain.cbt_terrain.run import warmup
 
-    current = SimpleNamespace(
-        fraction=0.25, done=threading.Event(), overlay_done=threading.Event(), stopping=threading.Event()
-    )
+    done = threading.Event()
+    current = SimpleNamespace(fraction=0.25, done=done, ready=[done, threading.Event()], stopping=threading.Event())
     monkeypatch.setattr(warmup, "_current", current)
     return current

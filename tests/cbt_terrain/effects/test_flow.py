@@ -89,7 +89,7 @@ def test_a_coded_store_with_holes_is_routed_as_its_heights_say(tmp_path):
 
 def test_a_larger_raster_is_routed_at_a_coarser_level(monkeypatch):
     field = from_array(hills(130, 97), 10.0)
-    monkeypatch.setattr(whole, "MOST_SAMPLES", 66 * 49)
+    monkeypatch.setattr(flow, "MOST_SAMPLES", 66 * 49)
     assert flow.routed_level(field) == 1
     found = flow.logarithms(field, 1.0, 1)
     assert found.samples.shape == (49, 66) and found.lattice.step_x == 20.0

@@ -234,9 +234,9 @@ def test_who_is_stopped_in_a_sweep_goes_on_to_the_same_bits(monkeypatch):
     monkeypatch.setattr(stopping, "check", stop_at_the_sixth)
     with pytest.raises(stopping.Stopped):
         made("sky", every_sample(field))
-    assert not sky.is_quick(field, 1.0)
+    assert not sky_layer.is_known(field, 1.0)
     monkeypatch.undo()
-    assert np.array_equal(made("sky", every_sample(field)), whole) and sky.is_quick(field, 1.0)
+    assert np.array_equal(made("sky", every_sample(field)), whole) and sky_layer.is_known(field, 1.0)
 
 
 def test_a_preview_is_near_and_the_same_before_and_after_the_layer_is_known():
@@ -253,9 +253,9 @@ def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one_in_steps(monkeypatch
     field = rough(81, 60)
     places = every_sample(field)
     monkeypatch.setattr(sky_layer, "MOST_SAMPLES", 41 * 31)
-    assert sky_layer.layer_level(field) == 1 and not sky.is_quick(field, 1.0)
-    assert [sky.refine(field, 1.0, 2) for _ in range(16)] == [False] * 15 + [True]
-    assert sky.is_quick(field, 1.0)
+    assert sky_layer.layer_level(field) == 1 and not sky_layer.is_known(field, 1.0)
+    assert [sky_layer.advance(field, 1.0, 2) for _ in range(16)] == [False] * 15 + [True]
+    assert sky_layer.is_known(field, 1.0)
     found, truth = made("sky", places), sky.seen_from(places)
     assert np.sqrt(((found - truth) ** 2).mean()) < 0.1
     coarse = from_array(level_of(field, 1), 2 * field.lattice.step_x)
@@ -278,7 +278,7 @@ def test_the_sky_is_kept_in_the_store_and_made_again_where_it_is_damaged(tmp_pat
     places = every_sample(field)
     whole = made("sky", places)
     again = open_store(folder)
-    assert sky.is_quick(again, 1.0) and np.array_equal(made("sky", every_sample(again)), whole)
+    assert sky_layer.is_known(again, 1.0) and np.array_equal(made("sky", every_sample(again)), whole)
     assert sum(name.startswith("effect_sky_") for name in verify(folder)) == 1
     (file,) = folder.glob("data-*/effect_sky_*.npy")
     damaged = bytearray(file.read_bytes())
@@ -287,11 +287,11 @@ def test_the_sky_is_kept_in_the_store_and_made_again_where_it_is_damaged(tmp_pat
     with pytest.raises(TerrainError, match="differs from its checksum.*delete the file, it is made again"):
         verify(folder)
     third = open_store(folder)
-    assert not sky.is_quick(third, 1.0) and np.array_equal(made("sky", every_sample(third)), whole)
+    assert not sky_layer.is_known(third, 1.0) and np.array_equal(made("sky", every_sample(third)), whole)
     for scale in (2.0, 3.0):
         made("sky", every_sample(third, scale))
     assert len(list(folder.glob("data-*/effect_sky_*.npy"))) == 2
-    assert [sky.is_quick(open_store(folder), scale) for scale in (1.0, 2.0, 3.0)] == [False, True, True]
+    assert [sky_layer.is_known(open_store(folder), scale) for scale in (1.0, 2.0, 3.0)] == [False, True, True]
     file = next(folder.glob("data-*/effect_sky_*.npy"))
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(TerrainError, match="expected .* delete the file"):
@@ -325,6 +325,6 @@ def test_the_sky_is_kept_under_the_last_two_vertical_scales():
     for scale in (1.0, 1.1, 1.2, 1.3):
         places = every_sample(field, scale)
         whole, preview = made("sky", places), made("sky", places, quality=sky.PREVIEW)
-    assert [sky.is_quick(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
+    assert [sky_layer.is_known(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
     assert sum(key[0] in (sky_layer.LAYER, sky_layer.PREVIEW) for key in field.found) == 4
     assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects import sky
+from adaptive_terrain.cbt_terrain.effects import sky_layer
 from adaptive_terrain.cbt_terrain.field import store
 from adaptive_terrain.operators.scene import live, previews, session
 from demand_trees import colour, new_material, shows
@@ -68,7 +68,7 @@ def test_the_view_can_change_between_the_steps_of_refining(lit, monkeypatch):
     turns()
     assert len(steps) == 16, "what was made is not made again"
     update = session.update_object(lit)
-    assert len(lit.data.polygons) == update.triangles and sky.is_quick(session.record_of(lit).field, 1.0)
+    assert len(lit.data.polygons) == update.triangles and sky_layer.is_known(session.record_of(lit).field, 1.0)
 
 
 def test_a_terrain_in_edit_mode_rests_and_is_refined_after_it(lit):

@@ -15,6 +15,7 @@ from pathlib import Path
 from ..errors import TerrainError
 from ..run import partial_files
 from . import store as stores
+from . import store_folder
 
 CHUNK_BYTES = 1 << 24
 
@@ -35,19 +36,19 @@ def copy_store(
     content = stores.read_json(source)
     name = content["data"]
     stores.open_store(source)
-    stores.check_target(target)
+    store_folder.check_target(target)
     if (target / stores.JSON_NAME).exists():
         there = stores.read_json(target)
         if (there["key"], there["data"]) == (content["key"], name):
             stores.open_store(target)
             return
         raise TerrainError(f"The folder {target} holds the store of another terrain: choose another folder.")
-    made = stores.missing_folders(target)
-    part = target / stores.new_data_name()
+    made = store_folder.missing_folders(target)
+    part = target / store_folder.new_data_name()
     lock = None
     try:
         lock = partial_files.make_folder(part, parents=True)
-        stores.remove_abandoned(target)
+        store_folder.remove_abandoned(target)
         _copy_arrays(source / name, part, on_progress)
         shutil.rmtree(target / name, ignore_errors=True)  # what a copy that was killed has left
         os.rename(part, target / name)
@@ -67,7 +68,7 @@ def copy_store(
             os.close(lock)
         if not (target / stores.JSON_NAME).exists():
             shutil.rmtree(target / name, ignore_errors=True)
-            stores.discard(target, part.name, made)
+            store_folder.discard(target, part.name, made)
     stores.open_store(target)
 
 

@@ -21,7 +21,6 @@ import hashlib
 import json
 import math
 import os
-import re
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
@@ -35,24 +34,22 @@ from . import codes
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
-from .store_entries import LATTICE, check_entries, is_data_name
+from .store_entries import LATTICE, check_entries
+from .store_folder import (
+    JSON_NAME,
+    discard,
+    is_own,
+    is_own_entry,
+    missing_folders,
+    named_folder,
+    new_data_name,
+    remove_abandoned,
+)
 from .store_layers import LayerFiles, layer_name
 
 VERSION = 6
-JSON_NAME = "store.json"
-DATA_PREFIX = "data-"
-TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
 MOST_JSON_BYTES = 1 << 22
-# All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
-_OWN_FILE = re.compile(
-    r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
-    r"|effect_[a-z_]+_[0-9a-f]{16}\.npy"
-    r"|layer_[a-z][a-z0-9_]{0,40}\.npy"
-    r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
-    rf"|{partial_files.LOCK}"
-)
-_KEPT_TILE = re.compile(r"[0-9a-f]{32}\.npy")
 
 # What an import needs on its way.
 _SCRATCH = ("raster", "errors")
@@ -169,7 +166,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
 
 def _effect_files(folder: Path) -> list[Path]:
     """What effects have kept over a whole raster."""
-    return sorted(file for file in folder.glob("effect_*.npy") if _is_own_entry(file))
+    return sorted(file for file in folder.glob("effect_*.npy") if is_own_entry(file))
 
 
 def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
@@ -195,65 +192,6 @@ def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
     kept |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
     # Six numbers, and the exponents of the groups, the cells and the bends.
     return kept | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
-
-
-def check_target(path: str | os.PathLike) -> None:
-    """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store."""
-    folder = Path(path)
-    if not os.fspath(path) or not folder.parts or "\0" in os.fspath(path):
-        raise TerrainError(
-            f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
-        )
-    try:
-        if not os.path.lexists(folder) or (folder / JSON_NAME).exists():
-            folder.exists()  # says here what is wrong with the name
-            return
-        if not folder.is_dir():
-            raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
-        found = foreign(folder)
-        if found and (folder / JSON_NAME).exists():
-            return  # another process has made a store of it meanwhile
-    except OSError as reason:
-        shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
-        raise TerrainError(
-            f"The store {shown} cannot be used ({reason.strerror or reason}): choose another folder."
-        ) from reason
-    if found:
-        held = str(found[0].relative_to(folder))
-        raise TerrainError(
-            f"The folder {folder} is no terrain store and holds {held!r}: choose a new or an empty folder."
-        )
-
-
-def foreign(folder: Path) -> list[Path]:
-    """What lies in the folder of a store, or in one of arrays in it, and was not made by this program."""
-    found = []
-    with suppress(FileNotFoundError):  # another import has just removed it
-        for entry in folder.iterdir():
-            if is_data_name(entry.name) and entry.is_dir() and not entry.is_symlink():
-                with suppress(FileNotFoundError):
-                    found += [inner for inner in entry.iterdir() if not _is_own_entry(inner)]
-            elif not _is_own(entry) and os.path.lexists(entry):
-                found.append(entry)
-    return sorted(found)
-
-
-def _is_own(folder: Path) -> bool:
-    """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
-    if folder.name == TILES and not folder.is_symlink() and folder.is_dir():
-        return all(_KEPT_TILE.fullmatch(entry.name) or _is_own_entry(entry) for entry in folder.iterdir())
-    if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
-        return False
-    try:
-        return all(map(_is_own_entry, folder.iterdir()))
-    except FileNotFoundError:
-        return True  # another import has just removed it
-
-
-def _is_own_entry(entry: Path) -> bool:
-    if entry.is_dir():
-        return partial_files.is_partial_name(entry.name)
-    return _OWN_FILE.fullmatch(entry.name) is not None
 
 
 def data_folder(field: HeightField) -> Path | None:
@@ -355,12 +293,12 @@ class Draft:
         content["sum"] = _sum_of(json.loads(json.dumps(content)))
         part = self.folder / JSON_NAME
         part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
-        previous = _named_folder(self.path)
+        previous = named_folder(self.path)
         os.replace(part, self.path / JSON_NAME)
         self.published = True
         partial_files.end_work(self.folder, self._lock)
         with suppress(OSError):
-            if previous is not None and _is_own(previous):
+            if previous is not None and is_own(previous):
                 shutil.rmtree(previous, ignore_errors=True)
         remove_abandoned(self.path)
 
@@ -370,44 +308,3 @@ class Draft:
             return
         os.close(self._lock)
         discard(self.path, self.folder.name, self._made)
-
-
-def missing_folders(path: Path) -> list[Path]:
-    """The folder of a store and those above it that are still to be made, the innermost first."""
-    path = path.absolute()
-    return [folder for folder in (path, *path.parents) if not folder.exists()]
-
-
-def discard(path: Path, folder: str, made: list[Path]) -> None:
-    """Take away the folder of arrays of an unfinished version, and the folders that were made for it. One that has
-    been published stays, whatever has failed since."""
-    if _named_folder(path) == path / folder:
-        return
-    shutil.rmtree(path / folder, ignore_errors=True)
-    with suppress(OSError):  # another import has put something there
-        for parent in made:
-            parent.rmdir()
-
-
-def _named_folder(path: Path) -> Path | None:
-    file = path / JSON_NAME
-    try:
-        return path / json.loads(file.read_text(encoding="utf-8"))["data"] if file.is_file() else None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-
-
-def new_data_name() -> str:
-    """Name of a new folder of arrays."""
-    return f"{DATA_PREFIX}{partial_files.new_token()}"
-
-
-def remove_abandoned(path: Path) -> None:
-    """Take away the folders of arrays that neither a living process nor store.json has use for."""
-    if (path / JSON_NAME).exists() and _named_folder(path) is None:
-        return  # of a damaged store nobody knows what it needs
-    for folder in path.glob(f"{DATA_PREFIX}*"):
-        with suppress(OSError):
-            if _is_own(folder):
-                token = folder.name.removeprefix(DATA_PREFIX)
-                partial_files.remove_if_abandoned(folder, token, lambda folder=folder: _named_folder(path) == folder)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import cleaning, codes, store
+from ..field import cleaning, codes, store, store_folder
 from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
@@ -43,7 +43,7 @@ def run_import(
     outside is safe only in a process of its own (import_process.py): this one gives nothing up before it opens a file.
     """
     started = time.monotonic()
-    store.check_target(path)
+    store_folder.check_target(path)
     raster = open_source(settings)
     path = Path(path)
     try:

@@ -7,7 +7,7 @@ Loading comes first, because it may write: Warp its kernels, Python its compiled
 from pathlib import Path
 
 from ..errors import TerrainError
-from ..field import store
+from ..field import store_folder
 from ..run.memory import physical_memory
 from . import sandbox
 from .gdal_source import DRIVERS, keep_only_drivers
@@ -38,7 +38,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
         load(module)
     if settings.source in LANDS:
         launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
-    store.check_target(path)
+    store_folder.check_target(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as reason:

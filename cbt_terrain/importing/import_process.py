@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from ..field import store as stores
+from ..field import store_folder
 from .build_store import READING, finished_before, run_import, source_digest
 from .guard import VARIABLES, guard_import
 from .raster import ImportSettings
@@ -23,8 +23,8 @@ class ImportJob(StoreJob):
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
     def __init__(self, settings: ImportSettings, store: str | os.PathLike):
-        stores.check_target(store)
-        stores.remove_abandoned(Path(store))
+        store_folder.check_target(store)
+        store_folder.remove_abandoned(Path(store))
         super().__init__(
             "cbt_terrain.importing.import_process",
             store,

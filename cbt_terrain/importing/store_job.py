@@ -21,6 +21,7 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from ..field import store as stores
+from ..field import store_folder
 from ..run import child, stopping
 from ..run.stall import Stall, stalled_text
 
@@ -70,8 +71,8 @@ class StoreJob:
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
             return
-        self._folder = stores.new_data_name()
-        self._made = stores.missing_folders(self._store)
+        self._folder = store_folder.new_data_name()
+        self._made = store_folder.missing_folders(self._store)
         place = {"store": str(self._store.absolute()), "folder": self._folder, "made": list(map(str, self._made))}
         self._start(module, request | place, variables or {})
 
@@ -164,7 +165,7 @@ class StoreJob:
             self.cancelled = False
         else:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)
-            stores.discard(self._store, self._folder, self._made)
+            store_folder.discard(self._store, self._folder, self._made)
         self._errors.close()
 
 
@@ -218,7 +219,7 @@ def serve(work: Serve, what: Callable[[dict], str], heard: Callable[[], None] = 
             say({"fraction": fraction, "message": message})
 
     def clean_up() -> None:
-        stores.discard(Path(request["store"]), request["folder"], list(map(Path, request["made"])))
+        store_folder.discard(Path(request["store"]), request["folder"], list(map(Path, request["made"])))
 
     try:
         say({"report": work(request, on_progress, lambda: child.end_with_parent(clean_up, heard))})

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from ..field import store as stores
+from ..field import store_folder
 from ..importing.build_store import finished_before
 from ..importing.store_job import StoreJob, Tell, serve, wait_for
 from .kernels_needed import prepare
@@ -37,9 +37,9 @@ class ShapeJob(StoreJob):
         gentle: bool = False,
     ):
         stack = stack_from(stack_content(stack))
-        stores.check_target(store)
+        store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
-        stores.remove_abandoned(Path(store))
+        store_folder.remove_abandoned(Path(store))
         asked = wanted and [None if some is None else sorted(some.items()) for some in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}
         super().__init__(

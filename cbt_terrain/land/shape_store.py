@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import store
+from ..field import store, store_folder
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
@@ -53,7 +53,7 @@ def run_shape(
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # numbers as those of the process that asked
-    store.check_target(path)
+    store_folder.check_target(path)
     heights = open_source(source, path, stack)
     digest = shape_digest(heights, stack, wanted)
     report = finished_before(path, digest)
@@ -63,7 +63,7 @@ def run_shape(
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units)) as draft:
         room = room_for(heights.lattice, len(units))
-        cache = TileCache(path / store.TILES if tiles is None else Path(tiles), room)
+        cache = TileCache(path / store_folder.TILES if tiles is None else Path(tiles), room)
         images = {file: load_image(file, cache.folder) for file in mask_files(stack)}
         shaped = shape(
             heights,

@@ -8,6 +8,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field import store_folder
 from ..text.numbers import plain
 from . import land_jobs
 from .land_request import bytes_in, folder_beside, is_in_use, remove, shaped_stores
@@ -20,7 +21,7 @@ def held(store: str) -> list[tuple[str, Path, int]]:
     found = []
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
-        tiles = folder_beside(source) / stores.TILES
+        tiles = folder_beside(source) / store_folder.TILES
         found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
     return found
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field import store_folder
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.land.preview import Preview, preview
 from ...cbt_terrain.land.shape_process import shape_store
@@ -65,7 +66,7 @@ class Land:
     @property
     def tiles(self) -> Path:
         """Where tiles are kept, of all stacks on this source."""
-        return Path(self.folder).parent / stores.TILES
+        return Path(self.folder).parent / store_folder.TILES
 
     @property
     def of_views_alone(self) -> "Land":
@@ -204,7 +205,7 @@ def is_whole(land: Land, open_field) -> bool:
         if not _take_away(land.folder, changed, error):
             return False
     with suppress(OSError):
-        for other in stores.foreign(Path(land.folder)):
+        for other in store_folder.foreign(Path(land.folder)):
             shutil.rmtree(other) if other.is_dir() and not other.is_symlink() else other.unlink()
     return False
 

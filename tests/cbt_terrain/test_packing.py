@@ -10,7 +10,8 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import packing
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
-from adaptive_terrain.cbt_terrain.field.store import Draft, new_data_name, open_store
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store_folder import new_data_name
 from adaptive_terrain.cbt_terrain.run import partial_files
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field import bicubic, store
+from adaptive_terrain.cbt_terrain.field import bicubic, store, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
@@ -125,7 +125,7 @@ def test_a_new_version_replaces_the_old_one_while_it_is_in_use(island):
 
 def test_leftovers_of_dead_imports_go(island):
     """At once those of this machine; those of others, which may be at work, after a day."""
-    here = store.new_data_name()
+    here = store_folder.new_data_name()
     fresh, stale, users, named = (island / f"data-{name}" for name in ("0" * 32, "1" * 32, "2" * 32, "2023"))
     for folder in (island / here, fresh, stale, users, named):
         folder.mkdir()
@@ -144,10 +144,10 @@ def test_leftovers_of_dead_imports_go(island):
 def test_the_current_arrays_of_a_store_stay_though_nobody_holds_them(island):
     [current] = folders(island)
     (island / current / "lock").touch()  # killed just after it was published
-    store.remove_abandoned(island)
+    store_folder.remove_abandoned(island)
     assert folders(island) == [current] and not (island / current / "lock").exists()
     (island / "store.json").write_text("{")
-    store.remove_abandoned(island)
+    store_folder.remove_abandoned(island)
     assert folders(island) == [current], "of a damaged store nobody knows what is of use"
 
 

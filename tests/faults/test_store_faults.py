@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as store_module
-from adaptive_terrain.cbt_terrain.field import store_arrays
+from adaptive_terrain.cbt_terrain.field import store_arrays, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -277,8 +277,8 @@ def test_another_import_ends_while_a_folder_is_looked_at(tmp_path, monkeypatch, 
             entry.rmdir()
         return False
 
-    monkeypatch.setattr(store_module, "_is_own", ended)
-    store_module.check_target(tmp_path)
+    monkeypatch.setattr(store_folder, "is_own", ended)
+    store_folder.check_target(tmp_path)
 
 
 @pytest.mark.parametrize("there_before", [False, True])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects import flow, routing, wetness, whole
 from adaptive_terrain.cbt_terrain.effects.effect import Places
-from adaptive_terrain.cbt_terrain.field import store
+from adaptive_terrain.cbt_terrain.field import store, store_folder
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import PAGE_BYTES
@@ -172,7 +172,7 @@ def test_a_store_with_results_is_still_one(stored):
     flow_at(places_of(stored))
     store.verify(stored.path)
     (stored.path / store.JSON_NAME).unlink()
-    store.check_target(stored.path)
+    store_folder.check_target(stored.path)
 
 
 def test_memory_has_a_limit(monkeypatch):

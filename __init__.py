@@ -19,7 +19,7 @@ _FRONT_DOOR = {
     "Terrain": "terrain",  # a height field to its mesh for
     "View": "ask.view",  # what cameras see
     "Criterion": "ask.criterion",  # and how fine that is to be
-    "bake": "fit.bake",  # a height field to a mesh without a camera
+    "bake": "fit.fit",  # a height field to a mesh without a camera
     "ground_at": "query.ground",  # heights, normals and slopes at places of a height field
     "profile": "query.ground",  # ... and heights along a line
     "pick": "query.rays",  # where rays meet it

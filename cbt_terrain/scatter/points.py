@@ -8,7 +8,7 @@ moves.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -27,10 +27,11 @@ from ..errors import TerrainError
 from ..field import coats
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
+from ..mesh.surface import Surface
 from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import Buffers, flat, shared
-from ..terrain import box_of
+from ..terrain import Terrain, box_of
 from .kept import Kept
 from .scatter import MOST_TILES, Scatter
 from .squares import Squares, squares_wanted
@@ -196,6 +197,23 @@ class Scatterer:
         pieces = max(1, min(self.threads, total // launch.SLICE_ITEMS))
         cuts = np.searchsorted(ends, total * np.arange(1, pieces) / pieces).tolist()
         return list(zip([0, *cuts], [*cuts, len(counts)], strict=True))
+
+
+def on_mesh(points: Points, terrain: Terrain, surface: Surface) -> Points:
+    """The points at the heights that the terrain's last surface has there; normals stay those of the ground.
+
+    Where that has no triangle they stay where they are.
+    """
+    places = points.positions[:, :2].astype(np.float64)
+    number = terrain.triangles_at(places)
+    there = np.flatnonzero(number >= 0)
+    a, b, c = (surface.positions[surface.triangles[number[there], k]].astype(np.float64) for k in range(3))
+    (ux, uy), (vx, vy), (px, py) = (b - a)[:, :2].T, (c - a)[:, :2].T, (places[there] - a[:, :2]).T
+    area = ux * vy - uy * vx
+    s, t = (px * vy - py * vx) / area, (ux * py - uy * px) / area
+    positions = points.positions.copy()
+    positions[there, 2] = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
+    return replace(points, positions=positions)
 
 
 def _hide(views: list[LocalView], horizon: Asked) -> None:

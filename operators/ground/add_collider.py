@@ -5,7 +5,7 @@ import bpy
 
 from ...cbt_terrain.ask.linear import lengths
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.fit.bake import bake
+from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
 from ..mesh.writer import write_mesh
 from ..scene import session, world_ground

@@ -5,7 +5,7 @@ import bpy
 
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.fit.bake import bake as bake_mesh
+from ...cbt_terrain.fit.fit import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
 from ..mesh.cleanup import clean_up

@@ -194,8 +194,7 @@ def baked_piece(
     `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
     says so, and the measured maximum.
     """
-    from ...cbt_terrain.fit.bake import bake
-    from ...cbt_terrain.fit.fit import check_interpolation
+    from ...cbt_terrain.fit.fit import bake, check_interpolation
 
     if fitted:
         check_interpolation(interpolation)

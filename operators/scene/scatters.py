@@ -11,8 +11,7 @@ import numpy as np
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.scatter.points import Points, Scatterer
-from ...cbt_terrain.scatter.roots import on_mesh
+from ...cbt_terrain.scatter.points import Points, Scatterer, on_mesh
 from ...cbt_terrain.scatter.scatter import Scatter
 from ..mesh.point_writer import write_points
 from .scatter_properties import MESH, scatter_of

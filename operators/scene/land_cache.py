@@ -83,7 +83,7 @@ class ClearLandCache(bpy.types.Operator):
                 shutil.rmtree(folder, ignore_errors=True)
             elif what != "shown":
                 remove(folder)
-            freed += 0 if folder.exists() else size
+            freed += size - bytes_in(folder)
         self.report({"INFO"}, f"{megabytes(freed)} freed")
         return {"FINISHED"}
 

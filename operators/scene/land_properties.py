@@ -102,7 +102,7 @@ RULES = {
     **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
     "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
     "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
-    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e9, 1, (0, 1e9), step=100),
+    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e6, 1, (0, 1e6), step=100),
 }
 
 

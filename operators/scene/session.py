@@ -118,6 +118,7 @@ def all_terrains() -> list:
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
+        land_request.release(uid)
     return found
 
 

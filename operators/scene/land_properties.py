@@ -75,8 +75,8 @@ def _property(parameter: Parameter):
     least, most, default = (_kept(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
     if not parameter.unit and (least, most) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
-    # About as many digits of a default of 2e-6 as of one of 300,000.
-    digits = 3 if default == 0.0 else min(6, max(0, 3 - math.floor(math.log10(abs(default)))))
+    # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
+    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or most))))
     return FloatProperty(**said, default=default, min=least, max=most, precision=digits, **known)
 
 

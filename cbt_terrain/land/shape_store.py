@@ -30,7 +30,7 @@ from .tiles import Wanted, levels_of, whole_land
 SHAPING = 0.8
 ROWS = 256
 BUILDING = "Measuring errors"
-ROOM_ELSEWHERE = "pack the terrain's store into a folder that has it and can be written"
+ROOM_ELSEWHERE = "choose another folder (in Blender: Pack Store Beside File)"
 
 
 def run_shape(

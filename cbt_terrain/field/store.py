@@ -33,7 +33,16 @@ from ..run import partial_files
 from . import codes
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
-from .store_arrays import PAGE_BYTES, all_checksums, file_bytes, header, map_array, open_regular, verify_array
+from .store_arrays import (
+    PAGE_BYTES,
+    all_checksums,
+    file_bytes,
+    header,
+    is_cut_off,
+    map_array,
+    open_regular,
+    verify_array,
+)
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
     JSON_NAME,
@@ -136,6 +145,15 @@ def _open(path: Path) -> HeightField:
         provenance=content["provenance"],
         path=path,
     )
+
+
+def is_intact(field: HeightField) -> bool:
+    """Whether the files that a field has mapped are as long as they were."""
+    surfaces = field, *field.surfaces.values()
+    arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
+    arrays += [array for surface in surfaces for array in surface.expanded.values()]
+    arrays += getattr(field.layers, "opened", {}).values()
+    return not any(array is not None and is_cut_off(array) for array in arrays)
 
 
 def verify(path: str | os.PathLike) -> dict[str, int]:

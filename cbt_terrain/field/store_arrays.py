@@ -90,6 +90,12 @@ def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
     return array
 
 
+def is_cut_off(array: np.ndarray) -> bool:
+    """Whether the file of a mapped array has lost its end since: the system kills who reads there (SIGBUS)."""
+    mapped = getattr(array.base, "_mmap", None)
+    return mapped is not None and mapped.size() < PAGE_BYTES + array.nbytes
+
+
 def verify_array(file: Path, shape: tuple[int, ...], dtype) -> int:
     """Check every block; returns how many there are. Raises as `map_array`."""
     array, sums = _mapped(file, shape, dtype)

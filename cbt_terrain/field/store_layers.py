@@ -11,23 +11,24 @@ from .store_arrays import map_array
 
 
 class LayerFiles(Mapping):
-    """The layers of a store by name, each mapped when it is first asked for. `units`: of each."""
+    """The layers of a store by name, each mapped when it is first asked for. `units`: of each; `opened`: those that are
+    mapped."""
 
     def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]):
-        self.units, self._folder, self._shape, self._opened = dict(units), folder, shape, {}
+        self.units, self._folder, self._shape, self.opened = dict(units), folder, shape, {}
 
     def __getitem__(self, name: str) -> np.ndarray:
         """float32 [height, width]. Raises KeyError, and TerrainError where the file is missing or damaged."""
-        if name not in self._opened:
+        if name not in self.opened:
             unit = self.units[name]
             file = self._folder / f"{layer_name(name)}.npy"
             try:
-                self._opened[name] = map_array(file, self._shape, np.float32)
+                self.opened[name] = map_array(file, self._shape, np.float32)
             except FileNotFoundError:
                 raise TerrainError(
                     f"{file} is missing, the layer {name!r} ({unit}): shape the terrain again."
                 ) from None
-        return self._opened[name]
+        return self.opened[name]
 
     def __iter__(self):
         return iter(self.units)

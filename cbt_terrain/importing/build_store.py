@@ -28,6 +28,7 @@ BLOCK_SAMPLES = 1 << 20
 METHOD = 2
 # Heights by which files mean that there is none, often without saying so.
 NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
+DOUBT = ", or check that the file's header tells its true size"
 SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
 
 
@@ -54,7 +55,8 @@ def run_import(
             return report
         width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
-        with drafted(path, folder, lattice_for(width, height, place.step_x, place.step_y, settings.source)) as draft:
+        lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
+        with drafted(path, folder, lattice, doubt=DOUBT) as draft:
             field, lowest = _build(settings, raster, place, draft, (height, width), on_progress)
             report = _report(field, raster, place)
             report["warnings"] += _undeclared(raster, settings, lowest)

@@ -14,21 +14,29 @@ from ..field.lattice import Lattice
 
 
 @contextmanager
-def drafted(path: Path, folder: str | None, lattice: Lattice, layers: int = 0) -> Iterator[store.Draft]:
+def drafted(
+    path: Path,
+    folder: str | None,
+    lattice: Lattice,
+    layers: int = 0,
+    elsewhere: str = "choose another folder",
+    doubt: str = "",
+) -> Iterator[store.Draft]:
     """A new version of the store at `path`, which is taken away again unless the block publishes it.
 
     folder: name of the folder for the new arrays, if the caller wants to know it. layers: how many there will be.
+    elsewhere: what to do where no room can be made. doubt: what else to, where that much is unlikely.
     Raises TerrainError where the disk cannot hold it, before a byte is written where that is known, and for any OSError
     of the block.
     """
     draft = None
     try:
-        _check_room(path, lattice, layers)
+        _check_room(path, lattice, layers, elsewhere + doubt)
         draft = store.Draft(path, folder)
         yield draft
     except OSError as reason:
         raise TerrainError(
-            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
+            f"The store {path} cannot be written ({reason.strerror or reason}): make room or {elsewhere}."
         ) from reason
     finally:
         if draft is not None:
@@ -40,17 +48,20 @@ def room_for(lattice: Lattice, layers: int) -> int:
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
 
 
-def _check_room(path: Path, lattice: Lattice, layers: int) -> None:
+def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:
     """Refuse what the disk cannot hold before a byte is written."""
     needed = room_for(lattice, layers)
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
         raise TerrainError(
-            f"A terrain of {lattice.width} x {lattice.height} samples needs {needed / 1e9:.2f} GB in {path}, where "
-            f"{free / 1e9:.2f} GB are free: make room, choose another folder, or check that the file's header tells "
-            "its true size."
+            f"A terrain of {lattice.width} x {lattice.height} samples needs {_size(needed)} in {path}, where "
+            f"{_size(free)} are free: make room or {elsewhere}."
         )
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e9:.2f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
 def figures(field: HeightField) -> dict:

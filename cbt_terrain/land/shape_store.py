@@ -30,6 +30,7 @@ from .tiles import Wanted, levels_of, whole_land
 SHAPING = 0.8
 ROWS = 256
 BUILDING = "Measuring errors"
+ROOM_ELSEWHERE = "choose another folder (in Blender: Pack Store Beside File)"
 
 
 def run_shape(
@@ -61,7 +62,7 @@ def run_shape(
         return report
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
-    with drafted(path, folder, heights.lattice, len(units)) as draft:
+    with drafted(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
         room = room_for(heights.lattice, len(units))
         cache = TileCache(path / store_folder.TILES if tiles is None else Path(tiles), room)
         images = {file: load_image(file, cache.folder) for file in mask_files(stack)}

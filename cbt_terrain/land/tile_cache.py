@@ -97,6 +97,7 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
 def _write(file: Path, array: np.ndarray, room: int) -> None:
     """Keep an array where that leaves so much room; a folder that cannot be written is left as it is."""
     with suppress(OSError):
+        file.parent.mkdir(exist_ok=True)  # another Blender may have cleared it meanwhile
         if shutil.disk_usage(file.parent).free < array.nbytes + room:
             return
     with suppress(OSError), partial_files.written_beside(file) as partial, partial.open("wb") as handle:

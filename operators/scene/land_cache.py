@@ -10,7 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field import store_folder
 from ..text.numbers import plain
-from . import land_jobs
+from . import land_jobs, session
 from .land_request import bytes_in, folder_beside, is_in_use, remove, shaped_stores
 from .polls import on_terrain
 
@@ -18,7 +18,7 @@ from .polls import on_terrain
 def held(store: str) -> list[tuple[str, Path, int]]:
     """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
     its bytes."""
-    found = []
+    found, _ = [], session.all_terrains()  # what is gone shows nothing any more
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
         tiles = folder_beside(source) / store_folder.TILES
@@ -83,7 +83,7 @@ class ClearLandCache(bpy.types.Operator):
                 shutil.rmtree(folder, ignore_errors=True)
             elif what != "shown":
                 remove(folder)
-            freed += 0 if folder.exists() else size
+            freed += size - bytes_in(folder)
         self.report({"INFO"}, f"{megabytes(freed)} freed")
         return {"FINISHED"}
 

@@ -75,8 +75,8 @@ def _property(parameter: Parameter):
     least, most, default = (_kept(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
     if not parameter.unit and (least, most) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
-    # About as many digits of a default of 2e-6 as of one of 300,000.
-    digits = 3 if default == 0.0 else min(6, max(0, 3 - math.floor(math.log10(abs(default)))))
+    # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
+    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or most))))
     return FloatProperty(**said, default=default, min=least, max=most, precision=digits, **known)
 
 
@@ -102,7 +102,7 @@ RULES = {
     **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
     "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
     "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
-    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e9, 1, (0, 1e9), step=100),
+    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e6, 1, (0, 1e6), step=100),
 }
 
 

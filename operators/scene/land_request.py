@@ -48,7 +48,8 @@ _in_use: dict[int, str] = {}  # the land that each terrain of the open file has 
 
 
 class DamagedLand(TerrainError):
-    """A shaped store was damaged, and is no store any more: who gathers the request again gets other land."""
+    """A shaped store was damaged or removed, and is no store any more: who gathers the request again gets other
+    land."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,15 @@ def raster_of(store: str, land: Land | None, open_field) -> HeightField:
                 land_tiles.note(land.folder, wanted)
                 made["stores"] += 1
                 remove_old(land)
-    return open_field(land.folder)
+    try:
+        return open_field(land.folder)
+    except TerrainError as error:
+        if stores.changed_ns(land.folder):
+            raise
+        raise DamagedLand(
+            f"The shaped land in {land.folder!r} is gone again, by a Clear Land Cache of another Blender perhaps: try "
+            "once more."
+        ) from error
 
 
 def whole_raster_of(store: str, land: Land | None, open_field) -> HeightField:
@@ -191,6 +200,10 @@ def _opened(store: str, open_field) -> HeightField:
     except TerrainError as error:
         if _take_away(store, changed, error):
             raise DamagedLand(_damage(store, error)) from error
+        if _is_made_here(store) and not _is_short(error):
+            raise TerrainError(
+                f"{_fault(error)}. It is shaped land, which cannot be made again: look at its disk and its rights."
+            ) from error
         raise
 
 
@@ -204,10 +217,14 @@ def is_whole(land: Land, open_field) -> bool:
     except TerrainError as error:
         if not _take_away(land.folder, changed, error):
             return False
-    with suppress(OSError):
-        for other in store_folder.foreign(Path(land.folder)):
-            shutil.rmtree(other) if other.is_dir() and not other.is_symlink() else other.unlink()
+    _remove_foreign(Path(land.folder))
     return False
+
+
+def _remove_foreign(folder: Path) -> None:
+    with suppress(OSError):
+        for other in store_folder.foreign(folder):
+            shutil.rmtree(other) if other.is_dir() and not other.is_symlink() else other.unlink()
 
 
 def check_blocks(store: str, error: TerrainError) -> None:
@@ -237,14 +254,13 @@ def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
     """Make what was shaped no store any more, unless it has changed since, and say so: nothing of it is anyone's own.
     What others have mapped of it stays theirs. Returns whether it is none now; any other store is left alone, and land
     that was made again often enough."""
-    if not _is_made_here(store) or getattr(why.__cause__, "errno", None) in _SHORT_OF:
+    if not _is_made_here(store) or _is_short(why):
         return False
-    file = Path(store) / stores.JSON_NAME
     if changed_ns and stores.changed_ns(store) == changed_ns:
         if _repairs[store] >= MOST_REPAIRS:
             return False
         try:
-            shutil.rmtree(file) if file.is_dir() and not file.is_symlink() else file.unlink(missing_ok=True)
+            store_folder.take_away(Path(store))
         except OSError:
             return False
         _repairs[store] += 1
@@ -252,9 +268,16 @@ def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
     return True
 
 
+def _is_short(why: TerrainError) -> bool:
+    return getattr(why.__cause__, "errno", None) in _SHORT_OF
+
+
 def _damage(store: str, why: TerrainError) -> str:
-    what = re.sub(r"[:;] import [^:;]*\.$", "", str(why))  # nobody has imported it
-    return f"The shaped land in {store!r} is damaged, and is made again from its source: {what}."
+    return f"The shaped land in {store!r} is damaged, and is made again from its source: {_fault(why)}."
+
+
+def _fault(why: TerrainError) -> str:
+    return re.sub(r"[:;] import [^:;]*\.$", "", str(why))  # nobody has imported it
 
 
 def _is_made_here(store: str) -> bool:
@@ -289,7 +312,13 @@ def shaped_stores(source: str) -> list[tuple[Path, int]]:
 
 
 def bytes_in(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    """Of all files below a folder; another Blender may take some away meanwhile."""
+    found = 0
+    for inner, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):
+                found += os.lstat(os.path.join(inner, name)).st_size
+    return found
 
 
 def remove_old(land: Land) -> None:
@@ -304,8 +333,12 @@ def remove_old(land: Land) -> None:
 
 
 def remove(folder: Path) -> None:
-    shutil.rmtree(folder, ignore_errors=True)
+    """Take shaped land away; what another Blender is writing there stays."""
     land_tiles.forget(str(folder))
+    _remove_foreign(folder)
+    with suppress(OSError):
+        store_folder.take_away(folder)
+        folder.rmdir()
 
 
 def _images_of(stack: Stack) -> dict[str, np.ndarray]:

@@ -23,10 +23,21 @@ from .ground_properties import GroundDetail
 from .layer_images import painted_of
 
 
-def band(label: str, about: str, low: float, high: float, edge: float, ends: tuple[float, float], **options) -> type:
-    """A group with a switch and the limits of one quantity; a limit at the end of the range, `ends`, is open."""
+def band(
+    label: str,
+    about: str,
+    low: float,
+    high: float,
+    edge: float,
+    ends: tuple[float, float],
+    decades: bool = False,
+    **options,
+) -> type:
+    """A group with a switch and the limits of one quantity; a limit at the end of the range, `ends`, is open. decades:
+    the edge is in powers of ten, which have no unit."""
     least, most = ends
     options = {"update": changed, "precision": 3} | options
+    without = {name: value for name, value in options.items() if not (decades and name == "unit")}
     limits = {
         "use": BoolProperty(name=label, description=f"It depends on this: {about}", update=changed),
         "low": FloatProperty(name="From", description=about, default=low, min=least, max=most, **options),
@@ -34,7 +45,7 @@ def band(label: str, about: str, low: float, high: float, edge: float, ends: tup
         "edge": FloatProperty(
             name="Edge",
             description="How wide each limit is, from nothing to all, about its place",
-            default=edge, min=0.0, max=min(most - least, rules.MOST_EDGE), **options,
+            default=edge, min=0.0, max=min(most - least, rules.MOST_EDGE), **without,
         ),
     }  # fmt: skip
     members = {"__annotations__": limits, "__doc__": about}
@@ -50,8 +61,8 @@ BANDS = {
     rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
     rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: band("Flow", "land that drains through, m²; the edge in powers of ten", 0, MOST_FLOAT, 1.0,
-                     (0, MOST_FLOAT), step=100),
+    rules.FLOW: band("Flow", "land that drains through; the edge in powers of ten", 0, MOST_FLOAT, 1.0,
+                     (0, MOST_FLOAT), decades=True, unit="AREA", step=100),
     rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
         name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")

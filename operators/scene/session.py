@@ -18,7 +18,7 @@ from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.field.store import changed_ns, open_store
+from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
@@ -118,6 +118,7 @@ def all_terrains() -> list:
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
+        land_request.release(uid)
     return found
 
 
@@ -245,12 +246,12 @@ def field_of(request: Request):
 
 
 def open_field(store: str):
-    """The height field of a store folder, opened once for as long as the folder is the same."""
+    """The height field of a store folder, opened once for as long as the folder is the same and no file is cut off."""
     changed = changed_ns(store)
     if not changed:
         raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.")
     key = str(Path(store).resolve()), changed
-    if key not in _fields:
+    if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:
             del _fields[old]
         _fields[key] = open_store(store)

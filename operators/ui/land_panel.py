@@ -180,7 +180,9 @@ def _reading(status) -> str:
     if status is None:
         return "No update yet"
     count = len(status.readers)
-    return "Not computed" if status.skipped else f"{count} reader{'s' if count > 1 else ''}"
+    if status.skipped:
+        return "Switched off" if count else "No reader"
+    return f"{count} reader{'s' if count > 1 else ''}"
 
 
 class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):

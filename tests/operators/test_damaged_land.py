@@ -2,14 +2,18 @@
 """Shaped land that is damaged on its disk: it is made again from its source, and what is a user's own is left alone."""
 
 import errno
+import os
 import shutil
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store_arrays
-from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
+from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.operators.scene import land_request, land_tiles, session, shaped_land
 from land_scenes import add
 
@@ -51,6 +55,7 @@ def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mod
     assert "samples.npy is damaged (it has" in line and line.endswith(").")
     state = shaped_land.state_of(terrain)
     assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
+    assert len(list(Path(folder).glob("data-*"))) == (mode == "RENDER"), "what is damaged takes no room"
     session.update_object(terrain, mode="RENDER")
     assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
     assert land_request.made["stores"] == 2 and not capsys.readouterr().out
@@ -103,6 +108,60 @@ def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, other):
     session.update_object(terrain, mode="RENDER")
     [data] = folder.glob("data-*")
     assert (data / "samples.npy").read_bytes() == whole and not list(folder.rglob("Thumbs.db"))
+
+
+def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain):
+    """The system kills who reads a mapped file beyond its end, so nobody does."""
+    add("thermal")
+    session.update_object(terrain, mode="RENDER")
+    [file] = Path(shaped_land.store_of(terrain)).glob("data-*/samples.npy")
+    os.truncate(file, PAGE_BYTES)
+    session.update_object(terrain, mode="RENDER")
+    assert session.record_of(terrain).status.error == "" and land_request.made["stores"] == 2
+
+
+@pytest.mark.parametrize("array", ["error_c", "error_m1"])
+def test_what_a_store_has_kept_and_is_cut_off_while_it_is_open_is_made_again(terrain, array):
+    settings = terrain.adaptive_terrain
+    settings.interpolation = "bicubic" if array == "error_c" else "bilinear"
+    settings.viewport.meshlet = 1 if array == "error_m1" else 0
+    session.update_object(terrain)
+    session.clear()
+    triangles, [file] = session.update_object(terrain).triangles, Path(settings.store).glob(f"data-*/{array}.npy")
+    os.truncate(file, PAGE_BYTES)
+    bpy.context.scene.camera.location.x += 1.0
+    assert abs(session.update_object(terrain).triangles - triangles) < 0.1 * triangles
+    assert file.stat().st_size > 2 * PAGE_BYTES
+
+
+def test_a_source_that_is_cut_off_while_it_is_open_is_an_error(terrain):
+    session.update_object(terrain)
+    [file] = Path(terrain.adaptive_terrain.store).glob("data-*/ranges.npy")
+    whole = file.read_bytes()
+    os.truncate(file, len(whole) // 2)
+    with pytest.raises(session.TerrainError, match=r"ranges.npy is damaged \(it has \d+ bytes, expected \d+\): import"):
+        session.update_object(terrain)
+    file.write_bytes(whole)
+    session.update_object(terrain)
+
+
+def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, monkeypatch):
+    """As where another user has made it."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    cut_off(shaped_land.store_of(terrain))
+
+    def unlink(path, missing_ok=False):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as context:
+        context.setattr(Path, "unlink", unlink)
+        with pytest.raises(
+            session.TerrainError, match=r"samples.npy is damaged \(it has .*\)\. It is shaped land, which"
+        ):
+            session.update_object(terrain)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
 
 
 @pytest.mark.parametrize("action", ["export", "bake"])
@@ -203,3 +262,42 @@ def test_a_damaged_shaped_store_is_made_again(terrain):
     assert shaped_land.state_of(terrain).shown == "Preview"
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_land_that_another_blender_is_writing_is_not_cleared(terrain):
+    """Its draft stays when the version before is removed, and is published."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = Path(shaped_land.store_of(terrain))
+    draft = Draft(folder)
+    samples = draft.allocate("samples", (5, 5), np.float32)
+    field = build(samples, 8.0, 8.0, missing=0, allocate=draft.allocate)
+    terrain.adaptive_terrain.land.entries[0].on = False
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert [entry.name for entry in folder.iterdir()] == [draft.folder.name]
+    draft.publish(field, "", {})
+    assert open_store(folder).samples.shape == (5, 5)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not folder.exists()
+
+
+def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeypatch):
+    """Between the end of its making and its first look."""
+    add("thermal")
+    noted = land_tiles.note
+
+    def cleared(folder, wanted):
+        monkeypatch.setattr(land_tiles, "note", noted)
+        land_request.remove(Path(folder))
+
+    monkeypatch.setattr(land_tiles, "note", cleared)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_tiles_are_kept_though_another_blender_has_cleared_them(tmp_path):
+    cache = TileCache(tmp_path / "tiles")
+    (tmp_path / "tiles").rmdir()
+    cache.take("relief", "0" * 32, (2, 3), lambda: np.ones((2, 3), np.float32))
+    cache.take("relief", "0" * 32, (2, 3), lambda: 1 / 0)
+    assert cache.kept["relief"] == 1

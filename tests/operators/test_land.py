@@ -181,6 +181,18 @@ def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terra
         land_request._in_use.clear()
 
 
+def test_the_cache_gives_up_what_a_terrain_that_is_gone_has_shown(terrain, add_terrain):
+    add("thermal")
+    session.update_object(terrain, mode="RENDER")
+    source, folder = terrain.adaptive_terrain.store, shaped_land.store_of(terrain)
+    other = add_terrain()
+    other.adaptive_terrain.store = source
+    bpy.data.objects.remove(terrain)
+    bpy.context.view_layer.objects.active = other
+    assert land_cache.lines(source)[1].endswith(" 0 MB, stores: 0")
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not Path(folder).exists()
+
+
 def test_baked_land_needs_no_stack(terrain):
     add("thermal", depth=80.0)
     before = open_store(terrain.adaptive_terrain.store).key

@@ -11,6 +11,8 @@ from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.operators.scene import land_stack
 from adaptive_terrain.operators.scene.imported import imported_of
+from adaptive_terrain.operators.scene.land_entries import PRESETS
+from adaptive_terrain.operators.scene.land_properties import GROUPS
 from land_scenes import add, names
 
 
@@ -100,3 +102,14 @@ def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch
     stack = stack_from({"version": 1, "entries": [{"effect": "relief", "mask": {"rules": rules}}]})
     [said] = land_stack.fill(terrain.adaptive_terrain.land, stack)
     assert said == "Entry 1, Fine Relief: its mask has a high limit of aspect, which is left out"
+
+
+@pytest.mark.parametrize("name", ["alpine", "desert", "great_range", "old_hills", "volcanic_island"])
+def test_the_panel_shows_the_numbers_of_shipped_presets(terrain, name):
+    """And not 0.000 of a rise of 0.0004 m a year."""
+    preset = bpy.utils.preset_find(name, PRESETS, ext=".json")
+    for entry in stack_from(json.loads(open(preset).read())).entries:
+        for parameter, value in entry.parameters.items():
+            shown = GROUPS[entry.effect].bl_rna.properties[parameter]
+            digits = getattr(shown, "precision", 0)
+            assert float(f"{value:.{digits}f}") == pytest.approx(value, rel=0.05), (entry.effect, parameter)

@@ -11,27 +11,21 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
-from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.scene import land_jobs, land_request, live, resting_land, session, shaped_land
+from land_scenes import wide_hills
 
 
 @pytest.fixture(scope="module")
-def wide_store(tmp_path_factory):
-    """700 x 1,000 samples, 10 and 8 m apart: three levels."""
-    path = tmp_path_factory.mktemp("wide") / "hills"
-    draft = Draft(path)
-    samples = draft.allocate("samples", (700, 1000), np.float32)
-    y, x = np.mgrid[0:700, 0:1000]
-    samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
-    draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
-    return path
+def hills(tmp_path_factory):
+    """Three levels."""
+    return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 700, 1000)
 
 
 @pytest.fixture
-def terrain(scene, add_terrain, wide_store, tmp_path, monkeypatch):
+def terrain(scene, add_terrain, hills, tmp_path, monkeypatch):
     """A terrain in a window, with a stack whose preview is shown, and a camera over one of its corners."""
-    shutil.copytree(wide_store, tmp_path / "wide")
+    shutil.copytree(hills, tmp_path / "wide")
     obj = add_terrain()
     obj.adaptive_terrain.store = str(tmp_path / "wide")
     land_request.forget()

@@ -43,11 +43,15 @@ def stack_now(terrain, tmp_path):
 
 @pytest.fixture(scope="module")
 def wide_store(tmp_path_factory):
-    """1,100 x 1,500 samples, 10 and 8 m apart: three levels, of which the finest goes by tiles."""
-    path = tmp_path_factory.mktemp("wide") / "hills"
+    """Three levels, of which the finest goes by tiles."""
+    return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 1100, 1500)
+
+
+def wide_hills(path, rows: int, columns: int):
+    """A store at `path` with hills 8 m a column and 10 m a row; returns `path`."""
     draft = Draft(path)
-    samples = draft.allocate("samples", (1100, 1500), np.float32)
-    y, x = np.mgrid[0:1100, 0:1500]
+    samples = draft.allocate("samples", (rows, columns), np.float32)
+    y, x = np.mgrid[0:rows, 0:columns]
     samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
     draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
     return path

@@ -13,7 +13,7 @@ from .levels import finer
 # is so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
 HALVINGS = 4, 5, 6
 # A part of all that was laid down: what is left then and is less is but rounding.
-ROUNDING = 1e-9
+ROUNDING = 1e-7
 
 
 def balanced(

@@ -110,6 +110,7 @@ class Work:
             step_y=level.step_y,
             first=(window[0].start, window[1].start),
             whole=level.shape,
+            size=self.plan.levels[0].size,
             level=level.number,
             asked=None if asked is None else within(asked, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),

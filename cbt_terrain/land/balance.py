@@ -12,27 +12,41 @@ from .levels import finer
 # A gain is taken from what was laid down within 2^4 samples, what is left of it within 2^5, and then within 2^6. That
 # is so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
 HALVINGS = 4, 5, 6
+# A part of all that was laid down: what is left then and is less is but rounding.
+ROUNDING = 1e-7
 
 
-def balanced(laid: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground) -> np.ndarray:
-    """As much of what was laid down as keeps the sum: of a whole raster exactly, of a tile as far as it looks.
+def balanced(
+    laid: np.ndarray, taken: np.ndarray, most: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground
+) -> tuple[np.ndarray, np.ndarray]:
+    """As much of what was laid down, and of what was taken, as keeps the sum: of a whole raster exactly, of a tile as
+    far as it looks.
 
     All float32 [rows, columns] m. net: what a coarser level has moved, whose sum over that level's samples is 0,
     brought to this one. now: the same as it is to be here, of which `laid`, at least 0, may become less or more.
+    `taken`, at least 0, becomes less or more, up to `most`, where too little was laid down nearby: at a rim that all
+    has slid from.
     """
     elsewhere = now.sum(dtype=np.float64) - laid.sum(dtype=np.float64)
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # grids lie alike in a tile and in the whole
+    within = tuple(slice(before, None) for before, _ in padding)
     laid, gained, done = np.pad(laid, padding), np.pad(now - _all_of(net, ground), padding), 0
     for halvings in HALVINGS:
         there, gained = _gathered(laid, halvings), _gathered(gained, halvings - done)
         part, done = _part(gained, there), halvings
         gained = gained - part * there
         laid = laid - _spread(part, laid.shape, halvings) * laid
-    laid = laid[padding[0][0] :, padding[1][0] :]
+    laid, before = laid[within], taken
+    if abs(gained).sum() > ROUNDING * laid.sum(dtype=np.float64):
+        for sign, room in ((1.0, np.minimum(taken, most - taken)), (-1.0, taken)):
+            room = np.pad(room, padding)
+            part = _part(np.maximum(sign * gained, 0.0), _gathered(room, done))
+            taken = taken + (np.float32(sign) * _spread(part, room.shape, done) * room)[within]
     if all(ground.rims):  # nothing lay nearby, or the coarser level's sum was not quite 0
         there = laid.sum(dtype=np.float64)
+        elsewhere -= (taken - before).sum(dtype=np.float64)
         laid = laid - np.float32(_part(elsewhere + there, there)) * laid
-    return laid
+    return laid, taken
 
 
 def _part(gained, there):

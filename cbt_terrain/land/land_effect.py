@@ -40,6 +40,8 @@ class Ground:
     `layers`: what effects before this one have left, float32 [rows, columns] each.
     `seed`: of what is random. `progress`: told the part that is done, 0 to 1; raises to stop the work.
     `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
+    `size`: metres from the raster's first row and column to its last, beyond which those of a coarser level may be
+    counted; None: those of the level.
     """
 
     heights: np.ndarray
@@ -55,6 +57,7 @@ class Ground:
     threads: int = 1
     progress: Callable[[float], None] = lambda _part: None
     asked: tuple[slice, slice] | None = None
+    size: tuple[float, float] | None = None
 
     @property
     def rims(self) -> tuple[bool, bool, bool, bool]:

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from .mask_reads import SHAPES
 from .stack import Entry
-from .tiles import BAND, Level, Wanted, closed, every_tile
+from .tiles import BAND, Level, Wanted, Window, closed, every_tile
 
 # How an effect is applied at a level: to all of it, to tiles, or not at all: then its coarser change is taken.
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
@@ -23,9 +24,8 @@ class LevelPlan:
         self.levels, self.entries = levels, entries
         self.asked_whole = [tiles is None for tiles in wanted]
         wanted = [every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)]
-        halo = [np.max([(0, 0), *(self.halo(e, level) or (0, 0) for e in entries)], axis=0) for level in levels]
-        self.needed = closed(levels, wanted, halo)
-        self.total = sum(self._cost(entry, level) for entry in entries for level in levels)
+        self.needed = closed(levels, wanted, [self._widest(level) for level in levels])
+        self.total = sum(self._cost(level) for level in levels)
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
         """Rows and columns that an effect looks beyond a tile of a level; None where only all of it will do."""
@@ -44,19 +44,51 @@ class LevelPlan:
             return TILES
         return WHOLE if longer <= MOST_WHOLE_FOR_SOME else UPSAMPLED
 
-    def cost(self, entry: Entry, level: Level, tile: int | None) -> float:
-        """Of a tile, or of a whole level."""
-        shape = level.shape
-        if tile is not None:
-            rows, columns = self.halo(entry, level)
-            shape = [part.stop - part.start for part in level.window(tile, BAND + rows, BAND + columns)]
-        return shape[0] * shape[1] * max(entry.declaration.cost_ns, 1.0)
+    def runs(self, level: Level) -> list[list[int]]:
+        """The entries by their numbers: one that is applied to all of a level alone, those between together. These are
+        applied one after the other within a tile, which so sees nothing of what was made of other tiles. A mask that
+        has to see the whole begins a new run."""
+        found = []
+        for number, entry in enumerate(self.entries):
+            alone = self.how(entry, level) == WHOLE
+            apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
+            if alone or apart or not found or self.how(self.entries[found[-1][-1]], level) == WHOLE:
+                found.append([])
+            found[-1].append(number)
+        return found
 
-    def _cost(self, entry: Entry, level: Level) -> float:
-        tiles, how = self.made_with(level, self.needed[level.number]), self.how(entry, level)
-        if how == UPSAMPLED or not (level.is_whole or tiles):
-            return 0.0
-        return self.cost(entry, level, None if how == WHOLE else min(tiles)) * (1 if how == WHOLE else len(tiles))
+    def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
+        """Of a run: rows and columns around a tile that its first entry looks at, that the next one does, and so on;
+        and at the end what is asked for. Each makes what those after it look at."""
+        found = [(BAND, BAND)]
+        for number in reversed(numbers):
+            entry = self.entries[number]
+            more = self.halo(entry, level) if self.how(entry, level) == TILES else (0, 0)
+            found.append((found[-1][0] + more[0], found[-1][1] + more[1]))
+        return found[::-1]
+
+    def _widest(self, level: Level) -> tuple[int, int]:
+        """Rows and columns beyond a tile and its BAND that any run looks at."""
+        first = [self.margins(level, numbers)[0] for numbers in self.runs(level)]
+        rows, columns = np.max([(BAND, BAND), *first], axis=0) - BAND
+        return int(rows), int(columns)
+
+    def cost(self, entry: Entry, level: Level, window: Window) -> float:
+        """Of a window of a level."""
+        rows, columns = (part.stop - part.start for part in window)
+        return rows * columns * max(entry.declaration.cost_ns, 1.0)
+
+    def _cost(self, level: Level) -> float:
+        tiles, total = self.made_with(level, self.needed[level.number]), 0.0
+        for numbers in self.runs(level) if level.is_whole or tiles else ():
+            for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
+                entry, whole = self.entries[number], level.window(0, *level.shape)
+                how = self.how(entry, level)
+                if how == WHOLE:
+                    total += self.cost(entry, level, whole)
+                elif how == TILES:
+                    total += len(tiles) * self.cost(entry, level, level.window(min(tiles), *margin))
+        return total
 
     def chosen_at(self, level: Level, most: np.ndarray | None, unsure: np.ndarray | None) -> list[int]:
         """The tiles of a level that are wanted, and where more is to be expected than the error that is allowed.

@@ -3,19 +3,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..field.heightfield import HeightField
 from .land_effect import Change, Ground, LandEffect
 from .level_plan import LevelPlan
-from .levels import finer_window
+from .levels import masked
+from .mask import whole_mask
+from .mask_reads import values_of
 from .stack import Entry
 from .tile_cache import TileCache, content_key
-from .tiles import BAND, Level, Window
+from .tiles import Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 4
+METHOD = 5
 Tell = Callable[[float], None]
 
 
@@ -51,62 +54,115 @@ def _every(samples: np.ndarray, level: Level) -> np.ndarray:
     return padded
 
 
+@dataclass(eq=False)
+class Land:
+    """What effects have made of a window of a level so far. `total`: float32 [rows, columns] metres that they have
+    added. `layers`: what they have left, likewise; arrays are replaced, not written."""
+
+    window: Window
+    total: np.ndarray
+    layers: dict[str, np.ndarray]
+
+    def part(self, window: Window) -> "Land":
+        """A window of the level that lies in this one."""
+        here = within(window, self.window)
+        return Land(window, self.total[here], {name: layer[here] for name, layer in self.layers.items()})
+
+
 @dataclass(frozen=True, eq=False)
 class Work:
-    """An effect at a level. `total`: metres that effects before it have added; `layers`: what they have left, of which
-    `depths` are depths. `mask`: float32 of the whole level, or None."""
+    """What all effects share at a level. `images`: of masks, by file name. `depths`: names of the layers that are."""
 
     cache: TileCache
     plan: LevelPlan
     level: Level
     source: LevelGround
-    entry: Entry
-    total: np.ndarray
-    layers: Mapping[str, np.ndarray]
+    images: Mapping[str, np.ndarray]
     depths: set[str]
-    mask: np.ndarray | None
     threads: int
 
-    def ground(self, window: Window, tell: Tell, asked: Window | None = None) -> Ground:
-        """What the effect sees of a window. asked: the part of it whose change is wanted, of the level."""
-        level, source, effect = self.level, self.source, self.entry.declaration
-        names = [name for name in effect.reads if name in self.layers or name in source.layers]
+    @property
+    def whole(self) -> Window:
+        return slice(0, self.level.rows), slice(0, self.level.columns)
+
+    def mask(self, entry: Entry, land: Land) -> np.ndarray | None:
+        """How much of an entry is wanted, float32 [rows, columns] of the land, given what those before it have made."""
+        if entry.mask is None:
+            return None
+        names = sorted({rule.of for rule in entry.mask.rules})
+        layers = {name: self._layer(name, land) for name in names if name in {*land.layers, *self.source.layers}}
+        heights, image = partial(self._heights, land), self.images.get(entry.mask.image)
+        read = values_of(names, self.level, heights, self.source.missing, layers, self.threads)
+        return whole_mask(entry.mask, image, self.level, heights, read, land.window)
+
+    def _heights(self, land: Land, window: Window) -> np.ndarray:
+        return self.source.heights[window] + land.total[within(window, land.window)]
+
+    def ground(
+        self, entry: Entry, land: Land, mask: np.ndarray | None, tell: Tell, asked: Window | None = None
+    ) -> Ground:
+        """What an effect sees of a land. asked: the part of it whose change is wanted, of the level."""
+        level, source, window = self.level, self.source, land.window
+        names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]
         return Ground(
-            heights=source.heights[window] + self.total[window],
+            heights=self._heights(land, window),
             step_x=level.step_x,
             step_y=level.step_y,
             first=(window[0].start, window[1].start),
             whole=level.shape,
+            size=self.plan.levels[0].size,
             level=level.number,
-            asked=None if asked is None else _within(asked, window),
+            asked=None if asked is None else within(asked, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
-            mask=None if self.mask is None else np.ascontiguousarray(self.mask[window]),
-            layers={name: self._layer(name, window) for name in names},
-            seed=self.entry.seed,
+            mask=None if mask is None else np.ascontiguousarray(mask),
+            layers={name: self._layer(name, land) for name in names},
+            seed=entry.seed,
             threads=self.threads,
             progress=tell,
         )
 
-    def _layer(self, name: str, window: Window) -> np.ndarray:
-        """What is there before the effect: of the source, and of the effects before it, which add depths and replace
+    def _layer(self, name: str, land: Land) -> np.ndarray:
+        """What is there before an effect: of the source, and of the effects before it, which add depths and replace
         states."""
-        own, before = self.layers.get(name), self.source.layers.get(name)
+        own, before = land.layers.get(name), self.source.layers.get(name)
+        before = None if before is None else before[land.window]
         if own is not None and before is not None and name in self.depths:
-            return own[window] + before[window]
-        return np.ascontiguousarray((before if own is None else own)[window])
+            return own + before
+        return np.ascontiguousarray(before if own is None else own)
 
-    def key(self, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
-        """Of all that the result is a function of."""
-        effect = self.entry.declaration
-        about = METHOD, kind, effect.name, effect.version, sorted(self.entry.values.items()), ground.seed
-        place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y
-        mask = ground.mask if effect.masks else None
-        arrays = [ground.heights, ground.missing, mask, coarser]
-        layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]
-        return content_key(about, place, *arrays, *layers)
+    def put_on(self, entry: Entry, change: Sequence[np.ndarray], mask: np.ndarray | None, land: Land) -> np.ndarray:
+        """The heights that an entry adds; its layers are put into those of the land. Nothing is copied that need not
+        be: at a fine level an array takes hundreds of megabytes."""
+        missing = None if self.source.missing is None else self.source.missing[land.window]
+        shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
+        for layer in entry.declaration.layers:
+            array = without(missing, shown.layers[layer.name])
+            if layer.per_metre and layer.name in land.layers:
+                array = land.layers[layer.name] + array
+                if not layer.signed:  # an effect may take all of a depth, but for rounding
+                    array = np.maximum(array, np.float32(0.0), out=array)
+            land.layers[layer.name] = array
+        return without(missing, shown.heights)
 
 
-def _within(part: Window, window: Window) -> Window:
+def without(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
+    """0 in holes, into which a coarser level's samples are taken from beside them."""
+    return samples if missing is None else np.where(missing, np.float32(0.0), samples)
+
+
+def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
+    """Of all that a result is a function of."""
+    effect = entry.declaration
+    about = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
+    place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.asked
+    mask = ground.mask if effect.masks else None
+    arrays = [ground.heights, ground.missing, mask, coarser]
+    layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]
+    return content_key(about, place, *arrays, *layers)
+
+
+def within(part: Window, window: Window) -> Window:
+    """A window of the level, counted from the first sample of another that it lies in."""
     rows, columns = (slice(p.start - w.start, p.stop - w.start) for p, w in zip(part, window, strict=True))
     return rows, columns
 
@@ -133,43 +189,35 @@ def _packed(effect: LandEffect, change: Change, count: int) -> np.ndarray:
     return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
 
 
-def apply_whole(work: Work, coarser: np.ndarray | None, tell: Tell) -> np.ndarray:
+def apply_whole(
+    work: Work, entry: Entry, land: Land, mask: np.ndarray | None, coarser: np.ndarray | None, tell: Tell
+) -> np.ndarray:
     """The change of a whole level, [parts, rows, columns]. coarser: the coarser level's, brought to this one."""
-    effect, level = work.entry.declaration, work.level
+    effect, level = entry.declaration, work.level
     count = parts(effect, level)
-    ground = work.ground((slice(0, level.rows), slice(0, level.columns)), tell)
+    ground = work.ground(entry, land, mask, tell)
 
     def make() -> np.ndarray:
         below = None if coarser is None else unpacked(effect, coarser)
-        return _packed(effect, effect.apply(ground, work.entry.values, below), count)
+        return _packed(effect, effect.apply(ground, entry.values, below), count)
 
-    shape = count, *level.shape
-    return work.cache.take(effect.name, work.key(ground, coarser, "whole"), shape, make)
-
-
-def is_let(work: Work, tile: int) -> bool:
-    """Whether an effect has anything to do with a tile; not where its mask lets nothing through."""
-    if work.mask is None or work.entry.declaration.masks:
-        return True
-    return bool(work.mask[work.level.window(tile, BAND, BAND)].any())
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "whole"), (count, *level.shape), make)
 
 
-def apply_tile(work: Work, tile: int, coarse: Sequence[np.ndarray], tell: Tell) -> np.ndarray:
-    """The change of a tile, over its window with a BAND all round, [parts, rows, columns].
+def apply_tile(
+    work: Work, entry: Entry, land: Land, mask: np.ndarray | None, coarser: np.ndarray, asked: Window, tell: Tell
+) -> np.ndarray:
+    """The change of a part of a window of a level, [parts, rows, columns] of what is asked for.
 
-    coarse: [rows, columns] of the parts of the next coarser level.
+    coarser: the change of the next coarser level brought to the window.
     """
-    effect, level = work.entry.declaration, work.level
-    count = parts(effect, level)
-    band = level.window(tile, BAND, BAND)
-    rows, columns = work.plan.halo(work.entry, level)
-    window = level.window(tile, BAND + rows, BAND + columns)
-    ground = work.ground(window, tell, asked=band)
-    coarser = np.stack([finer_window(array, *window) for array in coarse])
+    effect = entry.declaration
+    count = parts(effect, work.level)
+    ground = work.ground(entry, land, mask, tell, asked)
 
     def make() -> np.ndarray:
-        made = _packed(effect, effect.apply(ground, work.entry.values, unpacked(effect, coarser)), count)
+        made = _packed(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
         return made[(slice(None), *ground.asked)]
 
-    shape = count, *(part.stop - part.start for part in band)
-    return work.cache.take(effect.name, work.key(ground, coarser, "tile"), shape, make)
+    shape = count, *(part.stop - part.start for part in asked)
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, make)

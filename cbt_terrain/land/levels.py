@@ -47,7 +47,8 @@ def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, flo
     values: every parameter, as the effect's `defaults`. The heights, the mask and the layers of coarser levels are
     every second sample of the finer one's.
     """
-    change = _unmasked(effect, replace(ground, whole=ground.heights.shape), values)
+    size = tuple((n - 1) * step for n, step in zip(ground.heights.shape, (ground.step_y, ground.step_x), strict=True))
+    change = _unmasked(effect, replace(ground, size=size), values)
     return masked(effect, change, ground.mask)
 
 

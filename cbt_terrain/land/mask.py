@@ -83,30 +83,33 @@ def whole_mask(
     level: Level,
     heights: Callable[[Window], np.ndarray],
     read: Mapping[str, np.ndarray] | None = None,
+    window: Window | None = None,
 ) -> np.ndarray:
-    """float32 [rows, columns] of a level, 0 to 1.
+    """float32 [rows, columns] of a window of a level, 0 to 1.
 
     image: float32 [rows, columns], row 0 south, or None. heights(window) gives float32 metres of the ground. read: what
-    rules about ATTRIBUTES read, float32 [rows, columns] of the level (mask_reads.py).
+    rules about ATTRIBUTES read, float32 [rows, columns] of the window (mask_reads.py). window: None for all.
     """
-    out = np.full(level.shape, mask.factor, np.float32)
-    for first in range(0, level.rows, BAND_ROWS):
-        rows = slice(first, min(first + BAND_ROWS, level.rows))
+    window = window or (slice(0, level.rows), slice(0, level.columns))
+    out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
+    for first in range(0, len(out), BAND_ROWS):
+        rows = slice(first, min(first + BAND_ROWS, len(out)))
+        at = slice(*(window[0].start + n for n in (rows.start, rows.stop)))
         if image is not None:
-            out[rows] *= _image_at(image, level, rows)
+            out[rows] *= _image_at(image, level, at, window[1])
         of_shape = [rule for rule in mask.rules if rule.of not in ATTRIBUTES]
         if of_shape:
-            out[rows] *= _ruled(of_shape, level, rows, heights)
+            out[rows] *= _ruled(of_shape, level, at, window, heights)
         for rule in mask.rules:
             if rule.of in ATTRIBUTES:
                 out[rows] *= _read(rule, read[rule.of][rows])
     return out
 
 
-def _image_at(image: np.ndarray, level: Level, rows: slice) -> np.ndarray:
+def _image_at(image: np.ndarray, level: Level, rows: slice, columns: slice) -> np.ndarray:
     """Bilinear between the middles of pixels, over the raster's extent, as painted rules of splat layers."""
     south, north, v = _pixels(np.arange(rows.start, rows.stop), level.rows, image.shape[0])
-    west, east, u = _pixels(np.arange(level.columns), level.columns, image.shape[1])
+    west, east, u = _pixels(np.arange(columns.start, columns.stop), level.columns, image.shape[1])
 
     def along(row: np.ndarray) -> np.ndarray:
         line = image[row]
@@ -123,10 +126,12 @@ def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.nda
     return first, np.minimum(first + 1, pixels - 1), (place - first).astype(np.float32)
 
 
-def _ruled(rules: list[GroundRule], level: Level, rows: slice, heights: Callable[[Window], np.ndarray]) -> np.ndarray:
-    """The product of rules of height, slope and aspect at some rows of a level."""
-    wide = slice(max(rows.start - 1, 0), min(rows.stop + 1, level.rows))
-    ground = heights((wide, slice(0, level.columns)))
+def _ruled(
+    rules: list[GroundRule], level: Level, rows: slice, window: Window, heights: Callable[[Window], np.ndarray]
+) -> np.ndarray:
+    """The product of rules of height, slope and aspect at some rows of a window of a level."""
+    wide = slice(max(rows.start - 1, window[0].start), min(rows.stop + 1, window[0].stop))
+    ground = heights((wide, window[1]))
     inner = slice(rows.start - wide.start, rows.stop - wide.start)
     north, east = np.gradient(ground, np.float32(level.step_y), np.float32(level.step_x))
     north, east = north[inner], east[inner]

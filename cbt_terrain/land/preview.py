@@ -163,6 +163,7 @@ def _ground(source: HeightField, level: Level) -> Ground:
         level.step_x,
         level.step_y,
         whole=level.shape,
+        size=levels_of(source.lattice)[0].size,
         level=level.number,
         missing=found.missing,
         layers=found.layers,

@@ -112,16 +112,17 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
 
 def _faded(ground: Ground) -> np.ndarray:
     """float32 [rows, columns]: 0 at the rim of the whole, 1 from FADE on; smooth."""
-    whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     spacings = ground.step_y, ground.step_x
-    wide = FADE * min((n - 1) * d for n, d in zip(whole, spacings, strict=True))
+    whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
+    sizes = ground.size or tuple((whole - 1) * spacings)
+    wide = FADE * min(sizes)
 
-    def share(first: int, count: int, n: int, spacing: float) -> np.ndarray:
-        at = np.arange(first, first + count)
-        part = np.minimum(np.minimum(at, n - 1 - at) * spacing / max(wide, spacing), 1.0)
+    def share(first: int, count: int, spacing: float, size: float) -> np.ndarray:
+        at = np.arange(first, first + count) * spacing
+        part = np.clip(np.minimum(at, size - at) / max(wide, spacing), 0.0, 1.0)
         return part * part * (3.0 - 2.0 * part)
 
-    north, east = map(share, ground.first, ground.heights.shape, whole, spacings)
+    north, east = map(share, ground.first, ground.heights.shape, spacings, sizes)
     return np.float32(north[:, None] * east)
 
 
@@ -197,5 +198,5 @@ RIVERS = LandEffect(
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=7,
+    version=8,
 )

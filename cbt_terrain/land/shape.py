@@ -7,20 +7,17 @@ function of the samples that it looks at, of parameters and of its place, and is
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from ..field.heightfield import HeightField
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import LevelGround, Work, apply_tile, apply_whole, is_let, parts, unpacked
-from .levels import finer, finer_window, masked
-from .mask import whole_mask
-from .mask_reads import values_of
+from .level_work import Land, LevelGround, Work, apply_tile, apply_whole, parts, within, without
+from .levels import finer, finer_window
 from .stack import Entry, Stack
-from .stack_layers import joined
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
 
@@ -155,27 +152,51 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
     return state, False
 
 
+@dataclass(eq=False)
+class Sums:
+    """What an entry has added in each tile of a level: most and mean square, metres and metres squared; where its mask
+    let it. `made`: its pieces, of which `computed` were not known before; `ms`: what they took."""
+
+    most: np.ndarray
+    squares: np.ndarray
+    let: np.ndarray
+    made: int = 0
+    computed: int = 0
+    ms: float = 0.0
+
+    @classmethod
+    def none(cls, level: Level) -> "Sums":
+        return cls(*(np.zeros(level.tile_count, kind) for kind in (float, float, bool)))
+
+    def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
+        """A tile's own part of what was added in a window, as much of it as the mask lets."""
+        own = within(level.window(tile), window)
+        part = delta[own] if mask is None else delta[own] * mask[own]
+        self.most[tile], self.squares[tile] = np.abs(part).max(), np.square(part, dtype=np.float64).mean()
+        self.let[tile] = mask is None or mask[within(level.window(tile, BAND, BAND), window)].any()
+
+
 def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -> State:
     ground, tiles = LevelGround.of(run.heights, level), run.plan.made_with(level, chosen)
-    total, layers, added = np.zeros(level.shape, np.float32), {}, []
+    work = Work(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
+    land = Land(work.whole, np.zeros(level.shape, np.float32), {})
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
-    changes = []
-    for number, entry in enumerate(run.entries):
-        mask = _mask(run, entry, level, ground, total, layers)
-        work = Work(run.cache, run.plan, level, ground, entry, total, layers, run.depths, mask, run.threads)
-        coarse = None if below is None else below.changes[number]
-        change, tile_most, tile_squares, figures = _entry(run, work, number, tiles, coarse)
-        total += _put_on(entry, change, mask, ground, layers)
-        most += tile_most
-        squares += tile_squares
-        if run.plan.how(entry, level) != UPSAMPLED:
-            unsure |= (tile_most == 0.0) & _is_let(level, mask)
-        added += [figures] if figures is not None else []
+    changes, added = [], []
+    for numbers in run.plan.runs(level):
+        coarse = [None if below is None else below.changes[number] for number in numbers]
+        made, sums = _run_of(run, work, numbers, tiles, coarse, land)
+        for number, entry_sums in zip(numbers, sums, strict=True):
+            how = run.plan.how(run.entries[number], level)
+            most += entry_sums.most
+            squares += entry_sums.squares
+            if how != UPSAMPLED:
+                unsure |= (entry_sums.most == 0.0) & entry_sums.let
+                added.append(_added(run, level, number, how == WHOLE, tiles, entry_sums))
+            if below is not None:
+                below.changes[number] = None  # memory: the next entry needs as much
         # The finest level leaves nothing to a finer one.
-        changes.append(change if level.number else None)
-        if below is not None:
-            below.changes[number] = None
-        del change, coarse, mask, work  # memory: the next entry needs as much
+        changes += made if level.number else [None] * len(numbers)
+        del made, coarse
     run.added += added
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if below is not None and not level.is_whole:
@@ -183,134 +204,125 @@ def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -
         for tile in set(range(level.tile_count)) - set(chosen):
             parent = level.parent(tile)
             most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
-    return State(level, changes, total, layers, most, squares, unsure)
+    return State(level, changes, land.total, land.layers, most, squares, unsure)
 
 
-def _mask(
-    run: Shaping, entry: Entry, level: Level, ground: LevelGround, total: np.ndarray, layers: dict[str, np.ndarray]
-) -> np.ndarray | None:
-    """How much of an entry is wanted at a level, float32 [rows, columns], given what those before it have made."""
-    if entry.mask is None:
-        return None
-    names = sorted({rule.of for rule in entry.mask.rules})
-    pair = ({name: found[name] for name in names if name in found} for found in (ground.layers, layers))
-    heights = partial(_heights, ground, total)
-    read = values_of(names, level, heights, ground.missing, joined(*pair, run.depths), run.threads)
-    return whole_mask(entry.mask, run.images.get(entry.mask.image), level, heights, read)
+def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: Sums) -> Added:
+    made = list(range(level.tile_count)) if whole else tiles
+    rms = float(np.sqrt(sums.squares[made].mean())) if made else 0.0
+    spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
+    figures = rms, float(sums.most.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
+    return Added(level.number, spacing, number, effect, *figures)
 
 
-def _is_let(level: Level, mask: np.ndarray | None) -> np.ndarray:
-    """bool [tiles]: whether a mask lets anything through."""
-    let = np.ones(level.tile_count, bool)
-    if mask is not None:
-        let[:] = [mask[level.window(tile, BAND, BAND)].any() for tile in range(level.tile_count)]
-    return let
+def _run_of(
+    run: Shaping,
+    work: Work,
+    numbers: list[int],
+    tiles: list[int],
+    coarse: list[Sequence[np.ndarray] | None],
+    land: Land,
+) -> tuple[list[Sequence[np.ndarray]], list[Sums]]:
+    """Apply a run of entries (LevelPlan.runs) to a level: their changes, of which each is its parts, each [rows,
+    columns]; and what they add. coarse: their changes at the coarser level, or None. The land becomes theirs."""
+    entry = run.entries[numbers[0]]
+    if run.plan.how(entry, work.level) != WHOLE:
+        return _put_tiles(run, work, numbers, tiles, coarse, land)
+    sums, level, below = Sums.none(work.level), work.level, coarse[0]
+    mask, cost = work.mask(entry, land), run.plan.cost(entry, level, work.whole)
+    told = run.progress(cost, level, entry)
+    told(0.0)
+    up = None if below is None else [finer(array, level.shape) for array in below]
+    with _counted(run, entry, sums):
+        change = apply_whole(work, entry, land, mask, None if up is None else np.stack(up), told)
+    run.done += cost
+    delta = change[0] if up is None else change[0] - up[0]
+    for tile in range(level.tile_count):
+        sums.add(level, tile, delta, mask, work.whole)
+    land.total += work.put_on(entry, change, mask, land)
+    return [change], [sums]
 
 
-def _heights(ground: LevelGround, total: np.ndarray, window: Window) -> np.ndarray:
-    return ground.heights[window] + total[window]
-
-
-def _entry(run: Shaping, work: Work, number: int, tiles: list[int], coarse: Sequence[np.ndarray] | None):
-    """The change of an entry at a level, its parts, each [rows, columns]; what it has added in each tile: most and
-    sum of squares by sample; and the figures."""
-    level, entry = work.level, work.entry
-    how = run.plan.how(entry, level)
+@contextmanager
+def _counted(run: Shaping, entry: Entry, sums: Sums) -> Iterator[None]:
     before, start = run.cache.made[entry.effect], time.perf_counter()
-    most, squares = np.zeros(level.tile_count), np.zeros(level.tile_count)
-    count = None if how == WHOLE else parts(entry.declaration, level)
-    up = None if coarse is None else [finer(array, level.shape) for array in coarse[:count]]
-    if how == UPSAMPLED:
-        return up, most, squares, None
-    if how == TILES:
-        change, made = up, tiles
-        _put_tiles(run, work, tiles, coarse, change, most, squares)
-    else:
-        cost = run.plan.cost(entry, level, None)
-        told = run.progress(cost, level, entry)
-        told(0.0)
-        change, made = apply_whole(work, None if up is None else np.stack(up), told), range(level.tile_count)
-        run.done += cost
-        whole = slice(0, level.rows), slice(0, level.columns)
-        delta = change[0] if up is None else change[0] - up[0]
-        for tile in made:
-            most[tile], squares[tile] = _sizes(delta, work.mask, whole, level.window(tile))
-    rms = float(np.sqrt(squares[list(made)].mean())) if len(made) else 0.0
-    computed = run.cache.made[entry.effect] - before
-    spacing = max(level.step_x, level.step_y)
-    count = len(made) if how == TILES else 1
-    ms = (time.perf_counter() - start) * 1e3
-    figures = Added(
-        level.number, spacing, number, entry.effect, rms, float(most.max()), how == WHOLE, count, computed, ms
-    )
-    return change, most, squares, figures
+    yield
+    sums.computed += run.cache.made[entry.effect] - before
+    sums.ms += (time.perf_counter() - start) * 1e3
 
 
 def _put_tiles(
+    run: Shaping, work: Work, numbers: list[int], tiles: list[int], coarse: list[Sequence[np.ndarray]], land: Land
+) -> tuple[list[Sequence[np.ndarray]], list[Sums]]:
+    """As `_run_of`: tiles, put into what the coarser level says.
+
+    By weights of what is there after all entries, not of what each has added: a depth that is nowhere below 0 stays so.
+    """
+    level, start, first, changes = work.level, land.part(work.whole), None, []
+    for number, below in zip(numbers, coarse, strict=True):
+        entry = run.entries[number]
+        mask, count = work.mask(entry, land), parts(entry.declaration, level)
+        change = [finer(array, level.shape) for array in below[:count]]
+        first = mask if number == numbers[0] else first
+        land.total = land.total + work.put_on(entry, change, mask, land)
+        changes += [change] if level.number else []
+    sums = [Sums.none(level) for _ in numbers]
+    if all(run.plan.how(run.entries[number], level) == UPSAMPLED for number in numbers):
+        return changes, sums
+    rest = np.ones(level.shape, np.float32)
+    for tile in tiles:
+        rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
+    names = {layer.name for number in numbers for layer in run.entries[number].declaration.layers}
+    land.layers |= {name: land.layers[name] * rest for name in names}  # copied: changes may share them
+    for array in (land.total, *(part for change in changes for part in change)):
+        array *= rest
+    for tile in tiles:
+        window, weights = level.window(tile, BAND, BAND), level.weights(tile)
+        made, its_land = _tile(run, work, numbers, tile, coarse, start, first, sums)
+        land.total[window] += its_land.total * weights
+        for name in names:
+            land.layers[name][window] += its_land.layers[name] * weights
+        for change, its in zip(changes, made if changes else (), strict=True):
+            for part, its_part in zip(change, its, strict=True):
+                part[window] += its_part * weights
+    return changes, sums
+
+
+def _tile(
     run: Shaping,
     work: Work,
-    tiles: list[int],
-    coarse: Sequence[np.ndarray],
-    change: list[np.ndarray],
-    most: np.ndarray,
-    squares: np.ndarray,
-) -> None:
-    """Make tiles, and put them into `change`, the coarser one's brought to this level; fills in their `most` and
-    `squares`.
-
-    By weights of what is there, not of what is added: a depth that is nowhere below 0 stays so, by the bit.
-    """
-    level, let = work.level, {tile for tile in tiles if is_let(work, tile)}
-    rest = np.ones(level.shape, np.float32)
-    for tile in let:
-        rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
-    for part in change:
-        part *= rest
-    for tile in tiles:
-        cost = run.plan.cost(work.entry, level, tile)
-        told = run.progress(cost, level, work.entry)
-        told(0.0)
-        if tile in let:
-            window, weights = level.window(tile, BAND, BAND), level.weights(tile)
-            made = apply_tile(work, tile, coarse, told)
-            for part, its in zip(change, made, strict=True):
-                part[window] += its * weights
-            added = made[0] - finer_window(coarse[0], *window)
-            most[tile], squares[tile] = _sizes(added, work.mask, window, level.window(tile))
-        run.done += cost
-
-
-def _sizes(delta: np.ndarray, mask: np.ndarray | None, window, core) -> tuple[float, float]:
-    """Most, and mean square, of a tile's own part of what was added in a window, as much of it as the mask lets."""
-    own = tuple(slice(c.start - w.start, c.stop - w.start) for c, w in zip(core, window, strict=True))
-    part = delta[own] if mask is None else delta[own] * mask[core]
-    return float(np.abs(part).max()), float(np.square(part, dtype=np.float64).mean())
-
-
-def _put_on(
-    entry: Entry,
-    change: Sequence[np.ndarray],
+    numbers: list[int],
+    tile: int,
+    coarse: list[Sequence[np.ndarray]],
+    land: Land,
     mask: np.ndarray | None,
-    ground: LevelGround,
-    layers: dict[str, np.ndarray],
-) -> np.ndarray:
-    """The heights that an entry adds; its layers are put into `layers`. Nothing is copied that need not be: at a fine
-    level an array takes hundreds of megabytes."""
-    shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
-    for layer in entry.declaration.layers:
-        array = _without(ground.missing, shown.layers[layer.name])
-        add = layer.per_metre and layer.name in layers
-        layers[layer.name] = layers[layer.name] + array if add else array
-        if add and not layer.signed:
-            # Around a tile that was asked for alone an effect may take more of a depth than those before it have left
-            # there: it saw the tile's own ground, and what is there is blended with coarser ground.
-            np.maximum(layers[layer.name], np.float32(0.0), out=layers[layer.name])
-    return _without(ground.missing, shown.heights)
-
-
-def _without(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
-    """0 in holes, into which a coarser level's samples are taken from beside them."""
-    return samples if missing is None else np.where(missing, np.float32(0.0), samples)
+    sums: list[Sums],
+) -> tuple[list[np.ndarray], Land]:
+    """A run of entries applied to a tile alone, one after the other: their changes and the land over its window with a
+    BAND all round. mask: of the first, of the whole level."""
+    level, made = work.level, []
+    windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]
+    land, mask = land.part(windows[0]), None if mask is None else mask[windows[0]]
+    for number, below, its, asked in zip(numbers, coarse, sums, windows[1:], strict=True):
+        entry, window = run.entries[number], land.window
+        mask = mask if number == numbers[0] else work.mask(entry, land)
+        here = within(asked, window)
+        coarser = np.stack([finer_window(array, *window) for array in below])
+        change = coarser[(slice(parts(entry.declaration, level)), *here)]
+        if run.plan.how(entry, level) == TILES:
+            cost = run.plan.cost(entry, level, window)
+            told = run.progress(cost, level, entry)
+            told(0.0)
+            # Not where its mask lets nothing through.
+            if mask is None or entry.declaration.masks or mask[here].any():
+                with _counted(run, entry, its):
+                    change = apply_tile(work, entry, land, mask, coarser, asked, told)
+            run.done += cost
+        land, mask = land.part(asked), None if mask is None else mask[here]
+        its.add(level, tile, change[0] - coarser[0][here], mask, asked)
+        land.total = land.total + work.put_on(entry, change, mask, land)
+        made.append(change[(slice(None), *within(windows[-1], asked))])
+    return made, land
 
 
 def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
@@ -326,7 +338,7 @@ def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
     if state.level.number and run.heights.valid is not None:
         missing = run.heights.valid == 0
-        total, layers = _without(missing, total), {name: _without(missing, a) for name, a in layers.items()}
+        total, layers = without(missing, total), {name: without(missing, a) for name, a in layers.items()}
     left = float(np.sqrt(left_squares)), float(left_most)
     return Shaped(
         np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early

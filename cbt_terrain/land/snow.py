@@ -121,7 +121,8 @@ def _brought(loose: np.ndarray, slides: np.ndarray, loose_there: np.ndarray, gro
     laid = np.maximum(slides, 0.0)
     if ground.missing is not None:  # what slid to the rim of a hole is not in it
         laid[ground.missing] = 0.0
-    return loose - gone + balanced(laid, laid - gone, slides, ground)
+    laid, gone = balanced(laid, gone, loose, laid - gone, slides, ground)
+    return loose - gone + laid
 
 
 def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose: np.ndarray, sweeps: int) -> np.ndarray:
@@ -219,5 +220,5 @@ SNOW = LandEffect(
     converges="depth to 0.27, 0.16, 0.09 m rms from 513 to 2,049 samples of the island",
     cost_ns=640,
     source="Winstral et al. 2002 (shelter from wind); Timonen and Westerholm 2010 (horizons)",
-    version=5,
+    version=6,
 )

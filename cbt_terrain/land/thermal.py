@@ -70,7 +70,8 @@ def _brought(
         laid = np.where(ground.missing, np.float32(0.0), laid)
     scree = np.maximum(loose + laid, 0.0)
     more = np.clip(laid, 0.0, scree)
-    scree += balanced(more, scree - loose - worn, net, ground) - more
+    laid, worn = balanced(more, worn, room, scree - loose - worn, net, ground)
+    scree += laid - more
     return np.ascontiguousarray(room - worn), np.ascontiguousarray(np.maximum(scree, 0.0))
 
 
@@ -191,5 +192,5 @@ THERMAL = LandEffect(
     converges="257, 513 and 1,025 samples of the island, twice as steep: 0.94, then 0.48 m rms of 12 m; rests at 34°",
     cost_ns=350,
     source="Musgrave, Kolb and Mace 1989, section 3; here by pairs, one after the other",
-    version=3,
+    version=4,
 )

@@ -51,6 +51,11 @@ class Level:
         return self.rows, self.columns
 
     @property
+    def size(self) -> tuple[float, float]:
+        """Metres from the first to the last row and column."""
+        return (self.rows - 1) * self.step_y, (self.columns - 1) * self.step_x
+
+    @property
     def is_whole(self) -> bool:
         return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 

@@ -81,6 +81,23 @@ def test_rims_are_no_dams():
     assert (aged(h, 30.0, rise=5e-4).heights[[0, -1]] <= 0).all()
 
 
+@pytest.mark.parametrize("shape", [(60, 84), (61, 85), (61, 84)])
+def test_land_rises_alike_at_every_level(shape):
+    """Level ground that nothing wears: a coarser level lifts its samples as the raster's own rise, though its last ones
+    may lie beyond the rim."""
+    values = RIVERS.defaults() | {"rise": 1e-3, "erodibility": 0.0, "creep": 0.0, "variety": 0.0, "steepest": 89.0}
+    size = (shape[0] - 1) * 35.0, (shape[1] - 1) * 20.0
+    fine, coarse = (
+        RIVERS.apply(
+            Ground(np.full(some, 5.0, np.float32), step * 20.0, step * 35.0, whole=some, size=size), values, None
+        )
+        for some, step in ((shape, 1), ((shape[0] // 2 + 1, shape[1] // 2 + 1), 2))
+    )
+    inner = fine.heights[2:-2:2, 2:-2:2]
+    off = abs(inner - coarse.heights[1 : 1 + inner.shape[0], 1 : 1 + inner.shape[1]])
+    assert fine.heights.max() > 290.0 and off.max() < 1e-3
+
+
 def test_what_rises_ends_at_the_rim_in_slopes():
     """An uplift of 500 m leaves no cliff at the side of a plain: the outer tenth rises as evenly as what is inside."""
     h = (100 + np.random.default_rng(7).random((200, 260))).astype(np.float32)

@@ -49,35 +49,22 @@ def put_packed(a: wp.array(dtype=wp.vec2i), i: wp.int64, pair: wp.int64): ...
 def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32): ...
 
 
-@wp.func_native(
-    "const int *place = places.data + row, *number = numbers.data + first; "
-    "int* __restrict to = out.data + at; "
-    "for (int k = 0; k < count; ++k) to[k] = number[place[k]];"
-)
-def look_up(
-    places: wp.array(dtype=wp.int32),
-    row: wp.int32,
-    count: wp.int32,
-    numbers: wp.array(dtype=wp.int32),
-    first: wp.int32,
-    out: wp.array(dtype=wp.int32),
-    at: wp.int32,
-): ...
+for item in (wp.int32, wp.vec2i):
 
-
-@wp.func_native(
-    "const int *place = places.data, *number = numbers.data + first; "
-    "int* __restrict to = (int*)(out.data + at); "
-    "for (int k = 0; k < 2 * count; ++k) to[k] = number[place[k]];"
-)
-def look_up_pairs(
-    places: wp.array(dtype=wp.int32),
-    count: wp.int32,
-    numbers: wp.array(dtype=wp.int32),
-    first: wp.int32,
-    out: wp.array(dtype=wp.vec2i),
-    at: wp.int32,
-): ...
+    @wp.func_native(
+        "const int *place = places.data + row, *number = numbers.data + first; "
+        "int* __restrict to = (int*)(out.data + at); "
+        "for (int k = 0; k < count; ++k) to[k] = number[place[k]];"
+    )
+    def look_up(
+        places: wp.array(dtype=wp.int32),
+        row: wp.int32,
+        count: wp.int32,
+        numbers: wp.array(dtype=wp.int32),
+        first: wp.int32,
+        out: wp.array(dtype=item),
+        at: wp.int32,
+    ): ...
 
 
 # Rows of an even block (kernels/refine/block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for

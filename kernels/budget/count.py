@@ -16,9 +16,7 @@ from ..field.domain import Domain
 from ..refine.band import (
     DOUBT,
     SPLIT,
-    Band,
     Limits,
-    Measured,
     band_below,
     foretold,
     limits_of,
@@ -26,9 +24,9 @@ from ..refine.band import (
     nothing_certain,
     too_coarse,
 )
-from ..refine.pixels import Asked, coarsest
+from ..refine.pixels import Asked
 from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
-from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_of_edges, last_split
+from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_split
 
 
 @wp.func
@@ -58,7 +56,7 @@ def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
     p.y = cell.y
     p.depth = cell.depth + 1
     p.code = cell.code
-    p.size = wp.uint64(1) << wp.uint64(w.cell_bits - cell.depth - 1)
+    size = wp.uint64(1) << wp.uint64(w.cell_bits - cell.depth - 1)
     p.half = half >> 1
     p.triangles = 2
     if number >= 0:
@@ -66,8 +64,8 @@ def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
         p.y += wp.where((number & 2) == 2, p.half, -p.half)
         p.depth += 1
         if cell.depth > 0:
-            p.code += wp.uint64(number) * p.size
-        if p.code + p.size <= w.first_cell or p.code >= w.end_cell:
+            p.code += wp.uint64(number) * size
+        if p.code + size <= w.first_cell or p.code >= w.end_cell:
             p.triangles = 0
     else:
         if number == -1:
@@ -88,42 +86,6 @@ def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
 
 
 @wp.func
-def is_whole(domain: Domain, w: Count, p: Part) -> wp.bool:
-    """Whether all diamonds below a quadrant, and on its sides, are in this slice and inside the terrain."""
-    whole = p.code >= w.first_cell and p.code + p.size <= w.end_cell and p.x > p.half and p.y > p.half
-    whole = whole and p.x + p.half < domain.columns << domain.unit_bits
-    return whole and p.y + p.half < domain.rows << domain.unit_bits
-
-
-@wp.func
-def add_alike(domain: Domain, asked: Asked, limits: Limits, w: Count, p: Part, m: Measured, band: Band, step: wp.int32):
-    """Count all diamonds below a quadrant at once, if those of each depth are split for the last time at the same step.
-
-    No error asks for anything there. So all are, but for one depth at most, where edges say for which steps.
-    Returns whether they were counted, and how many triangles of theirs are split at `step`.
-    """
-    split_depth = wp.min(band.split_depth, w.max_depth)
-    doubtful = wp.min(band.leaf_depth, w.max_depth) - split_depth
-    alike = doubtful < 2
-    last = w.coarsest
-    if doubtful == 1:
-        coarse2, _told = coarsest(asked, m.diamond, band.known)
-        last = last_of_edges(asked, limits, w, step, domain.unit_bits, split_depth, m.climb2, m.pixel2 * limits.finer)
-        climb2 = wp.float64(0.0)
-        alike = last == last_of_edges(
-            asked, limits, w, step, domain.unit_bits, split_depth, climb2, coarse2 * limits.coarser
-        )
-    counted = wp.int64(0)
-    if alike:
-        # 4 triangles at its sides, and twice as many at each depth from there on.
-        certain = wp.int64(4) << wp.int64(split_depth - p.depth - 1)
-        counted = add(w, step, w.coarsest, certain - wp.int64(4))
-        if doubtful == 1:
-            counted += add(w, step, last, certain)
-    return alike, counted
-
-
-@wp.func
 def judge(
     domain: Domain,
     asked: Asked,
@@ -135,8 +97,7 @@ def judge(
     top: wp.int32,
     step: wp.int32,
 ):
-    """The last step at which a diamond is split, and whether what is below it is looked into; or how many triangles
-    below it are counted already. At last whether it was measured: 1.
+    """The last step at which a diamond is split, whether what is below it is looked into, and how many were measured.
 
     What is certain below it is left in entry `top` of the stack. limits, coarse: those of `step`, the first that
     counts, and of the last. Plain numbers are returned: a struct that changes in a branch Warp copies after it, taken
@@ -149,7 +110,6 @@ def judge(
     verdict = foretold(cell.band, p.depth, own)
     last = step - 1
     looks = wp.bool(False)
-    counted = wp.int64(0)
     measured = wp.int32(0)
     w.stack[top].band = cell.band
     if verdict == SPLIT:
@@ -168,10 +128,7 @@ def judge(
                 looks = wp.bool(True)
                 if own <= band.leaf_up_to:
                     looks = p.depth + 1 < wp.min(band.leaf_depth, w.max_depth)
-                    if looks and is_whole(domain, w, p):
-                        alike, counted = add_alike(domain, asked, limits, w, p, m, band, step)
-                        looks = not alike
-    return last, looks, counted, measured
+    return last, looks, measured
 
 
 @wp.func
@@ -213,8 +170,7 @@ def count(domain: Domain, asked: Asked, w: Count):
             while number >= last_number:
                 p = part_of(domain, w, cell, number)
                 if p.triangles > 0 and p.depth < w.max_depth:
-                    last, looks, counted, new = judge(domain, asked, limits, coarse, w, cell, p, top, step)
-                    total += counted
+                    last, looks, new = judge(domain, asked, limits, coarse, w, cell, p, top, step)
                     if p.code >= w.first_cell:
                         total += add(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(new)

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..refine.band import Band, Limits, Measured, too_coarse
 from ..refine.diamond import larger, smaller
-from ..refine.pixels import Asked, sizes
+from ..refine.pixels import Asked
 
 CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
 STEPS_PER_OCTAVE = 32
@@ -34,8 +34,7 @@ class Part:
     y: wp.int32
     depth: wp.int32
     code: wp.uint64  # its first deepest cell
-    size: wp.uint64  # of a quadrant: deepest cells
-    half: wp.int32  # ... and half its side, lattice units
+    half: wp.int32  # of a quadrant: half its side, lattice units
     triangles: wp.int32  # that count here
 
 
@@ -89,28 +88,4 @@ def last_split(asked: Asked, limits: Limits, w: Count, first: wp.int32, m: Measu
         step += 1
     while step > first and not too_coarse(asked, w.limits[step], m):
         step -= 1
-    return step
-
-
-@wp.func
-def last_of_edges(
-    asked: Asked,
-    limits: Limits,
-    w: Count,
-    first: wp.int32,
-    unit_bits: wp.int32,
-    depth: wp.int32,
-    climb2: wp.float64,
-    pixel2: wp.float64,
-) -> wp.int32:
-    """As `last_split`, of edges alone, where a pixel spans sqrt(pixel2); `first` - 1 if they ask for none at all."""
-    m = Measured()
-    long2, legs2 = sizes(asked, unit_bits, depth)
-    m.long2 = long2
-    m.legs2 = legs2
-    m.climb2 = climb2
-    m.pixel2 = pixel2
-    step = first - 1
-    if too_coarse(asked, w.limits[first], m):
-        step = last_split(asked, limits, w, first, m)
     return step

@@ -13,14 +13,21 @@ GROUND = wp.constant(wp.uint8(1))
 HOLE = wp.constant(wp.uint8(2))
 
 
+@wp.func
+def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.bool:
+    """Whether all four samples of cell (i, j) are valid, `columns` samples a row."""
+    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    above = at + wp.int64(columns)
+    one = wp.int64(1)
+    return wp.min(wp.min(valid[at], valid[at + one]), wp.min(valid[above], valid[above + one])) > wp.uint8(0)
+
+
 @wp.kernel
 def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: Depth, kinds: wp.array(dtype=wp.uint8)):
     """Row `offset + tid` of the raster's cells: those with a sample that is not valid are holes."""
     cy = offset + wp.tid()
     for cx in range(width - 1):
-        at = cy * width + cx
-        least = wp.min(wp.min(valid[at], valid[at + 1]), wp.min(valid[at + width], valid[at + width + 1]))
-        kinds[entry(cells, cx, cy)] = wp.where(least > wp.uint8(0), GROUND, HOLE)
+        kinds[entry(cells, cx, cy)] = wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE)
 
 
 @wp.kernel

@@ -7,6 +7,7 @@ number, but for the last ones, which fill the gaps: only what a cut touches cost
 
 import warp as wp
 
+from ..field.holes import is_whole
 from ..unchecked import has_near_corner
 
 
@@ -72,10 +73,7 @@ def flag_holes(
         y += wp.float64(p[1]) - corner[1]
     i = wp.clamp(wp.int32(x / (wp.float64(3.0) * step[0])), 0, columns - 2)
     j = wp.clamp(wp.int32(y / (wp.float64(3.0) * step[1])), 0, rows - 2)
-    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
-    above = at + wp.int64(columns)
-    one = wp.int64(1)
-    if wp.min(wp.min(valid[at], valid[at + one]), wp.min(valid[above], valid[above + one])) == wp.uint8(0):
+    if not is_whole(valid, columns, i, j):
         flags[t] = wp.uint8(1)
 
 

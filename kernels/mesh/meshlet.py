@@ -12,7 +12,7 @@ import warp as wp
 
 from ..refine.curve import DEEPEST
 from ..refine.runs import Run
-from ..unchecked import item_at, look_up, look_up_pairs, number_row, put
+from ..unchecked import item_at, look_up, number_row, put
 
 
 @wp.struct
@@ -134,7 +134,7 @@ def expand(
         for k in range(t.inner_points):
             w = item_at(t.weights, wp.int64(k))
             put(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
-        look_up_pairs(t.ends, t.inner_lines, numbers, points, out.edges, first_line)
+        look_up(t.ends, 0, 2 * t.inner_lines, numbers, points, out.edges, first_line)
         c = 3 * t.triangles
         look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)
         look_up(t.sides, c * odd, c, numbers, lines, out.corner_edges, c * leaf)

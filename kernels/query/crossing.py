@@ -57,6 +57,18 @@ class Ray:
     per_v: wp.float64
 
 
+@wp.struct
+class Part:
+    """A part of a ray inside one cell or block."""
+
+    i: wp.int32  # the cell, or one of the block
+    j: wp.int32
+    first: wp.float64  # t
+    last: wp.float64
+    side: wp.float64  # where the ray comes from: 1 above the surface, -1 below, 0 whichever it is
+    slack: wp.float64  # metres that it has to be beyond the surface
+
+
 @wp.func
 def range_at(blocks: Blocks, at: wp.int64):
     """Lowest and highest metres of an entry of the ranges."""
@@ -91,21 +103,13 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 
 @wp.func
-def in_bilinear(
-    surface: Surface,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    slack: wp.float64,
-):
-    """Where (t) between first and last the ray comes to be `slack` beyond the surface; and its side at the end."""
+def in_bilinear(surface: Surface, ray: Ray, part: Part):
+    """Where (t) in a part the ray comes to be `slack` beyond the surface; and its side at the end."""
     zero = wp.float64(0.0)
-    p = corners_of(surface.samples, surface.columns, i, j)
-    s = ray.u + first * ray.du - wp.float64(i)
-    r = ray.v + first * ray.dv - wp.float64(j)
+    first = part.first
+    p = corners_of(surface.samples, surface.columns, part.i, part.j)
+    s = ray.u + first * ray.du - wp.float64(part.i)
+    r = ray.v + first * ray.dv - wp.float64(part.j)
     low = p[0] + (p[1] - p[0]) * s
     high = p[2] + (p[3] - p[2]) * s
     per_s = (p[1] - p[0]) * surface.scale
@@ -114,10 +118,11 @@ def in_bilinear(
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * surface.scale + surface.offset)
-    length = last - first
+    length = part.last - first
+    side = part.side
     if side == zero:
         side = side_of(c)
-    above = side * c + slack
+    above = side * c + part.slack
     hit = NOWHERE
     if above <= zero:
         hit = first
@@ -126,7 +131,7 @@ def in_bilinear(
         if root <= length:
             hit = first + root
         elif side * ((a * length + b) * length) + above <= zero:
-            hit = last
+            hit = part.last
     return hit, side
 
 
@@ -164,90 +169,74 @@ def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.in
 
 
 @wp.func
-def in_curved(
-    surface: Surface,
-    blocks: Blocks,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    slack: wp.float64,
-):
+def in_curved(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
     """As `in_bilinear`, of a bicubic surface or one with detail."""
     zero = wp.float64(0.0)
-    bend = bend_along(surface, blocks, ray, i, j)
+    bend = bend_along(surface, blocks, ray, part.i, part.j)
+    side = part.side
     hit = NOWHERE
-    t = first
+    t = part.first
     k = wp.int32(0)
     while k < MOST_STEPS:
         k += 1
-        s = ray.u + t * ray.du - wp.float64(i)
-        r = ray.v + t * ray.dv - wp.float64(j)
-        g = jet_in(surface, i, j, s, r)
+        s = ray.u + t * ray.du - wp.float64(part.i)
+        r = ray.v + t * ray.dv - wp.float64(part.j)
+        g = jet_in(surface, part.i, part.j, s, r)
         e = ray.z + t * ray.dz - (g[0] * surface.scale + surface.offset)
         climb = g[1] * surface.step_x * ray.du + g[2] * surface.step_y * ray.dv
         slope = ray.dz - climb * surface.scale
         if side == zero:
             side = side_of(e)
-        above = side * e + slack
+        above = side * e + part.slack
         if above <= zero:
             hit = t
             break
-        if t >= last:
+        if t >= part.last:
             break
         step = first_root(-bend, side * slope, above)
-        if not (step > CLOSE * (wp.abs(t) + last - first)):
+        if not (step > CLOSE * (wp.abs(t) + part.last - part.first)):
             if step >= zero:
                 hit = t
             break
-        t = wp.min(t + step, last)
+        t = wp.min(t + step, part.last)
     return hit, side
 
 
 @wp.func
-def clear_of(low: wp.float64, high: wp.float64, z0: wp.float64, z1: wp.float64, slack: wp.float64) -> wp.float64:
-    """The side of heights low .. high on which heights z0 .. z1 are, 1 above and -1 below; 0: on neither."""
+def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: Part) -> wp.float64:
+    """The side of heights low .. high on which a part of a ray is, 1 above and -1 below; 0: on neither."""
+    z0 = ray.z + part.first * ray.dz
+    z1 = ray.z + part.last * ray.dz
     side = wp.float64(0.0)
-    if smaller(z0, z1) > high + slack:
+    if smaller(z0, z1) > high + part.slack:
         side = wp.float64(1.0)
-    if larger(z0, z1) < low - slack:
+    if larger(z0, z1) < low - part.slack:
         side = wp.float64(-1.0)
     return side
 
 
 @wp.func
-def passed(side: wp.float64, on_side: wp.float64, t: wp.float64):
+def passed(part: Part, on_side: wp.float64):
     """Of a part that is clear on one side: where (t) the ray has met the surface, which is if it came from the other;
     and its side."""
     hit = NOWHERE
-    if side * on_side < wp.float64(0.0):
-        hit = t
+    if part.side * on_side < wp.float64(0.0):
+        hit = part.first
     return hit, on_side
 
 
 @wp.func
-def in_one_cell(
-    surface: Surface,
-    blocks: Blocks,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    slack: wp.float64,
-):
+def in_one_cell(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
     """As `in_bilinear`, of any surface."""
     hit = NOWHERE
+    side = wp.float64(0.0)
     if surface.bicubic == 0 and surface.coats.count == 0:
-        hit, side = in_bilinear(surface, ray, i, j, first, last, side, slack)
+        hit, side = in_bilinear(surface, ray, part)
     else:
-        low, high = cell_range(surface, blocks, i, j)
-        on_side = clear_of(low, high, ray.z + first * ray.dz, ray.z + last * ray.dz, slack)
+        low, high = cell_range(surface, blocks, part.i, part.j)
+        on_side = clear_of(low, high, ray, part)
         if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, i, j, first, last, side, slack)
+            hit, side = in_curved(surface, blocks, ray, part)
         else:
-            hit, side = passed(side, on_side, first)
+            hit, side = passed(part, on_side)
     return hit, side

@@ -13,7 +13,7 @@ import warp as wp
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .crossing import NOWHERE, Blocks, Ray, clear_of, in_one_cell, passed, range_at, side_of
+from .crossing import NOWHERE, Blocks, Part, Ray, clear_of, in_one_cell, passed, range_at, side_of
 from .surface import Surface, cell_of, is_ground
 
 STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; the least have 2^2 cells
@@ -87,37 +87,26 @@ def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32
 
 
 @wp.func
-def met_in(
-    surface: Surface,
-    blocks: Blocks,
-    ray: Ray,
-    bits: wp.int32,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    known: wp.float64,
-    slack: wp.float64,
-):
-    """Where (t) the ray meets the surface in the block of cell (i, j), its side at the end, and whether that is all:
+def met_in(surface: Surface, blocks: Blocks, ray: Ray, bits: wp.int32, part: Part, known: wp.float64):
+    """Where (t) the ray meets the surface in a part of it in a block, its side at the end, and whether that is all:
     else the block has to be looked into."""
     zero = wp.float64(0.0)
     hit = NOWHERE
+    side = part.side
     done = True
     if bits == 0:
-        on_west = ray.du == zero and ray.u == wp.float64(i)
-        on_south = ray.dv == zero and ray.v == wp.float64(j)
-        if is_ground(surface, i, j, on_west, on_south):
-            hit, side = in_one_cell(surface, blocks, ray, i, j, first, last, side, slack)
+        on_west = ray.du == zero and ray.u == wp.float64(part.i)
+        on_south = ray.dv == zero and ray.v == wp.float64(part.j)
+        if is_ground(surface, part.i, part.j, on_west, on_south):
+            hit, side = in_one_cell(surface, blocks, ray, part)
         else:
             side = known
     else:
-        low, high = block_range(blocks, bits, i >> bits, j >> bits)
-        on_side = clear_of(low, high, ray.z + first * ray.dz, ray.z + last * ray.dz, slack)
+        low, high = block_range(blocks, bits, part.i >> bits, part.j >> bits)
+        on_side = clear_of(low, high, ray, part)
         done = on_side != zero
         if done:
-            hit, side = passed(side, on_side, first)
+            hit, side = passed(part, on_side)
     return hit, side, done
 
 
@@ -136,28 +125,34 @@ def first_hit(
     known: the side on which the ray is, 1 above, -1 below, 0: whichever it is, also after a hole. slack: metres that
     it has to be beyond the surface. bits: of the first block that is tried.
     """
-    t, last, side = entry_of(surface, blocks, ray, end, known)
+    part = Part()
+    first, last, side = entry_of(surface, blocks, ray, end, known)
+    part.first = first
+    part.side = side
+    part.slack = slack
     hit = NOWHERE
-    if not (t <= last):
+    if not (part.first <= last):
         return hit
     cells_x = surface.columns - 1
     cells_y = surface.rows - 1
-    i = cell_of(ray.u + t * ray.du, cells_x)
-    j = cell_of(ray.v + t * ray.dv, cells_y)
+    part.i = cell_of(ray.u + part.first * ray.du, cells_x)
+    part.j = cell_of(ray.v + part.first * ray.dv, cells_y)
     bits = wp.min(bits, blocks.top)
     if ray.du == wp.float64(0.0) and ray.dv == wp.float64(0.0):
         bits = 0
     while True:
-        out, line, next_i, next_j = way_out(surface, ray, bits, i, j, t, last)
-        hit, side, done = met_in(surface, blocks, ray, bits, i, j, t, out, side, known, slack)
+        out, line, next_i, next_j = way_out(surface, ray, bits, part.i, part.j, part.first, last)
+        part.last = out
+        hit, side, done = met_in(surface, blocks, ray, bits, part, known)
+        part.side = side
         if hit < NOWHERE:
             break
         if done:
             if out >= last or next_i < 0 or next_j < 0 or next_i >= cells_x or next_j >= cells_y:
                 break
-            t = out
-            i = next_i
-            j = next_j
+            part.first = out
+            part.i = next_i
+            part.j = next_j
             coarser = bits + STEP
             if coarser <= blocks.top and (line & ((1 << coarser) - 1)) == 0:
                 bits = coarser

@@ -6,6 +6,7 @@ import warp as wp
 from ..bicubic.surface import in_patch
 from ..field.codes import Samples, corners_of
 from ..field.detail import Coats, detail_at
+from ..field.holes import is_whole
 from ..mesh.displace import in_cell
 
 
@@ -43,11 +44,7 @@ def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether cell (i, j) is in the raster and has all its four samples."""
     found = i >= 0 and j >= 0 and i < surface.columns - 1 and j < surface.rows - 1
     if found:
-        at = wp.int64(j) * wp.int64(surface.columns) + wp.int64(i)
-        north = at + wp.int64(surface.columns)
-        one = wp.int64(1)
-        south_least = wp.min(surface.valid[at], surface.valid[at + one])
-        found = wp.min(south_least, wp.min(surface.valid[north], surface.valid[north + one])) > wp.uint8(0)
+        found = is_whole(surface.valid, surface.columns, i, j)
     return found
 
 

@@ -60,16 +60,18 @@ def look_up(
 
 
 @wp.func
-def look_up_pairs(
+def look_up(  # noqa: F811 (an overload)
     places: wp.array(dtype=wp.int32),
+    row: wp.int32,
     count: wp.int32,
     numbers: wp.array(dtype=wp.int32),
     first: wp.int32,
     out: wp.array(dtype=wp.vec2i),
     at: wp.int32,
 ):
-    for k in range(count):
-        out[at + k] = wp.vec2i(numbers[first + places[2 * k]], numbers[first + places[2 * k + 1]])
+    for k in range(count / 2):
+        o = row + 2 * k
+        out[at + k] = wp.vec2i(numbers[first + places[o]], numbers[first + places[o + 1]])
 
 
 @wp.func

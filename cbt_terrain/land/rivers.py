@@ -29,7 +29,7 @@ SHAPES_AGED, SHAPES_GROWN = 1.0, 2.0
 SPREAD = 1.5
 # Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, also on young
 # land full of pits (river_rims.py).
-HALO = 96
+HALO = 176
 # Where no map of uplift is given it fades towards the rim, which stays, over this part of the shorter side: else the
 # land would end in a cliff.
 FADE = 0.15
@@ -197,5 +197,5 @@ RIVERS = LandEffect(
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=7,
+    version=8,
 )

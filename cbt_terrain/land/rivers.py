@@ -29,7 +29,7 @@ SHAPES_AGED, SHAPES_GROWN = 1.0, 2.0
 SPREAD = 1.5
 # Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, also on young
 # land full of pits (river_rims.py).
-HALO = 96
+HALO = 176
 # Where no map of uplift is given it fades towards the rim, which stays, over this part of the shorter side: else the
 # land would end in a cliff.
 FADE = 0.15

@@ -53,3 +53,12 @@ def test_water_that_has_another_way_far_below_is_not_held_back(coarse):
     h = bowl()
     h[101, 150:] = np.minimum(h[101, 150:], 180.0 - 0.1 * (np.arange(150, 301) - 150))
     assert flows(h, coarse)[1] > 8000
+
+
+def test_a_dam_between_two_coarser_samples_holds_no_lake(coarse):
+    """Of one sample's width across the western pass, 12 m high, where rivers work for a year only."""
+    h = bowl()
+    h[94:107, 81] += 12.0
+    made = RIVERS.apply(Ground(h, 10.0, 9.0, whole=(601, 601)), VALUES | {"years": 1.0}, coarse)
+    after = h + made.heights
+    assert after[98:103, 81].min() < after[98:103, 80].min() + 1.0

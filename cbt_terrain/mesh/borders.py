@@ -33,8 +33,12 @@ def end(surface, field: HeightField, domain: Domain, *, room: Room = copied, thr
 def rims(domain: Domain) -> list[Side]:
     """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
+    # Points have float32's steps, and a point where an edge is cut has those of both axes.
+    rounding = 2.0 * sum(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
     # As the displacement places points.
-    return [rim(axis, start + at * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM]
+    return [
+        rim(axis, start + at * unit, rounding * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM
+    ]
 
 
 def in_holes(surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:

@@ -39,11 +39,13 @@ Room = Callable[[str, np.ndarray, int], np.ndarray]
 @dataclass(frozen=True)
 class Side:
     """What stays of a surface. `value`: of positions, float32 [V, 3], the signed value, float64 [V]; it must depend on
-    each position alone. `known`: arrays, columns and what they are on the line, exactly. `tolerance`: see TOLERANCE."""
+    each position alone. `known`: arrays, columns and what they are on the line, exactly. `tolerance`: see TOLERANCE.
+    `rounding`: by what new vertices of the sides before it miss the line where the two lines meet in an edge."""
 
     value: Callable[[np.ndarray], np.ndarray]
     known: tuple[tuple[str, int, float], ...] = ()
     tolerance: float = TOLERANCE
+    rounding: float = 0.0
 
 
 def above(axis: int, at: float) -> Side:
@@ -52,12 +54,13 @@ def above(axis: int, at: float) -> Side:
     return Side(lambda positions: np.subtract(positions[:, axis], at, dtype=np.float64), (("positions", axis, at),))
 
 
-def rim(axis: int, at: float) -> Side:
+def rim(axis: int, at: float, rounding: float) -> Side:
     """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Vertices are on the rim or cells
-    away from it, so none is near enough to be taken for one on it."""
+    away from it, so none is near enough to be taken for one on it, but for the new ones of another rim: edges run along
+    rims or halfway between them, and one halfway may meet both in the raster's corner."""
     at = float(np.float32(at))
     known = (("positions", axis, at), (UV, axis, 1.0))
-    return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0)
+    return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0, rounding)
 
 
 def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
@@ -143,8 +146,11 @@ class _Work:
         """`value`: of the vertices that were there before all cuts."""
         first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
+        earlier, on_line = slice(len(value), first), np.zeros(first - len(value), bool)
         if first > len(value):
-            self.value[len(value) : first] = side.value(self.arrays["positions"][len(value) : first])
+            found = side.value(self.arrays["positions"][earlier])
+            on_line = np.abs(found) < side.rounding
+            self.value[earlier] = np.where(on_line, 0.0, found)
         if side.tolerance:
             launch.once(kernels.put_on_line, [wp.float64(side.tolerance), self.m], step="cut")
         launch.once(kernels.cut, [self.m], step="cut")
@@ -166,6 +172,7 @@ class _Work:
                 rows[first_edge:end_edge] = 0
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
+            self.arrays[name][earlier, column][on_line] = known
 
     def close(self):
         """Fill the gaps with the last of those that stay."""

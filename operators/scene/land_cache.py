@@ -18,7 +18,8 @@ from .polls import on_terrain
 def held(store: str) -> list[tuple[str, Path, int]]:
     """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
     its bytes."""
-    found, _ = [], session.all_terrains()  # what is gone shows nothing any more
+    session.all_terrains()  # what is gone shows nothing any more
+    found = []
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
         tiles = folder_beside(source) / store_folder.TILES

@@ -3,8 +3,11 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.mesh.attributes import EDGE, Attribute
 from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, cut, drop, rim, swap
+from adaptive_terrain.cbt_terrain.terrain import Terrain
 from cut_surfaces import areas, assert_welded, surface_of
 
 ARRAYS = ("positions", "normals", "uv", "corner_verts", "corner_edges", "edges", "level")
@@ -63,7 +66,7 @@ def test_what_stays_is_what_clipping_every_triangle_leaves(seed, meshlet):
 )
 def test_two_rims_leave_exactly_the_rectangle(error_m, meshlet, east, north):
     surface = surface_of(1, error_m, meshlet)
-    result, _ = cut(surface, [rim(0, east), rim(1, north)])
+    result, _ = cut(surface, [rim(0, east, 1e-3), rim(1, north, 1e-3)])
     place = result.positions[assert_welded(result)][:, :, :2]
     low, high = np.array([-320.0, -160.0], np.float32), np.array([east, north], np.float32)
     assert ((place == low) | (place == high)).all(axis=1).any(axis=1).all()
@@ -75,15 +78,37 @@ def test_two_rims_leave_exactly_the_rectangle(error_m, meshlet, east, north):
     assert (result.uv[new] == 1).any(axis=1).all()
 
 
+@pytest.mark.parametrize(
+    ("rows", "columns", "step_x", "step_y", "meshlet"),
+    [
+        (7, 843, 1.924554874891616, 1.924554874891616, 0),
+        (4, 596, 45.25638762482929, 45.25638762482929, 0),
+        (15, 851, 254.28671362829053, 348.3727976707581, 0),
+        (30, 762, 22.91920739376341, 31.399314129455878, 2),
+    ],
+)
+def test_an_edge_through_the_corner_of_a_raster_is_cut_once(rows, columns, step_x, step_y, meshlet):
+    """Where the steps are no numbers of float32 both rims meet it in places a rounding apart."""
+    heights = np.random.default_rng(4).standard_normal((rows, columns)).astype(np.float32)
+    terrain = Terrain(from_array(heights, step_x, step_y), 1)
+    for error_m in (100.0, 1.0):
+        surface = terrain.update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)).surface
+        place = surface.positions[assert_welded(surface)][:, :, :2]
+        low, high = surface.positions[:, :2].min(axis=0), surface.positions[:, :2].max(axis=0)
+        assert ((place == low) | (place == high)).all(axis=1).any(axis=1).all()
+        corner = (surface.positions[:, :2] == high).all(axis=1)
+        assert corner.sum() == 1 and (surface.uv[corner] == 1).all()
+
+
 def test_where_nothing_is_negative_the_surface_stays_as_it_is():
     surface = surface_of(2, 5.0, 0)
-    assert cut(surface, [rim(0, 320.5), rim(1, 160.5)])[0] is surface
-    on_rim, swapped = cut(surface, [rim(0, 320.0), rim(1, 160.0)])
+    assert cut(surface, [rim(0, 320.5, 1e-3), rim(1, 160.5, 1e-3)])[0] is surface
+    on_rim, swapped = cut(surface, [rim(0, 320.0, 1e-3), rim(1, 160.0, 1e-3)])
     assert not swapped.size and all(np.array_equal(getattr(on_rim, n), getattr(surface, n)) for n in ARRAYS)
 
 
 def test_nothing_is_left_where_all_is_negative():
-    result, _ = cut(surface_of(2, 5.0, 0), [rim(0, -400.0)])
+    result, _ = cut(surface_of(2, 5.0, 0), [rim(0, -400.0, 1e-3)])
     assert not any(getattr(result, name).size for name in ARRAYS)
 
 
@@ -105,8 +130,8 @@ def test_a_coast_is_on_its_level_and_has_no_slivers():
 def test_any_number_of_threads_gives_the_same_bytes(threads):
     surface = surface_of(4, 0.2, 2)
     assert len(surface.level) > 20_000
-    one, _ = cut(surface, [rim(0, 95.0), above(2, 3.0)])
-    more, _ = cut(surface, [rim(0, 95.0), above(2, 3.0)], threads=threads)
+    one, _ = cut(surface, [rim(0, 95.0, 1e-3), above(2, 3.0)])
+    more, _ = cut(surface, [rim(0, 95.0, 1e-3), above(2, 3.0)], threads=threads)
     assert all(getattr(one, name).tobytes() == getattr(more, name).tobytes() for name in ARRAYS)
 
 
@@ -146,7 +171,7 @@ def test_edges_keep_what_they_carry_and_new_ones_have_none():
     surface = surface_of(7, 5.0, 0)
     carried = np.arange(1, len(surface.edges) + 1, dtype=np.int32)
     surface = surface.with_attributes({"number": Attribute(carried, EDGE)})
-    result, _ = cut(surface, [rim(0, 95.0)])
+    result, _ = cut(surface, [rim(0, 95.0, 1e-3)])
     number = result.attributes["number"].array
     old, new = surface.positions[surface.edges[number - 1]], result.positions[result.edges]
     kept = (number > 0) & (new[:, :, 0] < 95.0).all(axis=1)

@@ -154,7 +154,7 @@ def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) ->
     """Of all that a result is a function of."""
     effect = entry.declaration
     about = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
-    place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.asked
+    place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.asked
     mask = ground.mask if effect.masks else None
     arrays = [ground.heights, ground.missing, mask, coarser]
     layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]

@@ -309,3 +309,14 @@ def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_
     assert cache.made["level"] == 2 and made.tiles[0] == [0]
     exact = LEVEL.apply(Ground(field.heights(), 5.0, 5.0, whole=(300, 900)), LEVEL.defaults(), None).heights
     assert abs(made.change - exact)[::2, ::2].max() < 1.0
+
+
+def test_a_raster_of_one_row_less_takes_nothing_from_the_cache_that_depends_on_its_size(tmp_path):
+    """At level 1 both have the same samples; but land that rises fades to the rim of the raster's own metres."""
+    heights = bumpy(131, 601)
+    heights[-2] = heights[-1]
+    longer, shorter = from_array(heights, 20.0), from_array(heights[:-1].copy(), 20.0)
+    stack = Stack((Entry("rivers", {"years": 1e5, "rise": 1e-3}),))
+    shape(longer, stack, whole_land(longer.lattice), cache=TileCache(tmp_path))
+    own, other = (shape(shorter, stack, whole_land(shorter.lattice), cache=c) for c in (None, TileCache(tmp_path)))
+    assert own.change.tobytes() == other.change.tobytes()

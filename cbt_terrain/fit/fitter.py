@@ -31,7 +31,7 @@ from ..mesh.builder import SurfaceBuilder
 from ..mesh.surface import Surface
 from ..refine.domain import DEPTH_BELOW_CELLS, make_domain, usual_depth
 from ..refine.refinement import MAX_TRIANGLES, Refinement
-from ..refine.terms import DISPLACEMENT_ERROR, Terms, left_of, rounding
+from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
 from ..terrain import Update, box_of
@@ -147,7 +147,7 @@ class Fitter:
         m = mesh_kernels.Mesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
-        m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(), left / 2)
+        m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(error_m), left / 2)
         m.aim, m.stretch = AIM, STRETCH
         return m
 
@@ -185,8 +185,9 @@ class Fitter:
         of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
-        shift = self._sideways(float(steeper.max())) + self._rounded()
-        parts = float(worst.max()), shift, self.source
+        far = float(worst.max())
+        shift = self._sideways(float(steeper.max())) + self._rounded(far)
+        parts = far, shift, self.source
         bound, limited = sum(parts) * OUTWARD, ""
         if sum(parts) <= self.within(error_m):
             bound = min(bound, self.within(error_m))
@@ -196,10 +197,13 @@ class Fitter:
         terms = Terms.shares(bound, *parts)
         return Mesh(surface, bound, parts[0], terms, limited, rounds)
 
-    def _rounded(self) -> float:
-        """Metres by which a distance may be off that is computed in float64."""
+    def _rounded(self, far: float) -> float:
+        """Metres by which a distance may be off that is computed in float64. Where a rim is cut afterwards, its new
+        vertices are rounded to float32 besides, of a mesh that is `far` metres off the surface."""
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
-        return DISPLACEMENT_ERROR * (highest * self.scale + abs(self.placement[1]))
+        reach = highest * self.scale + abs(self.placement[1])
+        cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
+        return DISPLACEMENT_ERROR * reach + cut
 
     def _shift(self, error_m: float) -> float:
         """Metres of height that rounding the plane coordinates to float32 may add, vertices moved by `error_m`."""
@@ -210,8 +214,10 @@ class Fitter:
         return self._sideways(2.0 * error_m * finer)
 
     def _sideways(self, steeper: float) -> float:
-        """The same for facets that are `steeper` metres a cell steeper than the surface."""
+        """The same for facets that are `steeper` metres a cell steeper than the surface. New vertices of a rim lie
+        between two that are rounded, and are rounded again."""
         lattice, shift = self.field.lattice, 0.0
+        times = 2.0 if lattice.is_padded else 1.0
         axes = (
             (lattice.cells_x, lattice.span[0], lattice.step_x, self.field.steepest_x),
             (lattice.cells_y, lattice.span[1], lattice.step_y, self.field.steepest_y),
@@ -219,7 +225,7 @@ class Fitter:
         for cells, span, step, slope in axes:
             places = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
             off = float(np.abs(places.astype(np.float32) - places).max())
-            shift += off * (slope * self.scale + steeper / step)
+            shift += times * off * (slope * self.scale + steeper / step)
         return shift
 
     def ns_each(self, triangles: int) -> float:

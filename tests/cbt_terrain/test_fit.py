@@ -188,6 +188,16 @@ def test_rounded_plane_coordinates_are_part_of_the_bound():
     assert measured(field, fitted.surface) <= fitted.bound_m
 
 
+def test_what_the_cut_at_a_rim_rounds_is_part_of_the_bound():
+    """New vertices on the rim of a raster that does not fit its squares are rounded after distances are measured."""
+    y, x = np.mgrid[:15, :147]
+    for slope in (9.0, 33.0, 71.0):
+        field = from_array((slope * (0.3 * x + 0.1 * y)).astype(np.float32), 10.1, 3.4)
+        for error_m in (0.01, 0.4):
+            fitted = fit(field, error_m)
+            assert measure(field, fitted.surface, random_points=500).vertical_max_m <= fitted.bound_m
+
+
 @pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
 def test_the_bound_is_not_below_what_is_measured(kind):
     """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""

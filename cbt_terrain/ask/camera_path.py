@@ -98,9 +98,7 @@ def read_camera_path(path: Path) -> CameraPath:
         fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in pairwise(frames)):
-        raise TerrainError(
-            f"In the camera path {path} the frames are {frames}; expected each larger than the one before."
-        )
+        raise _fault(path, f"the frames are {frames}; expected each larger than the one before.")
     return CameraPath(np.array(frames), np.array(values), clip)
 
 

@@ -8,7 +8,7 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
 from ..run import partial_files
 from .store_entries import is_data_name
 
@@ -43,10 +43,8 @@ def check_target(path: str | os.PathLike) -> None:
         if found and (folder / JSON_NAME).exists():
             return  # another process has made a store of it meanwhile
     except OSError as reason:
-        shown = os.fspath(path) if len(os.fspath(path)) < 200 else f"{os.fspath(path)[:200]}..."
-        raise TerrainError(
-            f"The store {shown} cannot be used ({reason.strerror or reason}): choose another folder."
-        ) from reason
+        why = reason.strerror or reason
+        raise TerrainError(f"The store {shown(path)} cannot be used ({why}): choose another folder.") from reason
     if found:
         held = str(found[0].relative_to(folder))
         raise TerrainError(
@@ -80,6 +78,7 @@ def is_own(folder: Path) -> bool:
 
 
 def is_own_entry(entry: Path) -> bool:
+    """Whether something in a folder of arrays is what this program writes there, by its name."""
     if entry.is_dir():
         return partial_files.is_partial_name(entry.name)
     return _OWN_FILE.fullmatch(entry.name) is not None

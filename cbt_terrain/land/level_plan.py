@@ -73,7 +73,7 @@ class LevelPlan:
         rows, columns = np.max([(BAND, BAND), *first], axis=0) - BAND
         return int(rows), int(columns)
 
-    def cost(self, entry: Entry, level: Level, window: Window) -> float:
+    def cost(self, entry: Entry, window: Window) -> float:
         """Of a window of a level."""
         rows, columns = (part.stop - part.start for part in window)
         return rows * columns * max(entry.declaration.cost_ns, 1.0)
@@ -82,12 +82,12 @@ class LevelPlan:
         tiles, total = self.made_with(level, self.needed[level.number]), 0.0
         for numbers in self.runs(level) if level.is_whole or tiles else ():
             for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
-                entry, whole = self.entries[number], level.window(0, *level.shape)
+                entry = self.entries[number]
                 how = self.how(entry, level)
                 if how == WHOLE:
-                    total += self.cost(entry, level, whole)
+                    total += self.cost(entry, level.whole)
                 elif how == TILES:
-                    total += len(tiles) * self.cost(entry, level, level.window(min(tiles), *margin))
+                    total += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
         return total
 
     def chosen_at(self, level: Level, most: np.ndarray | None, unsure: np.ndarray | None) -> list[int]:

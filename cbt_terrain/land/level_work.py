@@ -81,10 +81,6 @@ class Work:
     depths: set[str]
     threads: int
 
-    @property
-    def whole(self) -> Window:
-        return slice(0, self.level.rows), slice(0, self.level.columns)
-
     def mask(self, entry: Entry, land: Land) -> np.ndarray | None:
         """How much of an entry is wanted, float32 [rows, columns] of the land, given what those before it have made."""
         if entry.mask is None:

@@ -90,11 +90,11 @@ def whole_mask(
     image: float32 [rows, columns], row 0 south, or None. heights(window) gives float32 metres of the ground. read: what
     rules about ATTRIBUTES read, float32 [rows, columns] of the window (mask_reads.py). window: None for all.
     """
-    window = window or (slice(0, level.rows), slice(0, level.columns))
+    window = window or level.whole
     out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
     for first in range(0, len(out), BAND_ROWS):
         rows = slice(first, min(first + BAND_ROWS, len(out)))
-        at = slice(*(window[0].start + n for n in (rows.start, rows.stop)))
+        at = slice(window[0].start + rows.start, window[0].start + rows.stop)
         if image is not None:
             out[rows] *= _image_at(image, level, at, window[1])
         of_shape = [rule for rule in mask.rules if rule.of not in ATTRIBUTES]

@@ -38,7 +38,7 @@ def values_of(
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
     asked = [Asked(name, ()) for name in names if name in SHAPES]
     if asked:
-        ground = np.ascontiguousarray(heights((slice(0, level.rows), slice(0, level.columns))))
+        ground = np.ascontiguousarray(heights(level.whole))
         found |= _evaluated(asked, _field(level, ground, missing), level, threads)
     return found
 

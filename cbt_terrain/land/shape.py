@@ -155,12 +155,11 @@ def run_levels(run: Shaping) -> tuple[State | None, bool]:
 @dataclass(eq=False)
 class Sums:
     """What an entry has added in each tile of a level: most and mean square, metres and metres squared; where its mask
-    let it. `made`: its pieces, of which `computed` were not known before; `ms`: what they took."""
+    let it. `computed`: how many of its pieces were not known before; `ms`: what they took."""
 
     most: np.ndarray
     squares: np.ndarray
     let: np.ndarray
-    made: int = 0
     computed: int = 0
     ms: float = 0.0
 
@@ -179,7 +178,7 @@ class Sums:
 def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -> State:
     ground, tiles = LevelGround.of(run.heights, level), run.plan.made_with(level, chosen)
     work = Work(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
-    land = Land(work.whole, np.zeros(level.shape, np.float32), {})
+    land = Land(level.whole, np.zeros(level.shape, np.float32), {})
     most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
     changes, added = [], []
     for numbers in run.plan.runs(level):
@@ -229,7 +228,7 @@ def _run_of(
     if run.plan.how(entry, work.level) != WHOLE:
         return _put_tiles(run, work, numbers, tiles, coarse, land)
     sums, level, below = Sums.none(work.level), work.level, coarse[0]
-    mask, cost = work.mask(entry, land), run.plan.cost(entry, level, work.whole)
+    mask, cost = work.mask(entry, land), run.plan.cost(entry, level.whole)
     told = run.progress(cost, level, entry)
     told(0.0)
     up = None if below is None else [finer(array, level.shape) for array in below]
@@ -238,7 +237,7 @@ def _run_of(
     run.done += cost
     delta = change[0] if up is None else change[0] - up[0]
     for tile in range(level.tile_count):
-        sums.add(level, tile, delta, mask, work.whole)
+        sums.add(level, tile, delta, mask, level.whole)
     land.total += work.put_on(entry, change, mask, land)
     return [change], [sums]
 
@@ -258,7 +257,8 @@ def _put_tiles(
 
     By weights of what is there after all entries, not of what each has added: a depth that is nowhere below 0 stays so.
     """
-    level, start, first, changes = work.level, land.part(work.whole), None, []
+    level, first, changes = work.level, None, []
+    start = land.part(level.whole)
     for number, below in zip(numbers, coarse, strict=True):
         entry = run.entries[number]
         mask, count = work.mask(entry, land), parts(entry.declaration, level)
@@ -310,7 +310,7 @@ def _tile(
         coarser = np.stack([finer_window(array, *window) for array in below])
         change = coarser[(slice(parts(entry.declaration, level)), *here)]
         if run.plan.how(entry, level) == TILES:
-            cost = run.plan.cost(entry, level, window)
+            cost = run.plan.cost(entry, window)
             told = run.progress(cost, level, entry)
             told(0.0)
             # Not where its mask lets nothing through.

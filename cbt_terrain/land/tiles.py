@@ -56,6 +56,11 @@ class Level:
         return (self.rows - 1) * self.step_y, (self.columns - 1) * self.step_x
 
     @property
+    def whole(self) -> Window:
+        """All its samples."""
+        return slice(0, self.rows), slice(0, self.columns)
+
+    @property
     def is_whole(self) -> bool:
         return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 

@@ -8,8 +8,6 @@ from .diamond import Diamond
 from .excess import heights_between, least_depth
 from .pixels import LocalView
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, found: wp.array(dtype=wp.float64)):

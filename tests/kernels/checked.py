@@ -5,8 +5,6 @@ from typing import Any
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def item_at(a: wp.array(dtype=Any), i: Any):

@@ -5,8 +5,6 @@ import warp as wp
 
 from .hiding import Rings, covered, is_bare, is_hidden
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def veils_of_boxes(

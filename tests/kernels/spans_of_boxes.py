@@ -7,8 +7,6 @@ from .coherence import Motion, Subtree, span_change
 from .diamond import Diamond
 from .pixels import Asked, LocalView, nearest_pixel2
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def spans_of_boxes(

@@ -5,8 +5,6 @@ import warp as wp
 
 from ..unchecked import copy_codes, copy_items, item_at, number_cells, place_legs, put
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def pass_all(

@@ -3,6 +3,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -108,7 +109,7 @@ def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch
 def test_the_panel_shows_the_numbers_of_shipped_presets(terrain, name):
     """And not 0.000 of a rise of 0.0004 m a year."""
     preset = bpy.utils.preset_find(name, PRESETS, ext=".json")
-    for entry in stack_from(json.loads(open(preset).read())).entries:
+    for entry in stack_from(json.loads(Path(preset).read_text())).entries:
         for parameter, value in entry.parameters.items():
             shown = GROUPS[entry.effect].bl_rna.properties[parameter]
             digits = getattr(shown, "precision", 0)

@@ -160,7 +160,7 @@ class LandSettings(bpy.types.PropertyGroup):
         name="Detail",
         description="Where the finer levels are made",
         items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain as fine as its height map"),
-               (SEEN, "Where the Shot Looks", "As fine as the frames of the scene show it; coarser levels elsewhere")],
+               (SEEN, "In the Shot", "As fine as the frames of the scene show it; coarser levels elsewhere")],
         **STILL,
     )  # fmt: skip
     active: IntProperty(name="Active", options=set())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.operators.scene.camera import render_resolution, views_from_scene
+from adaptive_terrain.operators.request.camera import render_resolution, views_from_scene
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 

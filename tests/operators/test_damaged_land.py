@@ -14,7 +14,8 @@ from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
-from adaptive_terrain.operators.scene import land_request, land_tiles, session, shaped_land
+from adaptive_terrain.operators.request import land_request, land_tiles
+from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
 

@@ -15,7 +15,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
 from adaptive_terrain.operators.output import preparing, verifying
-from adaptive_terrain.operators.scene import land_request
+from adaptive_terrain.operators.request import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,8 +9,8 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.output.frame_sources import scene_piece
+from adaptive_terrain.operators.request.request import Overrides
 from adaptive_terrain.operators.scene import frozen, session
-from adaptive_terrain.operators.scene.request import Overrides
 from adaptive_terrain.operators.ui.statistics_panel import summary_lines
 
 

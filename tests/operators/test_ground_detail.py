@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators.request.layered_ground import ground_of
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.layered_ground import ground_of
 
 
 def positions(obj) -> bytes:

@@ -12,7 +12,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.operators.scene.imported import Imported, changed_settings, imported_of, lines_of, tag_object
+from adaptive_terrain.operators.request.imported import Imported, changed_settings, imported_of, lines_of, tag_object
 from adaptive_terrain.operators.ui.height_map_panel import is_stale
 
 

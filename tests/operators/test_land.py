@@ -12,17 +12,11 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.scene import (
-    land_cache,
-    land_jobs,
-    land_request,
-    land_stack,
-    session,
-    shape_land,
-    shaped_land,
-)
-from adaptive_terrain.operators.scene.kernels_asked import kernels_for
-from adaptive_terrain.operators.scene.request import gather
+from adaptive_terrain.operators.land import land_cache, shape_land
+from adaptive_terrain.operators.request import land_request, land_stack
+from adaptive_terrain.operators.request.kernels_asked import kernels_for
+from adaptive_terrain.operators.request.request import gather
+from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
 from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
 from land_scenes import add
 from modal_runs import running, to_the_end

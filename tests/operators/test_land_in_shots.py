@@ -6,7 +6,8 @@ import shutil
 import bpy
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.scene import land_request, session, shaped_land
+from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
 

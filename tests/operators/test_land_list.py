@@ -8,9 +8,11 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import lands
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
-from adaptive_terrain.operators.scene import import_terrain, land_properties, session, shaped_land
-from adaptive_terrain.operators.scene.land_entries import free_name
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.operators.importing import import_terrain
+from adaptive_terrain.operators.properties import land_properties
+from adaptive_terrain.operators.request.land_entries import free_name
+from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add, names, stack_now
 
 

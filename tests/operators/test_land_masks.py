@@ -5,7 +5,9 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.land.mask import LIMITS
-from adaptive_terrain.operators.scene import land_masks, land_properties, land_stack, session, shaped_land
+from adaptive_terrain.operators.properties import land_properties
+from adaptive_terrain.operators.request import land_masks, land_stack
+from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add, stack_now
 from rasters import write_raster
 

@@ -13,8 +13,8 @@ from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.report import measure_accuracy, measuring
 from adaptive_terrain.operators.report.measure_accuracy import MeasureAccuracy, read_measured
+from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.ui.statistics_panel import (
     StatisticsPanel,
     measured_lines,

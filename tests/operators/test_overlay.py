@@ -11,9 +11,9 @@ import pytest
 from adaptive_terrain.cbt_terrain.accuracy import triangle_errors
 from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL
 from adaptive_terrain.operators.mesh.writer import COLOUR_ATTRIBUTE
+from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import overlay, session
 from adaptive_terrain.operators.scene.overlay import BEYOND, VIRIDIS, scale_colours
-from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.ui.overlay_panel import OverlayPanel
 
 CELL_DEPTH = 15  # of the store's 129 x 129 samples: 2 x 7 + 1

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.scene import pack_store
+from adaptive_terrain.operators.importing import pack_store
 
 
 def absolute(terrain) -> Path:
@@ -37,7 +37,7 @@ def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, 
     other = add_terrain()
     other.adaptive_terrain.island_size, other.adaptive_terrain.source = 33, "ISLAND"
     from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-    from adaptive_terrain.operators.scene.import_terrain import settings_of
+    from adaptive_terrain.operators.importing.import_terrain import settings_of
 
     import_source(settings_of(other), tmp_path / "elsewhere")
     other.adaptive_terrain.store = str(tmp_path / "elsewhere")

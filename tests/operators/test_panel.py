@@ -10,8 +10,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.field.island import SIDE
+from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.request import gather
 from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
@@ -101,7 +101,7 @@ def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, 
 
 
 def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrain):
-    from adaptive_terrain.operators.scene.import_terrain import settings_of
+    from adaptive_terrain.operators.importing.import_terrain import settings_of
 
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
@@ -112,7 +112,7 @@ def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrai
 
 
 def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
-    from adaptive_terrain.operators.scene.import_terrain import settings_of, store_folder
+    from adaptive_terrain.operators.importing.import_terrain import settings_of, store_folder
 
     terrain = add_terrain()
     first = store_folder(terrain, settings_of(terrain))
@@ -124,7 +124,7 @@ def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
 
 
 def test_import_says_what_it_did():
-    from adaptive_terrain.operators.scene.import_terrain import summary
+    from adaptive_terrain.operators.importing.import_terrain import summary
 
     report = {
         "raster": [5, 4],
@@ -167,7 +167,7 @@ def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_te
 
 def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
     from adaptive_terrain.cbt_terrain.errors import TerrainError
-    from adaptive_terrain.operators.scene import import_terrain
+    from adaptive_terrain.operators.importing import import_terrain
 
     def fail(obj):
         raise TerrainError("The disk is full.")
@@ -228,7 +228,7 @@ def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing
 
 
 def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, preparing, monkeypatch):
-    from adaptive_terrain.operators.scene import import_terrain
+    from adaptive_terrain.operators.importing import import_terrain
 
     terrain = add_terrain()
     terrain.adaptive_terrain.live = False  # so that the import itself updates the mesh

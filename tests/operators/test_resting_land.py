@@ -12,7 +12,9 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.scene import land_jobs, land_request, live, resting_land, session, shaped_land
+from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
+from adaptive_terrain.operators.viewport import live, resting_land
 from land_scenes import wide_hills
 
 

@@ -7,9 +7,10 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
 from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
-from adaptive_terrain.operators.scene import live, session
-from adaptive_terrain.operators.scene.scatter_properties import scatter_of
+from adaptive_terrain.operators.properties.scatter_properties import scatter_of
+from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.scatter_panel import scatter_lines, summary
+from adaptive_terrain.operators.viewport import live
 from demand_trees import put
 
 
@@ -157,7 +158,7 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
 
 def test_points_that_are_there_are_neither_made_nor_written_again(terrain, scatter, monkeypatch):
     session.update_object(terrain)
-    monkeypatch.setattr("adaptive_terrain.operators.scene.scatters.write_points", None)
+    monkeypatch.setattr("adaptive_terrain.operators.request.scatters.write_points", None)
     session.update_object(terrain)
     assert record_of(terrain, scatter).runs == 1
 

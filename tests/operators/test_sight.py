@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
-from adaptive_terrain.operators.scene import frame_terrain, sight
 from adaptive_terrain.operators.ui.status_row import sight_notice
+from adaptive_terrain.operators.viewport import frame_terrain, sight
 
 BOX = np.array([(x, y, z) for x in (-10.0, 10.0) for y in (-10.0, 10.0) for z in (0.0, 2.0)])
 

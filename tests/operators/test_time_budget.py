@@ -8,9 +8,10 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
-from adaptive_terrain.operators.scene import live, session
-from adaptive_terrain.operators.scene.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.operators.request.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.detail_panel import ViewportPanel
+from adaptive_terrain.operators.viewport import live
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
 

@@ -8,10 +8,10 @@ from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.effects import jet
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked, Effect
-from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
-from adaptive_terrain.cbt_terrain.effects.plan import Plan, plan
 from adaptive_terrain.cbt_terrain.effects.splat import SPLATS
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.plan import Plan, plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from padded import raster

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.effects import layered_detail
-from adaptive_terrain.cbt_terrain.effects.layered_detail import LayeredDetail, laid
 from adaptive_terrain.cbt_terrain.effects.splat_rules import HEIGHT, SLOPE, Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate import layered_detail
+from adaptive_terrain.cbt_terrain.evaluate.layered_detail import LayeredDetail, laid
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.terrain import Terrain

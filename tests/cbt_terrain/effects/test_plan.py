@@ -3,8 +3,8 @@
 
 import pytest
 from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked
-from adaptive_terrain.cbt_terrain.effects.plan import NOTHING_READS_IT, plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.plan import NOTHING_READS_IT, plan
 
 
 def test_who_asks_twice_is_named_twice_and_geometry_decides_the_scale():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.linear import product
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
-from adaptive_terrain.cbt_terrain.effects.scale import fixed_level, footprint_levels
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.scale import fixed_level, footprint_levels
 from adaptive_terrain.cbt_terrain.field.build import from_array
 
 STEP = 0.5  # metres

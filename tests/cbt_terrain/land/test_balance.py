@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land.balance import balanced
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.levels import finer
+from adaptive_terrain.cbt_terrain.land_effects.balance import balanced
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import finer
 
 
 def moved(rows, columns, seed=0):

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land import droplets
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels, finer
+from adaptive_terrain.cbt_terrain.land_effects import droplets
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels, finer
 from adaptive_terrain.cbt_terrain.run import launch
 from fields import rough
 

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.land import flood
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects import flood
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
 from rasters import hills
 
 

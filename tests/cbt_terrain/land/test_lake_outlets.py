@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land import rivers
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.levels import coarser, finer
-from adaptive_terrain.cbt_terrain.land.rivers import RIVERS
+from adaptive_terrain.cbt_terrain.land_effects import rivers
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import coarser, finer
+from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS
 
 VALUES = RIVERS.defaults() | {"years": 1e5, "variety": 0.0}
 

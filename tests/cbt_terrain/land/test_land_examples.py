@@ -2,8 +2,8 @@
 """Every effect on heights does to its own example what its declaration says."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land.examples import shape_with
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land_effects.examples import shape_with
 
 
 @pytest.mark.parametrize("name", LAND_EFFECTS)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
 
 RELIEF = LAND_EFFECTS["relief"]
 

@@ -5,11 +5,11 @@ import fastscapelib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.routing import route
-from adaptive_terrain.cbt_terrain.land import fluvial
-from adaptive_terrain.cbt_terrain.land.fluvial import step
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
-from adaptive_terrain.cbt_terrain.land.rivers import RIVERS, grow
+from adaptive_terrain.cbt_terrain.land_effects import fluvial
+from adaptive_terrain.cbt_terrain.land_effects.fluvial import step
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS, grow
 from river_grounds import aged, bed_of, rough
 
 PLAIN = {"hillslope": 0.0, "creep": 0.0, "variety": 0.0, "deposition": 0.0, "steepest": 89.9, "sea": -9000.0}

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land import levels, snow
-from adaptive_terrain.cbt_terrain.land.land_effect import Change, Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.land_effects import levels, snow
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
 from rasters import hills
 
 VALUES = snow.SNOW.defaults() | {"line": 500.0}

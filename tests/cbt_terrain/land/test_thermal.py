@@ -8,9 +8,9 @@ import pytest
 import warp as wp
 from adaptive_terrain.benchmarks import plain_scree
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land import thermal
-from adaptive_terrain.cbt_terrain.land.land_effect import Change, Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.land_effects import thermal
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat
 

@@ -5,8 +5,8 @@ import heapq
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.water import WATER, YEAR
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.water import WATER, YEAR
 from rasters import hills
 
 STEP_X, STEP_Y = 10.0, 7.0

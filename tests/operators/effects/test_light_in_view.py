@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects import sky_layer
 from adaptive_terrain.cbt_terrain.field import store
-from adaptive_terrain.operators.scene import live, previews, session
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.viewport import live, previews
 from demand_trees import colour, new_material, shows
 
 

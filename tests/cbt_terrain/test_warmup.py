@@ -204,9 +204,9 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
-from adaptive_terrain.cbt_terrain.effects.kernels_needed import kernels_of
-from adaptive_terrain.cbt_terrain.effects.plan import plan
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.kernels_needed import kernels_of
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run.warmup import other_modules
 from adaptive_terrain.cbt_terrain.terrain import Terrain

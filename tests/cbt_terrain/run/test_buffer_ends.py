@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parents[1] / "support"
+TESTS = Path(__file__).parents[2] / "support"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are protected by mprotect")

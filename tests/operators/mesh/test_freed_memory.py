@@ -26,7 +26,7 @@ print(json.dumps(freed.measured(freed_memory)))
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the allocators of other systems are left alone")
 def test_freed_pages_are_held_and_given_back():
-    command = [sys.executable, "-c", SCRIPT, str(Path(__file__).parents[1] / "support")]
+    command = [sys.executable, "-c", SCRIPT, str(Path(__file__).parents[2] / "support")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     assert max(found["held"], found["again"]) < 0.1 * found["before"], found

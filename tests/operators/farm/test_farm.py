@@ -18,7 +18,7 @@ from adaptive_terrain.operators.output import preparing, verifying
 from adaptive_terrain.operators.request import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture

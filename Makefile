@@ -5,8 +5,10 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v p
 VENV ?= .venv
 TESTS ?= tests
 SMOKE := tests/faults/test_import_faults.py \
-	$(addprefix tests/cbt_terrain/test_,importing.py refinement.py store.py surface.py terrain.py tree.py) \
-	$(addprefix tests/operators/test_,exporting.py handlers.py mesh_writer.py panel.py registration.py session.py) \
+	$(addprefix tests/cbt_terrain/,field/test_store.py importing/test_importing.py mesh/test_surface.py) \
+	$(addprefix tests/cbt_terrain/,refine/test_refinement.py test_terrain.py tree/test_tree.py) \
+	$(addprefix tests/operators/,mesh/test_mesh_writer.py output/test_exporting.py scene/test_session.py) \
+	$(addprefix tests/operators/,test_handlers.py test_registration.py ui/test_panel.py) \
 	$(addprefix tests/hard_cases/test_,camera_in_blender.py exports_in_blender.py life_in_blender.py)
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready

@@ -8,12 +8,12 @@ import numpy as np
 
 from ..cbt_terrain.ask.view import View
 from ..cbt_terrain.effects.effect import Asked, Places
-from ..cbt_terrain.effects.evaluate import Evaluator
 from ..cbt_terrain.effects.jet import make
-from ..cbt_terrain.effects.plan import plan
 from ..cbt_terrain.effects.pyramid import ground
-from ..cbt_terrain.effects.scale import footprint_levels
 from ..cbt_terrain.effects.splat import SPLATS
+from ..cbt_terrain.evaluate.evaluate import Evaluator
+from ..cbt_terrain.evaluate.plan import plan
+from ..cbt_terrain.evaluate.scale import footprint_levels
 from ..cbt_terrain.field.heightfield import HeightField
 from ..cbt_terrain.terrain import Terrain
 from . import scenes

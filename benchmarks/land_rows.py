@@ -6,13 +6,13 @@ import numpy as np
 from ..cbt_terrain.effects.routing import route
 from ..cbt_terrain.field.build import from_array
 from ..cbt_terrain.field.island import SIDE, island
-from ..cbt_terrain.land import fluvial
-from ..cbt_terrain.land.land_effect import Ground
-from ..cbt_terrain.land.relief import RELIEF
-from ..cbt_terrain.land.rivers import RIVERS
 from ..cbt_terrain.land.shape import shape
 from ..cbt_terrain.land.stack import Entry, Stack
 from ..cbt_terrain.land.tiles import levels_of, whole_land
+from ..cbt_terrain.land_effects import fluvial
+from ..cbt_terrain.land_effects.land_effect import Ground
+from ..cbt_terrain.land_effects.relief import RELIEF
+from ..cbt_terrain.land_effects.rivers import RIVERS
 from ..cbt_terrain.run import launch
 from ..operators.demo.stack import STACK
 from .measure import Row, alternate, stopwatch

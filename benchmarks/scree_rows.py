@@ -6,8 +6,8 @@ import warp as wp
 
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.field.island import SIDE, island
-from ..cbt_terrain.land import droplets, thermal
-from ..cbt_terrain.land.land_effect import Ground
+from ..cbt_terrain.land_effects import droplets, thermal
+from ..cbt_terrain.land_effects.land_effect import Ground
 from ..cbt_terrain.run.buffers import flat
 from . import plain_scree
 from .measure import Row, alternate, stopwatch

@@ -7,11 +7,11 @@ import numpy as np
 
 from ..cbt_terrain.effects.light import azimuths
 from ..cbt_terrain.field.island import SIDE, island
-from ..cbt_terrain.land import flood
-from ..cbt_terrain.land.land_effect import Ground, LandEffect
-from ..cbt_terrain.land.levels import apply_by_levels
-from ..cbt_terrain.land.snow import AT_FIRST, AZIMUTHS, GUSTS, SNOW, SWEEPS
-from ..cbt_terrain.land.water import WATER
+from ..cbt_terrain.land_effects import flood
+from ..cbt_terrain.land_effects.land_effect import Ground, LandEffect
+from ..cbt_terrain.land_effects.levels import apply_by_levels
+from ..cbt_terrain.land_effects.snow import AT_FIRST, AZIMUTHS, GUSTS, SNOW, SWEEPS
+from ..cbt_terrain.land_effects.water import WATER
 from .measure import Row, alternate, stopwatch
 
 SAMPLES = 257

@@ -12,9 +12,9 @@ import numpy as np
 from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import Asked, Effect, Parameter
-from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
-from adaptive_terrain.cbt_terrain.effects.examples import evaluate_on
-from adaptive_terrain.cbt_terrain.effects.plan import plan
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.examples import evaluate_on
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 
 
 def make(places, wanted, read):

@@ -15,10 +15,12 @@ from bpy.app.handlers import persistent
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
 from .demand import kept
+from .ground import keep_ground
 from .mesh import freed_memory
 from .report import accuracy_report, measuring
-from .scene import keep_ground, live, pauses, resting_land, session, stale_renders
-from .scene.request import RENDER, VIEWPORT
+from .request.request import RENDER, VIEWPORT
+from .scene import pauses, session, stale_renders
+from .viewport import live, resting_land
 
 # A terrain's mesh depends on no other, nor does what is read of it.
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *kept.TYPES

@@ -7,31 +7,18 @@ import gc
 import bpy
 
 from . import handlers
-from .effects import add_scatter, bake_maps, land_presets, splat_layers, terrain_material
+from .effects import add_scatter, bake_maps, splat_layers, terrain_material
 from .farm import submit_to_farm
-from .ground import add_collider, drop_to_ground, keep_above, pick_ground, profile_curve, viewshed
+from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
+from .importing import add_terrain, import_terrain, pack_store
+from .land import land_cache, land_list, land_presets, shape_land, water_surface
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
+from .properties import keep_properties, layer_images, properties
 from .report import measure_accuracy, measuring, sweep_accuracy
-from .scene import (
-    add_terrain,
-    frame_terrain,
-    freeze_detail,
-    import_terrain,
-    keep_ground,
-    keep_properties,
-    land_cache,
-    land_list,
-    layer_images,
-    live,
-    pack_store,
-    properties,
-    session,
-    shape_land,
-    update_terrain,
-    water_surface,
-)
+from .scene import freeze_detail, session, update_terrain
 from .ui import effects_panel, overlay_panel, panels, scatter_panel, status_bar, status_row
+from .viewport import frame_terrain, live
 
 MODULES = (
     properties,

@@ -50,7 +50,7 @@ def test_figures_are_those_that_the_script_draws(monkeypatch):
 
 def test_the_page_of_effects_has_each_of_them_and_the_example_that_runs():
     from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-    from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+    from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == [*EFFECTS, *LAND_EFFECTS], "run `make effects`"

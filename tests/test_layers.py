@@ -38,11 +38,12 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query", "effects", "scatter", "maps"),
-        *("importing", "land", "fit", "accuracy"),
+        *("errors", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query"),
+        *("effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "demand", "scene", "effects", "output", "ground", "report", "farm", "ui"),
+        *("text", "mesh", "demand", "properties", "request", "scene", "ground", "viewport", "land", "importing"),
+        *("effects", "output", "report", "farm", "ui"),
         *("handlers", "registration"),
         *("blender", "demo", "cli"),
     ],

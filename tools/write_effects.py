@@ -20,9 +20,9 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import LINEAR_RGB, Asked, Effect, Places
-from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
-from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
@@ -197,8 +197,8 @@ def saving(demo: Demo, field) -> list[str]:
 def of_demo(folder: Path) -> Demo:
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
+    from adaptive_terrain.operators.properties.layer_properties import color_given
     from adaptive_terrain.operators.scene import session
-    from adaptive_terrain.operators.scene.layer_properties import color_given
 
     (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
     flight = read_camera_path(folder / "flight.json")

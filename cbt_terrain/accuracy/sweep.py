@@ -12,8 +12,8 @@ import numpy as np
 
 from ..ask.criterion import Criterion
 from ..ask.view import View
-from ..effects.evaluate import Evaluator
-from ..effects.plan import Plan
+from ..evaluate.evaluate import Evaluator
+from ..evaluate.plan import Plan
 from ..field.bicubic import interpolated
 from ..field.heightfield import HeightField
 from ..fit.fit import fit

@@ -59,7 +59,7 @@ Wanted = Mapping[str, Mapping[str, object]]
 # float32 [n] or [n, width].
 Make = Callable[[Places, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
 
-# Evaluates an effect, by its name, on a raster: see evaluate_on in examples.py.
+# Evaluates an effect, by its name, on a raster: see evaluate_on in evaluate/examples.py.
 Evaluate = Callable[..., np.ndarray]
 
 

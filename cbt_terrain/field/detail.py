@@ -9,7 +9,7 @@ triangle misses of it.
 The constant c. Between lattice values in [-1, 1] n is linear in each of them, so is its second derivative in a given
 direction, which is therefore largest where all four are 1 or -1. With the fade f(u) = 6 u^5 - 15 u^4 + 10 u^3 the
 largest is that of the checkerboard F(u) F(v), F = 1 - 2 f, in a cell's middle along a diagonal: 4 f'(1/2)^2 =
-4 (15/8)^2 = 225/16; and the largest slope in any direction is 2 f'(1/2) = 15/4. tests/cbt_terrain/test_detail.py
+4 (15/8)^2 = 225/16; and the largest slope in any direction is 2 f'(1/2) = 15/4. tests/cbt_terrain/field/test_detail.py
 proves c <= 14.1 and slopes <= 3.8 for all cells by interval arithmetic.
 """
 

@@ -6,8 +6,8 @@ from types import ModuleType
 
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked
-from ..effects.kernels_needed import kernels_named_by
-from ..effects.plan import plan
+from ..evaluate.kernels_needed import kernels_named_by
+from ..evaluate.plan import plan
 from ..run import warmup
 from .mask_reads import SHAPES
 from .stack import Stack

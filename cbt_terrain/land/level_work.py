@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from ..field.heightfield import HeightField
-from .land_effect import Change, Ground, LandEffect
+from ..land_effects.land_effect import Change, Ground, LandEffect
+from ..land_effects.levels import masked
 from .level_plan import LevelPlan
-from .levels import masked
 from .mask import whole_mask
 from .mask_reads import values_of
 from .stack import Entry

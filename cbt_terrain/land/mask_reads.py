@@ -11,8 +11,8 @@ import numpy as np
 
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked, Effect, Places
-from ..effects.evaluate import values_at
 from ..effects.layers import NAMES as BY_PRODUCTS
+from ..evaluate.evaluate import values_at
 from ..field.heightfield import HeightField
 from ..field.lattice import fit
 from .tile_cache import content_key

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..field.build import from_array
 from ..field.heightfield import HeightField
+from ..land_effects.land_effect import Change, Ground, LandEffect
+from ..land_effects.levels import masked
 from .kernels_needed import prepare
-from .land_effect import Change, Ground, LandEffect
 from .level_work import LevelGround
-from .levels import masked
 from .mask import whole_mask
 from .mask_reads import values_of
 from .stack import Entry, Stack, check_by_products

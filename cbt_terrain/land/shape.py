@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..field.heightfield import HeightField
+from ..land_effects.levels import finer, finer_window
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import Land, LevelGround, Work, apply_tile, apply_whole, parts, within, without
-from .levels import finer, finer_window
 from .stack import Entry, Stack
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of

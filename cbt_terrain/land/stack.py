@@ -24,8 +24,8 @@ from pathlib import Path
 
 from ..errors import TerrainError, shown
 from ..field.store_arrays import open_regular
-from .catalogue import LAND_EFFECTS
-from .land_effect import LandEffect
+from ..land_effects.catalogue import LAND_EFFECTS
+from ..land_effects.land_effect import LandEffect
 from .mask import GroundRule, Mask
 from .mask_reads import BY_PRODUCTS
 

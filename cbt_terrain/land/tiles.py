@@ -17,9 +17,9 @@ import numpy as np
 from ..ask.view import View
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
+from ..land_effects.levels import COARSEST
 from ..maps import sizing
 from ..maps.tiling import Tiling
-from .levels import COARSEST
 
 TILE = 256
 # Samples beyond a tile's border up to which it counts; a power of two, so that weights add up to exactly 1.

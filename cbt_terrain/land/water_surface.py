@@ -12,11 +12,11 @@ import numpy as np
 
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice, fit
+from ..land_effects.land_effect import Ground
+from ..land_effects.water import DEPTH, DISCHARGE, SPEED, WATER
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
-from .land_effect import Ground
-from .water import DEPTH, DISCHARGE, SPEED, WATER
 
 # Samples along a side, at most; what a surface is made of.
 MOST_SAMPLES = 1025

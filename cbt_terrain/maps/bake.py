@@ -22,10 +22,10 @@ import warp as wp
 from ...kernels.effects import texels as kernels
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked, Places
-from ..effects.evaluate import values_at
-from ..effects.plan import plan
-from ..effects.scale import STEPS_PER_LEVEL
 from ..errors import TerrainError
+from ..evaluate.evaluate import values_at
+from ..evaluate.plan import plan
+from ..evaluate.scale import STEPS_PER_LEVEL
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..run import launch, partial_files

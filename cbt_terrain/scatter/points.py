@@ -22,8 +22,8 @@ from ..ask.linear import lengths, settled, solve
 from ..ask.local_view import localise
 from ..ask.view import View
 from ..effects.effect import Places
-from ..effects.evaluate import values_at
 from ..errors import TerrainError
+from ..evaluate.evaluate import values_at
 from ..field import coats
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered

@@ -6,8 +6,8 @@ from pathlib import Path
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
-from ...cbt_terrain.effects.evaluate import Evaluator
-from ...cbt_terrain.effects.plan import plan
+from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.run import launch, stopping
 from ...cbt_terrain.terrain import Terrain

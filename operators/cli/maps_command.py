@@ -84,8 +84,8 @@ def scene_subjects(
     source = SceneFrames(blend, camera, resolution)
 
     from ..effects.map_request import gathered
+    from ..request.land_request import whole_raster_of
     from ..scene import session
-    from ..scene.land_request import whole_raster_of
 
     look = {"camera": source.camera, "resolution": resolution}
     subjects = []

@@ -14,10 +14,10 @@ from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.material import dress
 from ..effects.terrain_material import sources_of
 from ..output.frame_sources import open_empty_file
+from ..properties.map_properties import SHOT
+from ..properties.properties import CHOSEN_CAMERA
+from ..request.request import RENDER
 from ..scene import session
-from ..scene.map_properties import SHOT
-from ..scene.properties import CHOSEN_CAMERA
-from ..scene.request import RENDER
 from ..text.console import quiet
 from . import ground
 from .materials import (

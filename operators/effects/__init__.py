@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects in Blender: the settings of a terrain's effects, its material, its baked maps."""
+"""Effects in Blender: a terrain's splat layers, its material, its baked maps, its scatters."""

@@ -6,9 +6,9 @@ import math
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ..request.scatters import scatters_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
-from ..scene.scatters import scatters_of
 from .nodes import Nodes
 
 GROUP = "Adaptive Scatter"

@@ -11,8 +11,9 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.maps.bake import Baked
 from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
-from ..scene import live, session
-from ..scene.land_request import whole_raster_of
+from ..request.land_request import whole_raster_of
+from ..scene import session
+from ..viewport import live
 from . import map_images
 from .map_baking import MapRequest, carry_out, summary
 from .map_request import gathered

@@ -10,8 +10,8 @@ from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
-from ..scene.map_properties import CHOSEN, FRAME, SHOT
-from ..scene.request import RENDER, Overrides, gather
+from ..properties.map_properties import CHOSEN, FRAME, SHOT
+from ..request.request import RENDER, Overrides, gather
 from ..scene.shot import frames_of, look_through
 from . import map_images
 from .map_baking import MapRequest, known

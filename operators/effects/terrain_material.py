@@ -5,7 +5,7 @@ import bpy
 
 from ...cbt_terrain.effects.splat import NAMES
 from ...cbt_terrain.errors import TerrainError
-from ..scene.layer_properties import colors_of
+from ..properties.layer_properties import colors_of
 from ..scene.polls import on_terrain_object
 from .map_images import map_image, map_vector, tile_metres
 from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress

@@ -12,11 +12,11 @@ from ...cbt_terrain.importing.source_info import versions
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_images import map_folder
 from ..effects.map_request import read_as_images
+from ..importing.import_terrain import settings_of
 from ..output.exporting import make_folder
 from ..output.preparing import is_missing, store_of
-from ..scene.import_terrain import settings_of
-from ..scene.land_request import folder_beside
-from ..scene.properties import land_of
+from ..properties.properties import land_of
+from ..request.land_request import folder_beside
 from ..scene.shot import frames_of
 from .bundle import Job, write_bundle
 

@@ -7,8 +7,8 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ..output.formats import parse_frames
+from ..properties.properties import PATH_OPTIONS
 from ..scene import session
-from ..scene.properties import PATH_OPTIONS
 from .submit import INSTALLED, NOTE, submit
 
 

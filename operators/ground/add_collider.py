@@ -8,9 +8,10 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
 from ..mesh.writer import write_mesh
-from ..scene import session, world_ground
+from ..scene import session
 from ..scene.polls import on_terrain_object
 from ..text.numbers import length_text
+from . import world_ground
 
 MARK = "adaptive_terrain_collider"  # a property of the object, by which it is found again; it holds the bound, metres
 

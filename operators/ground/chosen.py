@@ -2,8 +2,9 @@
 """What an operator of the ground is about: the terrain that counts, and the objects to move."""
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import session, world_ground
+from ..scene import session
 from ..scene.polls import IN_A_MODE
+from . import world_ground
 
 NO_TERRAIN = "The scene has no terrain; add one"
 

@@ -4,7 +4,7 @@
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..scene import world_ground
+from . import world_ground
 
 
 def drop_points(obj, world: Matrix, ground, offset: float) -> str:

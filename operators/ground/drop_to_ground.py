@@ -9,9 +9,9 @@ import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import keep_ground, world_ground
-from ..scene import vertical_moves as moves
-from ..scene.keep_properties import ON
+from ..properties.keep_properties import ON
+from . import keep_ground, world_ground
+from . import vertical_moves as moves
 from .bounds import corners_of
 from .chosen import active_terrain, grounds, has_ground, movers, selected
 from .drop_points import drop_points

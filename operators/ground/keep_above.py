@@ -6,10 +6,10 @@ import math
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import camera as cameras
-from ..scene import keep_ground
-from ..scene import vertical_moves as moves
-from ..scene.keep_properties import ABOVE
+from ..properties.keep_properties import ABOVE
+from ..request import camera as cameras
+from . import keep_ground
+from . import vertical_moves as moves
 from .chosen import active_terrain, has_ground, movers, selected
 
 

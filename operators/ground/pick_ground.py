@@ -7,10 +7,10 @@ import bpy
 from bpy_extras import view3d_utils
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import camera as cameras
-from ..scene import vertical_moves as moves
-from ..scene import world_ground
+from ..request import camera as cameras
 from ..text.numbers import plain
+from . import vertical_moves as moves
+from . import world_ground
 from .chosen import grounds, has_ground
 
 CURSOR, OBJECT = "CURSOR", "OBJECT"

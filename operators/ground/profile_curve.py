@@ -10,9 +10,9 @@ from mathutils import Vector
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
-from ..scene import world_ground
 from ..text import profile_plot
 from ..text.numbers import length_text
+from . import world_ground
 from .chosen import active_terrain, has_ground
 
 SUFFIXES = ".csv", ".svg"

@@ -7,8 +7,9 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.viewshed import viewshed
 from ..mesh.writer import UV_LAYER
-from ..scene import camera as cameras
-from ..scene import session, world_ground
+from ..request import camera as cameras
+from ..scene import session
+from . import world_ground
 from .chosen import active_terrain, has_ground, selected
 
 NAME = "viewshed"

@@ -9,8 +9,10 @@ from bpy_extras.io_utils import ExportHelper
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land.export import check_export, export_raster
-from ..scene import imported, land_request, session, shape_land
-from ..scene.land_request import land_of
+from ..land import shape_land
+from ..request import imported, land_request
+from ..request.land_request import land_of
+from ..scene import session
 from ..scene.polls import on_terrain_object
 
 BAKED = "_baked"

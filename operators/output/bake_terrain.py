@@ -10,9 +10,9 @@ from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
+from ..request.request import gather
 from ..scene import session
 from ..scene.polls import on_terrain_object
-from ..scene.request import gather
 from ..text.shown_bounds import bound_text, limit_text
 
 

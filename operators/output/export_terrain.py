@@ -7,9 +7,9 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
+from ..request.request import RENDER
 from ..scene import session
 from ..scene.polls import on_terrain_object
-from ..scene.request import RENDER
 
 
 class ExportTerrain(bpy.types.Operator, ExportHelper):

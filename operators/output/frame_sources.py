@@ -13,9 +13,9 @@ from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
-from ...cbt_terrain.effects.evaluate import Evaluator
-from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
@@ -122,8 +122,8 @@ class SceneFrames:
         self.scene, self.objects = open_scene(blend)
         import bpy
 
-        from ..scene.request import Overrides
-        from ..scene.scatters import scatters_of
+        from ..request.request import Overrides
+        from ..request.scatters import scatters_of
 
         self.name, self.with_scatters = Path(blend).stem, with_scatters
         self.resolution = resolution
@@ -159,9 +159,9 @@ class SceneFrames:
 def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
     """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
     from ..mesh.cleanup import clean_up
+    from ..request.request import RENDER, gather
+    from ..request.scatters import scatters_of
     from ..scene import session
-    from ..scene.request import RENDER, gather
-    from ..scene.scatters import scatters_of
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
         update = session.update_object(obj, depsgraph, RENDER, **asked)

@@ -13,13 +13,13 @@ from ...cbt_terrain.importing.import_process import import_source
 from ..effects.map_baking import carry_out
 from ..effects.map_baking import summary as maps_summary
 from ..effects.map_request import gathered, read_as_images
+from ..importing.import_terrain import settings_of
+from ..importing.import_terrain import summary as import_summary
+from ..land.shape_land import wanted_land
+from ..properties.land_properties import SEEN
+from ..properties.map_properties import SHOT
+from ..request.land_request import land_of, whole_raster_of
 from ..scene import session
-from ..scene.import_terrain import settings_of
-from ..scene.import_terrain import summary as import_summary
-from ..scene.land_properties import SEEN
-from ..scene.land_request import land_of, whole_raster_of
-from ..scene.map_properties import SHOT
-from ..scene.shape_land import wanted_land
 from ..scene.shot import look_through
 
 Say = Callable[[str], None]

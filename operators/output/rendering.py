@@ -13,9 +13,9 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.partial_files import private_folder
+from ..request.request import RENDER
 from ..scene import session, stale_renders
 from ..scene.pauses import paused
-from ..scene.request import RENDER
 from .exporting import write_frames
 from .frame_sources import SceneFrames, bounds_of
 

@@ -17,7 +17,7 @@ from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import length
 from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.plan import Plan, plan
+from ...cbt_terrain.evaluate.plan import Plan, plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ..output.frame_sources import SceneFrames, file_name
@@ -122,7 +122,7 @@ class Look:
 def looks_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
     """What `scene` shows of the terrains `objects` at its frames `numbers`, which it goes through; `look` as of
     `request.gather`. Each frame is followed by the next one, if the scene has one."""
-    from ..scene.request import RENDER, gather
+    from ..request.request import RENDER, gather
 
     requests, shown = {}, {}
     with paused():

@@ -14,8 +14,8 @@ from ...cbt_terrain.accuracy.timed_runs import Frame, median_by_step, timed_runs
 from ...cbt_terrain.ask.criterion import unit_asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
+from ..request.request import RENDER, VIEWPORT, Request, gather
 from ..scene import session
-from ..scene.request import RENDER, VIEWPORT, Request, gather
 from .measuring import MeasuringOperator
 
 MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs

@@ -11,7 +11,8 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
-from ..scene import live, session
+from ..scene import session
+from ..viewport import live
 
 POLL_S = 0.02  # what a job asks of the main thread waits as long
 RENDERING = "Blender is rendering, which would be in every time; measure again when it is done."

@@ -11,9 +11,9 @@ from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
 from ..output.frame_sources import file_name
+from ..request.request import RENDER, gather
 from ..scene import session
 from ..scene.pauses import paused
-from ..scene.request import RENDER, gather
 from . import accuracy_report
 from .accuracy_plots import label
 from .accuracy_subject import Look, Subject, looks_at

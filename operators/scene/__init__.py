@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A scene's terrains: their settings, what they ask for, their meshes, and what changes them."""
+"""A scene's terrains while Blender runs: their meshes, what these show, and what a render may rely on."""

@@ -9,7 +9,7 @@ import numpy as np
 from ...cbt_terrain.accuracy import triangle_errors
 from ...cbt_terrain.mesh.attributes import CORNER, FACE, Attribute
 from ..mesh.writer import COLOUR_ATTRIBUTE
-from .properties import ERROR_OVERLAY
+from ..properties.properties import ERROR_OVERLAY
 
 # Nine stops of matplotlib's viridis, sRGB: equal steps look equally large, also in grey and to the colour-blind.
 VIRIDIS = np.array([

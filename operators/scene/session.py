@@ -12,10 +12,10 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.effects.evaluate import Evaluator
-from ...cbt_terrain.effects.layered_detail import laid
-from ...cbt_terrain.effects.plan import plan
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.layered_detail import laid
+from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
@@ -28,12 +28,13 @@ from ..demand import kept
 from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
-from . import frozen, land_request
-from .asked_effects import EffectStatus, statuses
+from ..properties.properties import ERROR_OVERLAY, NO_OVERLAY
+from ..request import land_request
+from ..request.asked_effects import EffectStatus, statuses
+from ..request.request import VIEWPORT, Request, gather
+from ..request.scatters import ScatterRecord, make_points, show_points
+from . import frozen
 from .overlay import Overlay, make_overlay
-from .properties import ERROR_OVERLAY, NO_OVERLAY
-from .request import VIEWPORT, Request, gather
-from .scatters import ScatterRecord, make_points, show_points
 
 
 @dataclasses.dataclass

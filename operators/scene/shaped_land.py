@@ -9,12 +9,13 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.land.catalogue import LAND_EFFECTS
-from ...cbt_terrain.land.land_effect import Layer
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.land_effects.land_effect import Layer
+from ..properties.land_properties import EVERYWHERE
+from ..request import land_request
+from ..request.imported import imported_of
 from ..text.numbers import length_text, plain
-from . import land_request, session
-from .imported import imported_of
-from .land_properties import EVERYWHERE
+from . import session
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 FAILED = "Failed"

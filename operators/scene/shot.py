@@ -10,8 +10,8 @@ import numpy as np
 
 from ...cbt_terrain.ask.linear import inverse, product
 from ...cbt_terrain.ask.view import View
+from ..request.request import RENDER, gather
 from .pauses import paused
-from .request import RENDER, gather
 
 
 def frames_of(scene) -> range:

@@ -6,7 +6,7 @@ import bpy
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import unit_asked
 from ...cbt_terrain.errors import TerrainError
-from ..scene.request import criterion_from, within_time
+from ..request.request import criterion_from, within_time
 from ..text.numbers import plain
 from .panel_parts import TerrainSubpanel, fixed_lines, switched
 

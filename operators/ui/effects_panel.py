@@ -8,12 +8,13 @@ moves while someone aims at it.
 import bpy
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.evaluate import MOST_BYTES
-from ..scene import live, session
-from ..scene.effect_properties import is_number
-from ..scene.map_properties import label
+from ...cbt_terrain.evaluate.evaluate import MOST_BYTES
+from ..properties.effect_properties import is_number
+from ..properties.map_properties import label
+from ..scene import session
 from ..text.effect_lines import cost_text, readers_text
 from ..text.numbers import plain, time_text
+from ..viewport import live
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
 NAME_WIDTH, COST_WIDTH = 0.62, 0.58  # parts of a row, and of what is left of it

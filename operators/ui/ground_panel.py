@@ -3,9 +3,9 @@
 
 import bpy
 
-from ..ground import add_collider
-from ..scene import keep_ground, session
-from ..scene.keep_properties import ON
+from ..ground import add_collider, keep_ground
+from ..properties.keep_properties import ON
+from ..scene import session
 from ..text.numbers import length_text
 from .panel_parts import message
 

@@ -4,9 +4,9 @@
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import import_terrain
-from ..scene.imported import changed_settings, imported_of, lines_of
-from ..scene.properties import FILE
+from ..importing import import_terrain
+from ..properties.properties import FILE
+from ..request.imported import changed_settings, imported_of, lines_of
 from .panel_parts import TerrainSubpanel, draw_ground, figures, switched
 
 

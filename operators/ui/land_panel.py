@@ -7,10 +7,11 @@ The list and what is below it have as many rows whatever they say: nothing moves
 import bpy
 from bl_ui.utils import PresetPanel
 
-from ...cbt_terrain.land.catalogue import LAND_EFFECTS
-from ..effects.land_presets import PRESET_PANEL, PRESETS
-from ..scene import land_jobs, land_stack, session, shaped_land
-from ..scene.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ..land.land_presets import PRESET_PANEL, PRESETS
+from ..properties.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
+from ..request import land_stack
+from ..scene import land_jobs, session, shaped_land
 from ..text.numbers import length_text, time_text, unit_text
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
 

@@ -5,7 +5,7 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from ..effects.splat_layers import PRESET_PANEL, PRESETS
-from ..scene.layer_properties import BANDS
+from ..properties.layer_properties import BANDS
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
 
 

@@ -4,7 +4,7 @@
 import bpy
 
 from ..effects import bake_maps
-from ..scene.map_properties import CHOSEN
+from ..properties.map_properties import CHOSEN
 from .panel_parts import TerrainSubpanel, switched
 
 

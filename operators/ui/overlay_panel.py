@@ -4,9 +4,9 @@
 import bpy
 import bpy.utils.previews
 
+from ..properties.properties import NO_OVERLAY
 from ..scene import session
 from ..scene.overlay import LEGEND_LINES
-from ..scene.properties import NO_OVERLAY
 from .panel_parts import TerrainSubpanel
 
 SWATCH_SIZE = 8

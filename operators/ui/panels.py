@@ -4,8 +4,8 @@
 import bpy
 
 from ...cbt_terrain.run import warmup
+from ..properties.properties import CHOSEN_CAMERA
 from ..scene import session
-from ..scene.properties import CHOSEN_CAMERA
 from . import (
     detail_panel,
     effects_panel,

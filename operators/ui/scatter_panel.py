@@ -4,9 +4,9 @@
 import bpy
 from mathutils import Matrix
 
+from ..properties.scatter_properties import MESH
+from ..request.scatters import ScatterRecord, is_scatter, scatters_of
 from ..scene import session
-from ..scene.scatter_properties import MESH
-from ..scene.scatters import ScatterRecord, is_scatter, scatters_of
 from ..text.numbers import time_text
 from ..text.shown_bounds import bound_text
 from .layers_panel import draw_rules

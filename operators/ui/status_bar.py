@@ -7,7 +7,9 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from ..effects import bake_maps
-from ..scene import import_terrain, land_jobs, live, pack_store
+from ..importing import import_terrain, pack_store
+from ..scene import land_jobs
+from ..viewport import live
 
 TURN_S = 0.1
 WIDTH = 14  # in the interface's units, so that the bar does not move with its text

@@ -9,8 +9,10 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
-from ..scene import camera as cameras
-from ..scene import import_terrain, pack_store, session, sight
+from ..importing import import_terrain, pack_store
+from ..request import camera as cameras
+from ..scene import session
+from ..viewport import sight
 from .panel_parts import wrapped
 
 POPUP_LINE = 80

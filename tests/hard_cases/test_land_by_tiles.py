@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from land_effects import SMOOTH, bumpy, ragged
 
 # How far tiles may be off, as a part of what the fine levels have moved. 0: their halo is all that they look at.

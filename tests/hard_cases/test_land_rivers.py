@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.routing import route
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land import fluvial
-from adaptive_terrain.cbt_terrain.land.fluvial import step
-from adaptive_terrain.cbt_terrain.land.land_effect import Change, Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels, coarser, finer
-from adaptive_terrain.cbt_terrain.land.rivers import RIVERS, grow
+from adaptive_terrain.cbt_terrain.land_effects import fluvial
+from adaptive_terrain.cbt_terrain.land_effects.fluvial import step
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels, coarser, finer
+from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS, grow
 from river_grounds import aged, bed_of, rough
 
 LAYERS = ("sediment", "wear", "flow")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land import droplets, thermal
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land.examples import shape_with
-from adaptive_terrain.cbt_terrain.land.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.land_effects import droplets, thermal
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land_effects.examples import shape_with
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
 from fields import rough
 
 

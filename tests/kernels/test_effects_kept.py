@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain.effects import keep
-from adaptive_terrain.cbt_terrain.effects.keep import Kept
+from adaptive_terrain.cbt_terrain.evaluate import keep
+from adaptive_terrain.cbt_terrain.evaluate.keep import Kept
 from twins import load
 
 

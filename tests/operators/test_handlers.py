@@ -7,8 +7,9 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.scene import live, session, stale_renders
+from adaptive_terrain.operators.scene import session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
+from adaptive_terrain.operators.viewport import live
 
 
 def positions(obj):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Flights in which every buffer of the engine ends where a page begins that may not be touched.
 
-A process of its own, which a read or a write beyond an array ends; tests/cbt_terrain/test_buffer_ends.py runs it.
+A process of its own, which a read or a write beyond an array ends; tests/cbt_terrain/run/test_buffer_ends.py runs it.
 """
 
 import ctypes

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.effects.effect import Parameter
-from adaptive_terrain.cbt_terrain.land.land_effect import Change, LandEffect, Layer
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, LandEffect, Layer
 
 SWEEPS = 4
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft
-from adaptive_terrain.operators.scene import land_request, land_stack
+from adaptive_terrain.operators.request import land_request, land_stack
 
 
 @pytest.fixture

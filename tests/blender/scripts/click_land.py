@@ -27,10 +27,10 @@ def module(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-session, shaped_land, land_request, land_jobs, resting_land = (
-    module(f"operators.scene.{name}")
-    for name in ("session", "shaped_land", "land_request", "land_jobs", "resting_land")
+session, shaped_land, land_jobs = (
+    module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_jobs")
 )
+land_request, resting_land = module("operators.request.land_request"), module("operators.viewport.resting_land")
 resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}

@@ -15,7 +15,9 @@ from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
-from bl_ext.user_default.adaptive_terrain.operators.scene import import_terrain, live, session
+from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
+from bl_ext.user_default.adaptive_terrain.operators.scene import session
+from bl_ext.user_default.adaptive_terrain.operators.viewport import live
 from bpy.app.handlers import persistent
 
 folder, counts = sys.argv[sys.argv.index("--") + 1 :]

@@ -3,7 +3,7 @@
 
 import pytest
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.examples import evaluate_on
+from adaptive_terrain.cbt_terrain.evaluate.examples import evaluate_on
 
 
 @pytest.mark.parametrize("name", EFFECTS)

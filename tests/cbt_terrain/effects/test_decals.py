@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.effects.examples import evaluate_on
-from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.examples import evaluate_on
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 
 GROUND = {"layers": (Layer("Grass"),), "colors": ((0.2, 0.4, 0.1),)}
 FLAT = np.zeros((37, 37))  # of which 33 x 33 samples are evaluated

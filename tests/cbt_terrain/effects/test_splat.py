@@ -10,7 +10,6 @@ import pytest
 from adaptive_terrain.cbt_terrain.effects import splat
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import Asked, Places
-from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.effects.splat_rules import (
     DEFAULT,
     Layer,
@@ -22,6 +21,7 @@ from adaptive_terrain.cbt_terrain.effects.splat_rules import (
     reads,
 )
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from rasters import hills
 

@@ -2,7 +2,7 @@
 """Effects of the tests' own in the catalogue."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from land_effects import OWN
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.land import level_plan
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
 from land_effects import HILL, LEVEL, SMOOTH, bumpy
 
 Usage = namedtuple("Usage", "total used free")

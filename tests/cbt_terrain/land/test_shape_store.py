@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.effects.effect import Asked, Places
-from adaptive_terrain.cbt_terrain.effects.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.effects.layers import LAYERS, NAMES, lacks, make
-from adaptive_terrain.cbt_terrain.effects.plan import plan
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json, verify
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.land.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.land.mask import Mask
 from adaptive_terrain.cbt_terrain.land.shape_process import ShapeJob, shape_store
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tiles import levels_of
+from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from land_effects import bumpy
 

@@ -6,8 +6,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
-from adaptive_terrain.cbt_terrain.land.levels import coarser, finer, finer_window
 from adaptive_terrain.cbt_terrain.land.tiles import BAND, Needed, all_tiles, closed, levels_of, tiles_seen
+from adaptive_terrain.cbt_terrain.land_effects.levels import coarser, finer, finer_window
 
 SIZES = [(700, 1000), (513, 513), (514, 2050), (258, 1600), (3, 900), (1025, 770)]
 

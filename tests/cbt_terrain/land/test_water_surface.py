@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
-from adaptive_terrain.cbt_terrain.land.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land.water import WATER
 from adaptive_terrain.cbt_terrain.land.water_surface import sea_depth, water_of, water_surface
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
+from adaptive_terrain.cbt_terrain.land_effects.water import WATER
 from cut_surfaces import areas, assert_welded
 from rasters import hills
 

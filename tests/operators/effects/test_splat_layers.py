@@ -10,8 +10,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.effects import splat_rules as rules
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.effects import splat_layers
+from adaptive_terrain.operators.properties.layer_properties import BANDS, colors_of, layers_of
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.layer_properties import BANDS, colors_of, layers_of
 from adaptive_terrain.operators.ui.layers_panel import LayerPresets, LayersPanel
 from demand_trees import colour, new_material, shows
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scale at which an effect is evaluated: a level of the pyramid for each place, in steps of 1/8, so that values
+stay bit for bit while the camera creeps."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import footprint as kernels
+from ..ask.linear import length, product, settled
+from ..ask.view import ORTHOGRAPHIC, View
+from ..effects.pyramid import shapes
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat, shared
+
+STEPS_PER_LEVEL = 8
+
+
+def fixed_level(field: HeightField, metres: float = 0.0) -> float:
+    """The level whose samples are so many metres apart, in the terrain's own space; 0: those of the raster.
+
+    Raises TerrainError for what is no distance.
+    """
+    if not 0.0 <= metres < math.inf:
+        raise TerrainError(f"The scale of effects for geometry is {metres} m; expected a distance, or 0: the raster's.")
+    steps = settled(math.log2(max(metres / _step(field), 1.0))) * STEPS_PER_LEVEL
+    return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _most(field))
+
+
+def footprint_levels(
+    field: HeightField,
+    positions: np.ndarray,
+    views: Sequence[View],
+    placement: np.ndarray | None = None,
+    threads: int = 1,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
+    """float32 [n]: the level whose samples are as far apart as a pixel covers across the line of sight, of the view
+    that sees the place finest.
+
+    positions: float32 [n, 3], metres in the terrain's own space, which `placement` (4 x 4) takes to the world. The
+    footprint is by distance, not by depth: turning the camera changes nothing. Of a terrain that is stretched more one
+    way than the other it is that along the axis of least stretch: there a pixel covers most. With no views level 0.
+    """
+    levels = np.empty(len(positions), np.float32) if out is None else out
+    if not views:
+        levels[:] = 0.0
+        return levels
+    placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+    levels[:] = np.inf
+    eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.Eye, device=launch.DEVICE)
+    inputs = [shared(positions, wp.vec3f), eyes, _most(field), flat(levels, wp.float32)]
+    blocks = -(-len(positions) // kernels.BLOCK)
+    launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
+    return levels
+
+
+def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.Eye:
+    to_camera = product(view.world_to_camera, placement)
+    eye = kernels.Eye()
+    eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
+    if view.kind == ORTHOGRAPHIC:
+        eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
+    samples = 1.0 / (view.pixels_per_unit * _least_stretch(to_camera[:3, :2]) * _step(field))
+    eye.pixel2 = samples * samples
+    return eye
+
+
+def _least_stretch(across: np.ndarray) -> float:
+    """The least length that a level unit vector has in camera space: the smaller singular value of [3, 2]."""
+    a, b = length(across[:, 0]), length(across[:, 1])
+    dot = float(sum(across[:, 0] * across[:, 1]))
+    largest2 = (a * a + b * b + math.hypot(a * a - b * b, 2 * dot)) / 2
+    return math.sqrt(max(a * a * b * b - dot * dot, 0.0) / largest2)
+
+
+def _step(field: HeightField) -> float:
+    """Metres between samples, the longer way."""
+    return max(field.lattice.step_x, field.lattice.step_y)
+
+
+def _most(field: HeightField) -> int:
+    """The coarsest level."""
+    return len(shapes(field.lattice)) - 1

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add > Mesh > Adaptive Terrain: a terrain with a built-in land."""
+
+import bpy
+from bpy_extras.object_utils import AddObjectHelper, object_data_add
+
+from ...cbt_terrain.field.island import DEFAULT_SEED
+from ...cbt_terrain.field.lands import LANDS
+from ..properties.properties import ISLAND, land_items, land_of
+from ..request.land_entries import PRESETS
+from ..scene import session
+
+
+class AddTerrain(bpy.types.Operator, AddObjectHelper):
+    """Add a terrain with a built-in land"""
+
+    bl_idname = "mesh.adaptive_terrain_add"
+    bl_label = "Adaptive Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+
+    land: bpy.props.EnumProperty(name="Land", items=land_items(), default=ISLAND)
+    shape: bpy.props.BoolProperty(
+        name="Shape",
+        description="Put the effects on heights that suit the land into its stack: rivers, scree, snow. They are in "
+        "metres, so that the land has its own size then",
+    )  # fmt: skip
+    own_size: bpy.props.BoolProperty(
+        name="Own Size",
+        description="As wide as the land is itself, 8 to 33 km; viewports are moved so that they see it",
+    )
+    size: bpy.props.FloatProperty(
+        name="Size",
+        description="Metres from one side of the land to the other; small by default, as all that Blender adds",
+        default=20.0, min=0.001, soft_max=100_000.0, unit="LENGTH",
+    )  # fmt: skip
+    seed: bpy.props.IntProperty(name="Seed", description="Another seed is another land", default=DEFAULT_SEED, min=0)
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Leave the mode for Object Mode: a terrain is an object of its own")
+        return context.mode == "OBJECT"
+
+    def draw(self, _context):
+        layout, land = self.layout, LANDS[self.land.lower()]
+        layout.use_property_split = True
+        layout.prop(self, "land")
+        layout.prop(self, "seed")
+        for name, free in (("shape", land.preset), ("own_size", not self._is_shaped(land)),
+                           ("size", not self.own_size and not self._is_shaped(land))):  # fmt: skip
+            row = layout.row()
+            row.enabled = bool(free)
+            row.prop(self, name)
+        for name in ("align", "location", "rotation"):
+            layout.prop(self, name)
+
+    def _is_shaped(self, land) -> bool:
+        return self.shape and bool(land.preset)
+
+    def execute(self, context):
+        obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
+        settings = obj.adaptive_terrain
+        settings.enabled = True
+        settings.source, settings.seed = self.land, self.seed
+        land = land_of(settings)
+        size = land.side if self.own_size or self._is_shaped(land) else self.size
+        settings.use_extent, settings.extent = True, (size, size)
+        settings.height_scale = size / land.side  # the land keeps its shape
+        if self._is_shaped(land):
+            bpy.ops.adaptive_terrain.land_preset(filepath=bpy.utils.preset_find(land.preset, PRESETS, ext=".json"))
+        # With a window the import runs beside it and the mesh appears when it is done; without, now.
+        try:
+            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        except RuntimeError as error:  # what the nested operator reports as an error
+            mesh = obj.data
+            bpy.data.objects.remove(obj)
+            bpy.data.meshes.remove(mesh)
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+            return {"CANCELLED"}
+        if session.terrains_of(context.scene) == [obj]:
+            self._lock_interface(context.scene)
+        return {"FINISHED"}
+
+    def _lock_interface(self, scene):
+        """A viewport that draws a mesh that a render rewrites meanwhile would crash Blender."""
+        if not scene.render.use_lock_interface:
+            scene.render.use_lock_interface = True
+            self.report(
+                {"INFO"}, "Switched on Render > Lock Interface: the viewport must not draw while a render updates"
+            )
+
+
+def _menu_entry(self, context):
+    self.layout.operator(AddTerrain.bl_idname, icon="RNDCURVE")
+
+
+def register() -> None:
+    bpy.utils.register_class(AddTerrain)
+    bpy.types.VIEW3D_MT_mesh_add.append(_menu_entry)
+
+
+def unregister() -> None:
+    bpy.types.VIEW3D_MT_mesh_add.remove(_menu_entry)
+    bpy.utils.unregister_class(AddTerrain)

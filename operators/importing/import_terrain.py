@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import a height map into a store, in a child process that can neither block nor hurt Blender."""
+
+import math
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.build_store import source_digest
+from ...cbt_terrain.importing.import_process import ImportJob, import_source
+from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
+from ...cbt_terrain.run import warmup
+from ..properties.properties import land_of
+from ..request import imported
+from ..scene import session
+from ..text.numbers import SMALLEST, plain
+from ..viewport import frame_terrain, live
+
+POLL_S = 0.1
+RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
+_jobs: dict[int, ImportJob] = {}  # by the object's session_uid
+_progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
+
+
+def progress_of(obj) -> tuple[float, str] | None:
+    """Fraction done (0 .. 1) and what is being done, or None when nothing is being imported for the object."""
+    return _progress.get(obj.session_uid)
+
+
+def all_progress() -> list[tuple[float, str]]:
+    """The same of every import that runs."""
+    return list(_progress.values())
+
+
+def settings_of(obj) -> ImportSettings:
+    """What the terrain's properties ask to import."""
+    settings = obj.adaptive_terrain
+    extent = tuple(settings.extent) if settings.use_extent else None
+    heights = {"height_scale": settings.height_scale, "height_offset": settings.height_offset}
+    if (land := land_of(settings)) is not None:
+        return ImportSettings(source=land.name, size=settings.island_size, seed=settings.seed, extent=extent, **heights)
+    if not settings.source_path:
+        raise TerrainError("No file is chosen to import; choose a height map on the terrain's panel.")
+    raw = {}
+    if is_raw(settings.source_path):
+        raw = {
+            "raw_size": tuple(settings.raw_size) if all(settings.raw_size) else None,
+            "raw_dtype": settings.raw_dtype,
+            "raw_little_endian": settings.raw_little_endian,
+        }
+    return ImportSettings(
+        source=bpy.path.abspath(settings.source_path),
+        extent=extent,
+        no_data=settings.no_data if settings.use_no_data else None,
+        holes=settings.holes,
+        band=settings.band,
+        channel=settings.channel,
+        first_row_south=settings.first_row_south,
+        project=settings.project.strip() if placed(settings.source_path) else "",
+        **raw,
+        **heights,
+    )
+
+
+def is_raw(path: str) -> bool:
+    return path.lower().endswith(RAW_SUFFIXES)
+
+
+def placed(path: str) -> bool:
+    """Whether a file of this kind can say where on Earth it is."""
+    return path.lower().endswith(PLACED_SUFFIXES)
+
+
+def store_folder(obj, settings: ImportSettings) -> str:
+    """Where the import is written: beside a saved file, one folder a terrain; else in the extension's user folder, one
+    folder for each source and settings, because unsaved files share it. Raises TerrainError for a missing source."""
+    source = Path(settings.source).stem
+    if bpy.data.filepath:
+        return folder_beside(obj, source)
+    return str(Path(user_folder()) / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
+
+
+def folder_beside(obj, source: str) -> str:
+    """The name of a store of `source` beside the saved file."""
+    return "//terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
+
+
+def user_folder() -> str:
+    """The folder for stores of unsaved files."""
+    package = __package__.rsplit(".", 2)[0]
+    if package.startswith("bl_ext."):
+        return bpy.utils.extension_path_user(package, path="stores", create=True)
+    return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)
+
+
+def import_now(obj) -> tuple[dict, str]:
+    """Import and wait for the end; returns the report and the store, which is not the terrain's yet."""
+    settings = settings_of(obj)
+    folder = store_folder(obj, settings)
+    return import_source(settings, bpy.path.abspath(folder)), folder
+
+
+def summary(report: dict) -> str:
+    """One line about an import."""
+    width, height = report["raster"]
+    line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
+    if report["filled"]:
+        line += f", {report['filled']:,} without data filled"
+    if report.get("cut_out"):
+        line += f", {report['cut_out']:,} without data cut out"
+    if report["source_step_m"] >= SMALLEST:
+        line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
+    return line
+
+
+def _size_of(obj) -> float:
+    """Metres from one end of the terrain's height map to the other; 0 without one."""
+    found = imported.imported_of(obj.adaptive_terrain)
+    return math.hypot(*found.extent_m) if found is not None else 0.0
+
+
+class ImportTerrain(bpy.types.Operator):
+    """Import the height map into a store; Blender stays usable meanwhile"""
+
+    bl_idname = "adaptive_terrain.import_source"
+    bl_label = "Import"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+
+    def invoke(self, context, event):
+        obj = context.object
+        self.uid = obj.session_uid
+        try:
+            settings = settings_of(obj)
+            self.folder = store_folder(obj, settings)
+            _jobs[self.uid] = ImportJob(settings, bpy.path.abspath(self.folder))
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        _progress[self.uid] = 0.0, "Starting"
+        session.record_of(obj).status.error = ""
+        self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        job = _jobs[self.uid]
+        progress = job.poll()
+        _progress[self.uid] = progress.fraction, progress.message
+        live.redraw_panels()
+        if not progress.done or warmup.preparing():  # what follows may update the mesh
+            return {"PASS_THROUGH"}
+        self._end(context)
+        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+        if obj is None:
+            return {"CANCELLED"}
+        if job.cancelled:
+            self.report({"INFO"}, progress.error)
+            return {"CANCELLED"}
+        if progress.error:
+            return self._failed(obj, progress.error)
+        return self._take(context, obj, progress.report, self.folder)
+
+    def execute(self, context):
+        obj = context.object
+        try:
+            report, folder = import_now(obj)
+        except TerrainError as error:
+            return self._failed(obj, str(error))
+        return self._take(context, obj, report, folder)
+
+    def cancel(self, context):
+        """Another file is loaded, or Blender quits."""
+        _jobs[self.uid].cancel()
+        self._end(context)
+
+    def _end(self, context):
+        context.window_manager.event_timer_remove(self.timer)
+        del _jobs[self.uid], _progress[self.uid]
+        live.redraw_panels()
+
+    def _failed(self, obj, message: str):
+        session.record_of(obj).status.error = message
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+    def _take(self, context, obj, report: dict, folder: str):
+        """The store is the terrain's from now on. One that is the first, or of another size, is brought into view."""
+        before = _size_of(obj)
+        obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
+        imported.tag_object(obj)
+        after = _size_of(obj)
+        if after and not (before and 1 / RESIZED < after / before < RESIZED):
+            self._bring_into_view(context, obj)
+        return self._update(obj, report)
+
+    def _bring_into_view(self, context, obj):
+        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
+        try:
+            done = frame_terrain.frame(obj, context.evaluated_depsgraph_get(), viewports, always=False)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
+            return
+        if done:
+            self.report({"INFO"}, frame_terrain.said(done))
+
+    def _update(self, obj, report: dict):
+        for warning in report["warnings"]:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, summary(report))
+        if obj.adaptive_terrain.live and not bpy.app.background:
+            live.mark_dirty()
+            return {"FINISHED"}
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))  # the import itself is done
+        return {"FINISHED"}
+
+
+class CancelImport(bpy.types.Operator):
+    """Stop the import; the store stays as it was"""
+
+    bl_idname = "adaptive_terrain.cancel_import"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.session_uid in _jobs
+
+    def execute(self, context):
+        _jobs[context.object.session_uid].cancel()
+        return {"FINISHED"}
+
+
+CLASSES = (ImportTerrain, CancelImport)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for job in _jobs.values():
+        job.cancel()
+    _jobs.clear()
+    _progress.clear()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clear Land Cache: what shaped land takes on disk, and room for other things."""
+
+import shutil
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field import store_folder
+from ..request.land_request import bytes_in, folder_beside, is_in_use, remove, shaped_stores
+from ..scene import land_jobs, session
+from ..scene.polls import on_terrain
+from ..text.numbers import plain
+
+
+def held(store: str) -> list[tuple[str, Path, int]]:
+    """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
+    its bytes."""
+    session.all_terrains()  # what is gone shows nothing any more
+    found = []
+    for source in _sources(store):
+        found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
+        tiles = folder_beside(source) / store_folder.TILES
+        found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
+    return found
+
+
+def _sources(store: str) -> list[str]:
+    """The store, and the one that it was baked from, which no terrain may have any more."""
+    try:
+        shaped = stores.read_json(Path(store))["provenance"]["shaped"]
+        before = str(shaped["source"])
+        if stores.read_json(Path(before))["key"] == shaped["source_key"]:
+            return [store, before]
+    except (TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
+        pass
+    return [store]
+
+
+def lines(store: str) -> list[str]:
+    """What the dialog says: where, and what takes how much."""
+    parts, said = held(store), [str(folder_beside(source)) for source in _sources(store)]
+    for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
+                        ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
+        sizes = [size for kind, _, size in parts if kind == what]
+        said.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
+    return said
+
+
+def megabytes(size: float) -> str:
+    return f"{plain(size / 1e6)} MB"
+
+
+class ClearLandCache(bpy.types.Operator):
+    """Remove shaped land that no open terrain shows, and tiles, also of what this one was baked from; it can all be
+    made again"""
+
+    bl_idname = "adaptive_terrain.land_clear"
+    bl_label = "Clear Land Cache"
+
+    @classmethod
+    def poll(cls, context):
+        if not on_terrain(cls, context) or not context.object.adaptive_terrain.store:
+            return False
+        if land_jobs.running:
+            cls.poll_message_set("Land is being shaped, which reads its tiles")
+            return False
+        return True
+
+    def invoke(self, context, _event):
+        self.said = lines(self._store(context))
+        return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
+
+    def draw(self, _context):
+        for line in self.said:
+            self.layout.label(text=line)
+
+    def execute(self, context):
+        freed = 0
+        for what, folder, size in held(self._store(context)):
+            if what == "tiles":
+                shutil.rmtree(folder, ignore_errors=True)
+            elif what != "shown":
+                remove(folder)
+            freed += size - bytes_in(folder)
+        self.report({"INFO"}, f"{megabytes(freed)} freed")
+        return {"FINISHED"}
+
+    def _store(self, context) -> str:
+        return bpy.path.abspath(context.object.adaptive_terrain.store)
+
+
+register, unregister = bpy.utils.register_classes_factory((ClearLandCache,))

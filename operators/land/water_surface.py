@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add Water Surface: lakes, rivers and the sea of a terrain as an object of their own, with depth and speed."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.water_surface import water_of
+from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.run import launch
+from ..mesh.writer import write_mesh
+from ..request.land_request import land_of, whole_raster_of
+from ..scene import session
+from ..scene.polls import on_terrain_object
+from .shape_land import check_is_shaped
+
+MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
+MATERIAL = "Terrain Water"
+SHALLOW, DEEP = (0.10, 0.22, 0.22, 1.0), (0.004, 0.025, 0.05, 1.0)
+CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
+DEEP_METRES = 4.0
+
+
+class AddWaterSurface(bpy.types.Operator):
+    """Add the lakes, rivers and the sea of the shaped land as an object, with the attributes water_depth and
+    water_speed; press it again after the land has changed. Without the effect Water in the stack, those of a metre of
+    rain a year"""
+
+    bl_idname = "adaptive_terrain.water_surface"
+    bl_label = "Add Water Surface"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, _event):
+        try:
+            check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return self.execute(context)
+
+    def execute(self, context):
+        terrain = context.object
+        try:
+            surface = _placed(_surface(terrain), terrain.adaptive_terrain)
+            water = _own(terrain) or _added(terrain)
+            write_mesh(water.data, surface)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles")
+        return {"FINISHED"}
+
+
+def _surface(terrain) -> Surface:
+    store, depsgraph = terrain.adaptive_terrain.store, bpy.context.evaluated_depsgraph_get()
+    if not store:
+        raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
+    land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
+    surface = water_of(whole_raster_of(bpy.path.abspath(store), land, session.open_field), launch.default_threads())
+    if not len(surface.triangles):
+        raise TerrainError(f"There is no water on {terrain.name!r}: no lake, no sea and no stream of 0.016 m³/s.")
+    return surface
+
+
+def _placed(surface: Surface, settings) -> Surface:
+    """With the vertical scale and offset of the terrain."""
+    positions = surface.positions * np.float32([1.0, 1.0, settings.vertical_scale])
+    positions[:, 2] += np.float32(settings.vertical_offset)
+    return replace(surface, positions=positions)
+
+
+def _own(terrain):
+    """The water that a terrain has already."""
+    return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK)), None)
+
+
+def _added(terrain):
+    name = f"{terrain.name} Water"
+    water = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    water[MARK] = True
+    water.parent = terrain
+    water.data.materials.append(bpy.data.materials.get(MATERIAL) or _material())
+    for collection in terrain.users_collection:
+        collection.objects.link(water)
+    return water
+
+
+def _material() -> bpy.types.Material:
+    """Smooth, clear at the shore and dark where it is deep."""
+    material = bpy.data.materials.new(MATERIAL)
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader = nodes["Principled BSDF"]
+    shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = 0.06, 1.333
+    depth = nodes.new("ShaderNodeAttribute")
+    depth.attribute_name, depth.location = "water_depth", (-700, 200)
+    for k, (low, high, socket) in enumerate(((SHALLOW, DEEP, "Base Color"), (CLEAR, OPAQUE, "Alpha"))):
+        values = (low, high) if k == 0 else [(a, a, a, 1.0) for a in (low, high)]
+        ramp = nodes.new("ShaderNodeValToRGB")
+        ramp.location = (-300, 300 - 250 * k)
+        for element, colour in zip(ramp.color_ramp.elements, values, strict=True):
+            element.color = colour
+        part = nodes.new("ShaderNodeMath")
+        part.operation, part.location = "DIVIDE", (-500, 300 - 250 * k)
+        part.inputs[1].default_value = DEEP_METRES
+        links.new(depth.outputs["Fac"], part.inputs[0])
+        links.new(part.outputs[0], ramp.inputs["Fac"])
+        links.new(ramp.outputs["Color"], shader.inputs[socket])
+    return material
+
+
+register, unregister = bpy.utils.register_classes_factory((AddWaterSurface,))

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What detail a terrain's settings ask for: all over it, and of its splat layers."""
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
+from ...cbt_terrain.field.coats import Ground
+from ..properties.ground_properties import detail_of
+from ..properties.layer_properties import layers_of
+
+
+def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
+    """The detail of the terrain `name`; None where nothing has an amplitude."""
+    try:  # a driver or a script may set any number
+        everywhere = detail_of(settings.ground)
+        found = ((number, detail_of(layer.detail)) for number, layer in enumerate(settings.layers))
+        details = tuple((number, detail) for number, detail in found if detail is not None)
+        return LayeredDetail(everywhere, layers_of(settings), details) if details else everywhere
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {name!r} cannot be refined. {error}") from None

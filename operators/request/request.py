@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
+
+import hashlib
+import math
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.linear import determinant
+from ...cbt_terrain.ask.morph import SMOOTH
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.coats import Ground
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..mesh.cleanup import Cleanup, boundary_triangles
+from ..properties.land_properties import SEEN
+from ..properties.properties import CHOSEN_CAMERA, VIEWPORT_VIEW
+from . import camera as cameras
+from .asked_effects import Effects, gather_effects
+from .land_request import Land, land_of
+from .land_tiles import Seen
+from .layered_ground import ground_of
+from .scatters import Scatters, gather_scatters
+
+VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
+
+    `error_px`: pixels; it replaces a time budget too. `effects`: names, in place of what the scene reads. Others: as in
+    the settings.
+    """
+
+    error_px: float | None = None
+    max_triangles: int | None = None
+    meshlet: int | None = None
+    interpolation: str | None = None
+    shading_floor: float | None = None
+    smooth_transitions: bool | None = None
+    effects: tuple[str, ...] | None = None
+    ground: Ground | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
+
+    `interpolation`: of the height field, by its name in heightfield.py. `ground`: the detail on it, or None.
+    `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
+    `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
+    `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
+    `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
+    folder of the height field, in a viewport that of its shaped land where there is some. `made_ns`: when that was
+    changed, which tells it from one that is made again or mended. `land`: what is to be made of it first, or None.
+    """
+
+    store: str
+    made_ns: int
+    land: Land | None
+    interpolation: str
+    ground: Ground | LayeredDetail | None
+    criterion: Criterion
+    views: list[View]
+    placement: np.ndarray
+    vertical_scale: float
+    vertical_offset: float
+    smooth: bool
+    cleanup: Cleanup
+    overlay: str
+    max_ms: float | None
+    note: str
+    frozen: str
+    effects: Effects
+    scatters: Scatters = Scatters()
+
+    def key(self) -> tuple:
+        """Equal for equal requests."""
+        shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
+        return self.store, self.made_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
+
+    def digest(self, field_key: str) -> str:
+        """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
+        height field, the criterion, the views, where the terrain stands."""
+        return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
+
+    def _shape(self) -> tuple:
+        views = tuple(view.key() for view in self.views)
+        heights = self.vertical_scale, self.vertical_offset
+        return self.criterion, views, self.placement.tobytes(), heights, self.frozen
+
+
+def gather(
+    obj,
+    depsgraph,
+    mode: str = VIEWPORT,
+    *,
+    criterion: Criterion | None = None,
+    camera=None,
+    resolution: tuple[int, int] | None = None,
+    overrides: Overrides = Overrides(),
+) -> Request:
+    """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
+
+    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
+    and `overrides` replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
+    if not settings.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+    interpolation = overrides.interpolation or settings.interpolation
+    if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
+        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
+    placement = _placement(obj.name, evaluated)
+    max_ms, note, frozen = None, "", ""
+    if criterion is None:
+        frozen = settings.frozen if replace(overrides, effects=None) == Overrides() else ""
+        detail = settings.render if mode == RENDER else settings.viewport
+        with _named(obj):
+            criterion = criterion_from(detail, overrides)
+        if overrides.error_px is None:
+            criterion, note = within_time(criterion, detail)
+            max_ms = detail.max_ms if detail.limit_time else None
+    views = []
+    if criterion.needs_view:
+        with _named(obj):
+            views = _views(settings, depsgraph, mode, camera, resolution)
+    store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    if land is not None:
+        if views and mode == RENDER and settings.land.where == SEEN:
+            scale = settings.vertical_scale, settings.vertical_offset
+            land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
+        elif mode != RENDER:
+            store, land = _shown_land(store, land, frozen)
+    cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
+    if cleanup.active:  # where ground is cut away one sees what it would hide
+        criterion = replace(criterion, hidden_factor=1.0)
+    return Request(
+        store=store,
+        made_ns=stores.changed_ns(store),
+        land=land,
+        interpolation=interpolation,
+        ground=overrides.ground or ground_of(settings, obj.name),
+        criterion=criterion,
+        views=views,
+        placement=placement,
+        vertical_scale=settings.vertical_scale,
+        vertical_offset=settings.vertical_offset,
+        smooth=settings.smooth,
+        cleanup=cleanup,
+        overlay=settings.overlay,
+        max_ms=max_ms,
+        note=note,
+        frozen=frozen,
+        effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
+        scatters=gather_scatters(
+            obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
+        ),
+    )
+
+
+def _placement(name: str, evaluated) -> np.ndarray:
+    """float64 [4, 4]: from the terrain's own space to the world."""
+    placement = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(placement).all():
+        raise TerrainError(f"The terrain {name!r} has a matrix that is not finite; check its transform and parents.")
+    if determinant(placement[:3, :3]) == 0.0:
+        raise TerrainError(f"The terrain {name!r} has a scale of 0; expected another scale on each axis.")
+    return placement
+
+
+def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
+    """The store that a viewport shows, and the land that is previewed on it."""
+    if shown := land.shown:
+        return shown, None
+    # A frozen mesh has the triangles of the raster, and a preview has another.
+    return store, None if frozen else land
+
+
+@contextmanager
+def _named(obj):
+    """Errors inside say which terrain they are of: a scene may have several."""
+    try:
+        yield
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
+
+
+def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
+    """The criterion that a DetailSettings asks for."""
+    limit = detail.max_triangles if detail.limit_triangles else None
+    smooth = detail.smooth_transitions if overrides.smooth_transitions is None else overrides.smooth_transitions
+    return Criterion(
+        error_px=detail.error_px if overrides.error_px is None else overrides.error_px,
+        edge_px=detail.edge_px,
+        area_px=detail.area_px,
+        error_m=detail.error_m,
+        guard_deg=detail.guard_deg,
+        off_screen_factor=detail.off_screen_factor,
+        hidden_factor=detail.hidden_factor,
+        shading_floor=detail.shading_floor if overrides.shading_floor is None else overrides.shading_floor,
+        max_depth=detail.max_depth if detail.limit_depth else None,
+        max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
+        meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,
+        morph=SMOOTH if smooth else 1.0,
+    )
+
+
+def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
+    """The criterion with the finest error that fits the time budget of a DetailSettings, which depends on the measured
+    curve and the budget alone; or the criterion as it is, and why."""
+    if not detail.limit_time:
+        return criterion, ""
+    unit = unit_asked(criterion)
+    if not unit:
+        return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
+    if not detail.curve:
+        return criterion, "Time budget needs a measured curve: press Measure Accuracy"
+    try:
+        curve = CostCurve.from_json(detail.curve)
+        error = curve.error_for_ms(detail.max_ms)
+    except TerrainError as damaged:
+        return criterion, str(damaged)
+    if curve.unit != unit:
+        return criterion, f"Time budget needs a curve measured in {unit}: press Measure Accuracy again"
+    return replace(criterion, **{f"error_{unit}": error}), ""
+
+
+def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
+    """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
+    boundary = None
+    if settings.boundary is not None:
+        shape = settings.boundary.original.evaluated_get(depsgraph)
+        boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
+    if settings.use_below and not math.isfinite(settings.below):
+        raise TerrainError(
+            f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below; expected a number."
+        )
+    return Cleanup(settings.below if settings.use_below else None, boundary)
+
+
+def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+    scene = depsgraph.scene
+    if camera is None and settings.camera_source == VIEWPORT_VIEW and mode == VIEWPORT:
+        views = cameras.views_from_windows(bpy.context.window_manager)
+        if views:
+            return views
+    if camera is None and settings.camera_source == CHOSEN_CAMERA:
+        if settings.camera is None:
+            raise TerrainError("No camera is chosen; choose one on the terrain's panel, or take the scene's camera.")
+        camera = settings.camera.original
+    return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)

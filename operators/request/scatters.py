@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scatters of a terrain: objects parented to it whose points follow its updates. Hidden ones are left alone."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.scatter.points import Points, Scatterer, on_mesh
+from ...cbt_terrain.scatter.scatter import Scatter
+from ..mesh.point_writer import write_points
+from ..properties.scatter_properties import MESH, scatter_of
+
+
+@dataclass(frozen=True)
+class AskedScatter:
+    """A scatter that is to be shown. `uid`: session_uid of its object; `name`: of that, for messages. `culls`: without
+    the points that the terrain hides."""
+
+    uid: int
+    name: str
+    scatter: Scatter
+    on_mesh: bool
+    culls: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Scatters:
+    """Those of a terrain that somebody sees, and the views that they are for; without a view, everywhere."""
+
+    asked: tuple[AskedScatter, ...] = ()
+    views: tuple[View, ...] = ()
+
+    def key(self) -> tuple:
+        return self.asked, tuple(view.key() for view in self.views)
+
+
+@dataclass
+class ScatterRecord:
+    """What is known of a scatter. `key`: of what `points` are; `scatterer_key`: of what `scatterer` is for. `shown`:
+    which points its mesh has. `ms`: of the last points; `runs`: how often points were made, ever."""
+
+    scatterer: Scatterer | None = None
+    scatterer_key: tuple = ()
+    key: tuple = ()
+    points: Points | None = None
+    shown: tuple = ()
+    ms: dict[str, float] = field(default_factory=dict)
+    runs: int = 0
+
+
+def is_scatter(obj) -> bool:
+    return obj.type == "MESH" and obj.adaptive_scatter.enabled and obj.library is None and obj.data.library is None
+
+
+def scatters_of(terrain) -> list:
+    return [child for child in terrain.children if is_scatter(child)]
+
+
+def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
+    """What the scatters of a terrain ask for that are seen in a render, or in the viewport. `views`: gathers those, and
+    is only called where there is a scatter."""
+    settings, asked = terrain.evaluated_get(depsgraph).adaptive_terrain, []
+    for obj in scatters_of(terrain):
+        evaluated = obj.evaluated_get(depsgraph)
+        if not (evaluated.is_evaluated and (render or obj.visible_get(view_layer=depsgraph.view_layer))):
+            continue
+        own = evaluated.adaptive_scatter
+        on_mesh = own.roots == MESH
+        culls = own.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
+        try:
+            asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), on_mesh, culls))
+        except TerrainError as error:
+            raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
+    return Scatters(tuple(asked), tuple(views())) if asked else Scatters()
+
+
+def make_points(
+    records: dict[int, ScatterRecord], request, heights: HeightField, terrain, surface, serial: int
+) -> None:
+    """The points of all scatters of a request, on the `surface` that the terrain has then, which is number `serial`.
+
+    Touches nothing of Blender. What the last request asked already is not made again.
+    """
+    scale = request.vertical_scale, request.vertical_offset
+    views = tuple(view.key() for view in request.scatters.views)
+    below, outline = request.cleanup.key()
+    whole = not request.cleanup.active  # where ground is cut away one sees what it would hide
+    horizon = cache(terrain.horizon)  # one for all scatters
+    for asked in request.scatters.asked:
+        record = records.setdefault(asked.uid, ScatterRecord())
+        ground = asked.scatter, heights.key, scale, outline
+        key = *ground, views, request.placement.tobytes(), below, asked.on_mesh and serial
+        culls = asked.culls and whole
+        key += (culls and (request.criterion, request.frozen),)
+        if key == record.key:
+            continue
+        start, record.key = time.perf_counter(), ()
+        try:
+            if record.scatterer_key != ground:
+                record.scatterer, record.scatterer_key = None, ()
+                boundary = request.cleanup.boundary
+                record.scatterer = Scatterer(heights, asked.scatter, *scale, terrain.threads, boundary)
+                record.scatterer_key = ground
+            hidden_by = horizon() if culls else None
+            points = record.scatterer.points(request.scatters.views, request.placement, hidden_by)
+        except TerrainError as error:
+            raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None
+        if asked.on_mesh:
+            points = on_mesh(points, terrain, surface)
+        if below is not None:  # the ground there is cut away
+            points = points.only(np.flatnonzero(points.positions[:, 2] >= below))
+        record.points, record.key, record.runs = points, key, record.runs + 1
+        record.ms = {"points": (time.perf_counter() - start) * 1e3}
+
+
+def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
+    """Write the points of a request into the meshes of their objects, unless they are there already."""
+    asked = {item.uid for item in request.scatters.asked}
+    children = {obj.session_uid: obj for obj in scatters_of(terrain)}
+    for uid in set(records) - set(children):
+        del records[uid]
+    for uid in asked & set(children):
+        record, mesh = records[uid], children[uid].data
+        shown = record.key, mesh.session_uid, len(mesh.vertices)
+        if record.points is None or shown == record.shown:
+            continue
+        start = time.perf_counter()
+        if mesh.users > 1:
+            children[uid].data = mesh = mesh.copy()
+        write_points(mesh, record.points)
+        record.shown = record.key, mesh.session_uid, len(mesh.vertices)
+        record.ms["mesh"] = (time.perf_counter() - start) * 1e3

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The viewport's mesh follows its camera, and the viewport never waits.
+
+Effects that take long begin with a preview. While nothing changes they are refined, one short step after another, to
+what a render computes.
+
+Handlers only set a flag. A timer on the main thread reads the properties, hands plain numbers to a worker thread, and
+writes the mesh when the worker is done. A result is stale, and is dropped, when its terrain was updated by other means,
+undone, deleted or replaced in the meantime; a camera that moved on in the meantime gets the next turn.
+"""
+
+import time
+import traceback
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import warmup
+from ..demand.screens import screens_key
+from ..ground import keep_ground
+from ..properties.properties import VIEWPORT_VIEW
+from ..request import land_request
+from ..request.kernels_asked import kernels_for
+from ..request.request import RENDER, VIEWPORT, Request, gather
+from ..scene import land_jobs, session
+from . import previews, resting_land
+
+IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
+
+
+@dataclass
+class Job:
+    """An update under way: which terrain (session_uid), as of which generation, and what was asked."""
+
+    uid: int
+    generation: int
+    request: Request
+    future: Future
+
+
+_dirty = False
+_unrefined: dict[int, Job] = {}  # the last updates whose meshes show a preview, by their terrains
+_job: Job | None = None
+_worker: ThreadPoolExecutor | None = None
+_draw_handle = None
+_follows_viewport = False
+_screens: tuple = ()  # what open windows read of meshes, when it was last looked at
+_started = 0.0  # when the job under way was handed over
+_stage = ""  # what the worker does
+
+
+def mark_dirty() -> None:
+    """Something that a terrain may depend on changed; any thread may say so."""
+    global _dirty
+    _dirty = True
+
+
+def tick() -> float:
+    """One turn of the timer; returns the seconds until the next."""
+    try:
+        return _turn()
+    except Exception:  # Blender would silently take a timer off that raises
+        traceback.print_exc()
+        return IDLE_S
+
+
+def _turn() -> float:
+    global _dirty, _job
+    if warmup.preparing():
+        return IDLE_S
+    if bpy.app.is_job_running("RENDER"):
+        return RENDERING_S
+    if _job is not None:
+        if not _job.future.done():
+            return BUSY_S
+        job, _job = _job, None
+        _finish(job)
+    idle = not _dirty and not _windows_changed()
+    if idle:
+        _job = _refinement()
+    _dirty |= _rest(idle and _job is None)
+    if idle:
+        return IDLE_S if _job is None else BUSY_S
+    _dirty = False  # before the properties are read, so that no change after that is missed
+    _job = _next_job()
+    if _job is None:
+        return IDLE_S
+    _dirty = True  # another terrain may wait
+    return BUSY_S
+
+
+def _rest(idle: bool) -> bool:
+    """Whether land has been made finer meanwhile."""
+    if not resting_land.concerned():
+        return False
+    before = land_jobs.all_progress()
+    made = resting_land.turn(_shown(), idle)
+    if land_jobs.all_progress() != before:
+        redraw_panels()
+    return made
+
+
+def _windows_changed() -> bool:
+    """Opening a spreadsheet tells no handler."""
+    global _screens
+    before, _screens = _screens, screens_key()
+    return before != _screens
+
+
+def seconds_under_way() -> float:
+    """For how long the worker has been busy with an update; 0 when it is idle."""
+    return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
+
+
+def stage() -> str:
+    """What the worker does, for the status bar."""
+    return _stage
+
+
+def _next_job() -> Job | None:
+    """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
+    global _follows_viewport, _started
+    for window in _windows():
+        if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
+            mark_dirty()
+    shown = _shown()
+    _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
+    for depsgraph, obj in shown:
+        record = session.record_of(obj)
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        if depsgraph is None or not wanted or obj.mode != "OBJECT":
+            continue
+        try:
+            request = gather(obj, depsgraph, VIEWPORT)
+        except Exception as error:
+            record.live_key = None  # what is asked for after this may be what was asked before
+            _report(record, error)
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
+            continue
+        if request.key() != record.live_key:
+            if not _is_prepared(record, request):
+                return None
+            record.live_key, _started = request.key(), time.monotonic()
+            return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
+    return None
+
+
+def _shown() -> list[tuple]:
+    """Dependency graph and object of the terrains in windows."""
+    return [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
+
+
+def _is_prepared(record: session.Record, request: Request) -> bool:
+    """Whether the kernels that a request asks for are loaded; else that has begun, and the next turns wait for it."""
+    try:
+        ready = warmup.ask(kernels_for(request))
+    except TerrainError as error:
+        _report(record, error)
+        return True  # the update says the same
+    if not ready:
+        mark_dirty()
+    return ready
+
+
+def _refinement() -> Job | None:
+    """Start on a step of what the first mesh that shows a preview is to become; None if there is none to write."""
+    global _started
+    if not _unrefined:
+        return None
+    terrains = {obj.session_uid: obj for obj in session.all_terrains()}
+    for uid, job in list(_unrefined.items()):
+        obj = terrains.get(uid)
+        if obj is None or session.record_of(obj).generation != job.generation:
+            del _unrefined[uid]
+        elif obj.mode == "OBJECT":  # otherwise its mesh cannot be written
+            _started = time.monotonic()
+            return Job(uid, job.generation, job.request, _worker.submit(_refine, session.record_of(obj), job.request))
+    return None
+
+
+def _windows():
+    return bpy.context.window_manager.windows
+
+
+def _solve(record: session.Record, request: Request):
+    global _stage
+    _stage = "Refining"
+    with session.engine_lock:
+        first = previews.begun(request, session.field_of(request))
+        return _carry_out(record, first), record.serial, first is request
+
+
+def _refine(record: session.Record, request: Request):
+    """None where more is to be done before the mesh changes."""
+    global _stage
+    _stage = "Refining effects"
+    if not previews.refine(request, session.field_of(request)):
+        return None
+    with session.engine_lock:
+        return _carry_out(record, request), record.serial, True
+
+
+def _carry_out(record: session.Record, request: Request):
+    global _stage
+    update = session.solve(record, request)
+    _stage = "Making the overlay"
+    session.paint(record, request, update)
+    return update
+
+
+def _finish(job: Job) -> None:
+    obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
+    if obj is None or obj.mode != "OBJECT":
+        return
+    record = session.record_of(obj)
+    try:
+        done = job.future.result()
+        if done is None:
+            return
+        update, serial, whole = done
+        with session.engine_lock:
+            # The surface's arrays are the engine's own: another update since then has overwritten them.
+            if record.generation == job.generation and record.serial == serial:
+                session.show(obj, record, job.request, update, VIEWPORT)
+        _unrefined.pop(job.uid, None)
+        if not whole:
+            _unrefined[job.uid] = job
+    except land_request.DamagedLand:
+        _unrefined.pop(job.uid, None)
+        mark_dirty()  # it is gone: other land is asked for
+    except Exception as error:
+        _unrefined.pop(job.uid, None)
+        _report(record, error)
+        if not isinstance(error, TerrainError):
+            raise
+    redraw_panels()
+
+
+def _report(record: session.Record, error: Exception) -> None:
+    if record.status.error != session.explain(error):
+        record.status.error = session.explain(error)
+        redraw_panels()
+
+
+def redraw_panels() -> None:
+    """Show new figures in the sidebar of every 3D viewport."""
+    for window in _windows():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+def _on_draw() -> None:
+    """Turning the view tells no handler: a terrain that follows the viewport looks again whenever one is drawn."""
+    if _follows_viewport:
+        mark_dirty()
+
+
+def register() -> None:
+    global _worker, _draw_handle
+    _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
+    if not bpy.app.background:
+        warmup.start()
+        bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
+        _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    global _worker, _job, _dirty, _draw_handle
+    warmup.stop()
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if _draw_handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_draw_handle, "WINDOW")
+        _draw_handle = None
+    _worker.shutdown(wait=True)
+    _worker, _job, _dirty = None, None, False
+    resting_land.stop()
+    _unrefined.clear()

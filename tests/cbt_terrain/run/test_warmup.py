@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels are prepared beside this process, under the names that they have here, and nothing waits that need not."""
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.run import child, launch, warmup
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def with_kernels(folder: Path) -> set[str]:
+    return {path.stem for path in folder.glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
+
+
+OF_A_FRAME = set().union(*(with_kernels(ROOT / "kernels" / room) for room in ("field", "refine", "budget", "mesh")))
+OF_A_FRAME -= {"horizon_map"}  # what ground hides is for who asks for it
+OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
+# Modules that are compiled in a moment: half of a minute is what all would take.
+QUICK = "codes", "fill", "holes", "replay", "meshlet", "drawing", "grid"
+# Prepares under the name that an extension has, some modules of every room, and tells what it compiled itself.
+PREPARE = """
+import importlib.util, json, os, sys, time, types
+root, name = sys.argv[1], "bl_ext.user_default.terrain"
+sys.modules.update({outer: types.ModuleType(outer) for outer in ("bl_ext", "bl_ext.user_default")})
+spec = importlib.util.spec_from_file_location(name, root + "/__init__.py", submodule_search_locations=[root])
+sys.modules[name] = package = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(package)
+warmup = importlib.import_module(name + ".cbt_terrain.run.warmup")
+modules_of = warmup.modules_of
+warmup.modules_of = lambda room: [m for m in modules_of(room) if m.__name__.rpartition(".")[2] in sys.argv[2:]]
+compiled_here = []
+import warp as wp
+compile_module = wp.Module._compile
+def watched(self, *arguments, **options):
+    done = compile_module(self, *arguments, **options)
+    compiled_here.extend([self.name] if done else [])
+    return done
+wp.Module._compile = watched
+importlib.import_module(name + ".cbt_terrain.run.launch").default_threads = lambda: 3  # two children
+start = time.perf_counter()
+warmup.start()
+seen, gap, last = [], 0.0, time.perf_counter()
+while warmup.preparing():
+    seen.append(warmup.progress())
+    time.sleep(0.002)
+    now = time.perf_counter()
+    gap, last = max(gap, now - last), now
+seen.append(warmup.progress())
+overlay_before = sum(bool(wp.get_module(m.__name__).execs) for m in warmup.overlay_modules())
+warmup.wait(overlay=True)
+seen.append(warmup.progress())
+modules = warmup.kernel_modules() + warmup.overlay_modules()
+print(json.dumps({
+    "seconds": time.perf_counter() - start,
+    "gap_ms": gap * 1e3,
+    "compiled_here": compiled_here,
+    "fractions": sorted({f for f in seen if f is not None}),
+    "missing": [m.__name__ for m in modules if not warmup.compiled_file(m).exists()],
+    "loaded": sum(bool(wp.get_module(m.__name__).execs) for m in modules),
+    "modules": len(modules),
+    "overlay_before": overlay_before,
+    "folders": sorted(os.listdir(wp.config.kernel_cache_dir)),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory):
+    """What starts say: with an empty cache, with what that left, and with what another kind of processor left."""
+    cache = tmp_path_factory.mktemp("kernels")
+    environment = {**child.os.environ, "WARP_CACHE_PATH": str(cache)}
+
+    def prepare():
+        command = [sys.executable, "-c", PREPARE, str(ROOT), *QUICK]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    first, second = prepare(), prepare()
+    compiled = sorted(cache.glob("*/*/*.o"), key=lambda file: file.stat().st_size)
+    for file in compiled[: len(compiled) // 2]:  # of the others it left the same as this one would
+        file.rename(file.with_name(f"{file.name.split('.cpu')[0]}.cpu01234567.o"))
+    return first, second, prepare()
+
+
+def test_children_compile_everything_under_the_name_of_their_parent(prepared):
+    first, _, _ = prepared
+    assert first["compiled_here"] == [] and first["missing"] == []
+    assert first["loaded"] == first["modules"] == len(QUICK)
+    assert first["overlay_before"] == 0, "a terrain is shown before the overlay's kernels are there"
+    assert all(name.startswith("wp_bl_ext.user_default.terrain.kernels.") for name in first["folders"])
+    assert len(first["folders"]) == first["modules"]
+    assert first["fractions"][0] == 0.0 and len(first["fractions"]) > 3, "the panel shows how far it is"
+
+
+def test_a_full_cache_needs_no_child(prepared):
+    first, second, _ = prepared
+    assert second["compiled_here"] == [] and second["loaded"] == second["modules"]
+    assert second["fractions"] == [], "nothing to be seen of it"
+    assert second["folders"] == first["folders"]
+    assert second["seconds"] < first["seconds"] / 2
+
+
+def test_what_another_processor_left_is_compiled_by_children_too(prepared):
+    first, _, elsewhere = prepared
+    assert elsewhere["compiled_here"] == [] and elsewhere["missing"] == []
+    assert elsewhere["folders"] == first["folders"] and len(elsewhere["fractions"]) > 3
+
+
+@pytest.fixture
+def no_modules(monkeypatch):
+    """A preparation that compiles in children that only sleep."""
+    sleeping = []
+
+    def start(module, *arguments, variables, **streams):
+        sleeping.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **streams))
+        return sleeping[-1]
+
+    monkeypatch.setattr(child, "start", start)
+    monkeypatch.setattr(launch, "default_threads", lambda: 4)
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "_current", None)
+    monkeypatch.setattr(warmup, "_asked", None)
+    yield sleeping
+    warmup.stop()
+
+
+def test_stopping_ends_the_children_and_tells_who_waits(no_modules):
+    warmup.start()
+    reasons = []
+
+    def waiter():
+        try:
+            warmup.wait()
+        except TerrainError as reason:
+            reasons.append(str(reason))
+
+    thread = threading.Thread(target=waiter)
+    thread.start()
+    while len(no_modules) < 3:
+        threading.Event().wait(0.01)
+    assert warmup.preparing() and warmup.progress() == 0.0
+    warmup.stop()
+    thread.join(5)
+    assert reasons and "switched off" in reasons[0]
+    assert all(process.poll() is not None for process in no_modules)
+    assert not warmup.preparing() and warmup.progress() is None
+    warmup.wait()  # nothing is under way: kernels are loaded when they are launched
+
+
+def test_without_a_child_the_thread_compiles(monkeypatch):
+    def fail(*arguments, **streams):
+        raise OSError("no process")
+
+    monkeypatch.setattr(child, "start", fail)
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
+    monkeypatch.setattr(warmup, "_current", None)
+    loaded = []
+    monkeypatch.setattr(warmup, "load", lambda module: loaded.append(module.__name__.rpartition(".")[2]))
+    warmup.start()
+    warmup.wait(overlay=True)
+    warmup.stop()
+    assert set(loaded) == OF_A_FRAME | OF_THE_OVERLAY
+    assert set(loaded[: len(OF_A_FRAME)]) == OF_A_FRAME, "those of a frame come first"
+
+
+def test_what_a_scene_asks_for_is_prepared_once_with_a_bar(no_modules, monkeypatch):
+    monkeypatch.setattr(warmup, "_tried", set())
+    wanted = warmup.other_modules()[:2]
+    loaded = []
+    monkeypatch.setattr(warmup, "load", loaded.append)
+    assert not warmup.ask(wanted) and warmup.preparing()
+    while len(no_modules) < 3:
+        threading.Event().wait(0.01)
+    assert warmup.progress() == 0.0 and not warmup.ask(wanted), "they are under way"
+    for process in no_modules:
+        process.kill()
+    warmup.wait()
+    assert loaded == wanted and warmup.ask(wanted) and not warmup.preparing()
+    assert warmup.ask([])
+
+
+def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
+    monkeypatch.setattr(warmup, "_tried", set())
+    monkeypatch.setattr(warmup, "_asked", None)
+    monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/"))
+    monkeypatch.setattr(warmup, "load", lambda module: 1 / 0)
+    wanted = warmup.other_modules()[:1]
+    assert not warmup.ask(wanted)
+    warmup.wait()
+    assert warmup.ask(wanted) and "ZeroDivisionError" in capfd.readouterr().err
+
+
+FORESEEN = """
+import json, sys
+import numpy as np
+import warp as wp
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.effects.effect import Asked
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.kernels_needed import kernels_of
+from adaptive_terrain.cbt_terrain.evaluate.plan import plan
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.run.warmup import other_modules
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 9, 3.0)
+view = View.look((50, 50, 60), (0, 0, 0), resolution=(60, 40))
+surface = Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface
+wanted = plan([Asked(name, ("a test",)) for name in sys.argv[1:]])
+Evaluator().attributes(wanted, field, surface, [view])
+loaded = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
+print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))]))
+"""
+
+
+@pytest.mark.parametrize("names", [["slope"], ["sky", "sun"], ["splat_1", "wetness"]])
+def test_kernels_that_effects_launch_are_foreseen(names):
+    """In a new process: what it has loaded in the end is what was said, or less."""
+    done = subprocess.run([sys.executable, "-c", FORESEEN, *names], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    loaded, foreseen = json.loads(done.stdout.splitlines()[-1])
+    assert loaded and set(loaded) <= set(foreseen)
+    assert len(foreseen) <= len(loaded) + 2, "and few more"

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs for render farms, read by Open Job Description's own library, and the verbs that such a job calls.
+tests/blender/test_farm.py runs one."""
+
+import json
+import runpy
+import shutil
+import subprocess
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.farm import bundle
+from adaptive_terrain.operators.output import preparing, verifying
+from adaptive_terrain.operators.request import land_request
+from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def shot(scene, add_terrain, store, tmp_path):
+    """A saved scene: Hills has its store beside the file, Dunes a height map and no store yet, and both are turned."""
+    shutil.copytree(store, tmp_path / "shot" / "hills")
+    heights = np.random.default_rng(2).normal(0.0, 3.0, (70, 93)).cumsum(0).astype(np.float32)
+    np.save(tmp_path / "shot" / "dunes.npy", heights)
+    path = tmp_path / "shot" / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    hills, dunes = add_terrain("Hills"), add_terrain("Dunes")
+    hills.adaptive_terrain.store = "//hills"
+    settings = dunes.adaptive_terrain
+    settings.store, settings.source, settings.source_path = "//made/dunes", "FILE", "//dunes.npy"
+    settings.use_extent, settings.extent, settings.height_scale = True, (900.0, 700.0), 2.0
+    dunes.location = (0.0, 800.0, 0.0)
+    for obj in (hills, dunes):
+        obj.adaptive_terrain.viewport.error_px, obj.adaptive_terrain.render.error_px = 24.0, 8.0
+        obj.rotation_euler, obj.scale = (0.1, 0.0, 0.4), (0.8, 1.1, 1.2)
+    scene.frame_start, scene.frame_end = 5, 8
+    scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "BLENDER_WORKBENCH", 96, 54
+    bpy.ops.wm.save_mainfile()
+    return path
+
+
+def run(*arguments) -> int:
+    return command_line.main([str(argument) for argument in arguments])
+
+
+def read(job: Path) -> tuple[dict, dict, dict]:
+    """The template, the values and the assets of a bundle, as YAML."""
+    import yaml
+
+    names = bundle.TEMPLATE, bundle.VALUES, bundle.ASSETS
+    template, values, assets = (yaml.safe_load((job / name).read_text(encoding="utf-8")) for name in names)
+    values = {item["name"]: str(item["value"]) for item in values["parameterValues"]}
+    return template, values, assets["assetReferences"]
+
+
+def job_of(path: Path, values: dict):
+    """What Open Job Description makes of a bundle."""
+    template = decode_job_template(template=read(path)[0], supported_extensions=["TASK_CHUNKING"])
+    folders = {"job_template_dir": path, "current_working_dir": path}
+    checked = preprocess_job_parameters(job_template=template, job_parameter_values=values, **folders)
+    return create_job(job_template=template, job_parameter_values=checked)
+
+
+@pytest.mark.parametrize(
+    ("frames", "text"),
+    [
+        ([7], "7"),
+        ([4, 1, 2, 3, 2], "1-4"),
+        (range(1, 25, 2), "1-23:2"),
+        ([1, 5], "1,5"),
+        ([-3, -2, -1, 4, 8, 9, 12, 16, 20], "-3--1,4,8-9,12-20:4"),
+    ],
+)
+def test_frames_are_written_as_the_standard_reads_them(frames, text):
+    assert bundle.range_text(frames) == text
+    assert list(IntRangeExpr.from_str(text)) == sorted(set(frames))
+
+
+def test_any_frames_come_back():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        frames = rng.integers(-40, 40, rng.integers(1, 30)).tolist()
+        assert list(IntRangeExpr.from_str(bundle.range_text(frames))) == sorted(set(frames))
+
+
+@pytest.mark.parametrize("frames", ["-5--1", "-10--1:3,0", "-5,3"])
+def test_frames_below_0_are_no_options(tmp_path, capsys, frames):
+    """A job's steps are given them as words of their own."""
+    assert run("verify", tmp_path, "--frames", frames) == 1
+    assert f"frame {frames[: frames.index('-', 1)] if '--' in frames else -5} is missing" in capsys.readouterr().err
+
+
+def made(folder: Path, stem: str):
+    """A job of pictures of a file of that name, as Open Job Description reads it."""
+    blend = folder / f"{stem}.blend"
+    job = bundle.Job(f"{stem} pictures", blend, [-3, -2, -1, 7], 2, (), folder / "out", "1", None, [], [], [])
+    bundle.write_bundle(job, folder)
+    return job_of(folder, read(folder)[1])
+
+
+def test_names_that_are_no_names_of_jobs(tmp_path):
+    job = made(tmp_path, 'two\nlines\t\x85 {{Param.X}} %d "山"')
+    assert job.name == 'two lines {{Param.X}} %d "山" pictures'
+    assert job.parameters["BlenderFile"].value.endswith('two\nlines\t\x85 {{Param.X}} %d "山".blend')
+    with pytest.raises(TerrainError, match="A path of the job is not UTF-8 .*rename"):
+        made(tmp_path, "latin\udce9")
+
+
+def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, capsys):
+    texture = tmp_path / "rock.1001.png"
+    for tile in (texture, tmp_path / "rock.1002.png"):
+        image = bpy.data.images.new("rock", 2, 2)
+        image.filepath_raw, image.file_format = str(tile), "PNG"
+        image.save()
+    image.source, image.filepath, image.use_fake_user = "TILED", str(tmp_path / "rock.<UDIM>.png"), True
+    bpy.data.objects["Hills"].adaptive_terrain.land.entries.add()
+    bpy.ops.wm.save_mainfile()
+    out = tmp_path / "out"
+    frames = "--frames", "3,9,1-2", "--chunk", "3", "--format", "npz,glb"
+    assert run("submit", "--scene", shot, "--out", out, *frames) == 0
+    said = capsys.readouterr().out
+    assert "4 frames" in said and "workers need the extension of this version" in said
+    template, values, assets = read(out)
+    folder = shot.parent
+    assert set(assets["inputs"]["filenames"]) >= {
+        *(str(folder / name) for name in ("shot.blend", "dunes.npy")),
+        *(str(tmp_path / f"rock.{number}.png") for number in (1001, 1002)),
+    }
+    assert assets["inputs"]["directories"] == [str(folder / "hills")]
+    made = {folder / "hills_land", folder / "made" / "dunes", out / "frames"}
+    assert set(assets["outputs"]["directories"]) == set(map(str, made))
+    assert values["Frames"] == "1-3,9" and values["Format"] == "npz,glb" and values["ExtensionZip"] == ""
+    job = job_of(out, values)
+    assert [step.name for step in job.steps] == ["Import", "MapsAndLand", "Meshes", "Verify"]
+    assert job.parameters["OutputDir"].value == str(out / "frames")
+    [guard] = job.jobEnvironments[0].script.embeddedFiles
+    assert guard.data == (out / "guard.py").read_text() and 'VERSION = "0' in guard.data
+    compile(guard.data, "guard.py", "exec")
+
+
+def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
+    import zipfile
+
+    shot.parent.joinpath("ext.zip").write_text("no zip")
+    where = "--scene", shot, "--out", tmp_path / "out", "--render", "--extension"
+    assert run("submit", *where, shot.parent / "ext.zip") == 1
+    assert run("submit", *where, "installed") == 1
+    said = capsys.readouterr().err.splitlines()
+    assert "is no zip" in said[0] and "not installed from a zip" in said[1] and len(said) == 2
+    with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
+        archive.writestr("blender_manifest.toml", "")
+    assert run("submit", *where, shot.parent / "ext.zip") == 0
+    _, values, assets = read(tmp_path / "out")
+    assert values["Frames"] == "5-8" and values["ExtensionZip"] in assets["inputs"]["filenames"]
+    assert [step.name for step in job_of(tmp_path / "out", values).steps][2:] == ["Render", "Verify"]
+
+
+def test_frames_in_too_many_pieces_are_refused(shot, tmp_path, capsys):
+    frames = ",".join(str(n * n) for n in range(1, 400))
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out", "--frames", frames) == 1
+    assert "too many pieces" in capsys.readouterr().err
+
+
+def test_a_terrain_without_store_and_height_map_has_no_job(shot, tmp_path, capsys):
+    (shot.parent / "dunes.npy").unlink()
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 1
+    assert "'Dunes' has neither its store" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_the_operator_writes_a_job(shot, tmp_path):
+    submit = bpy.ops.adaptive_terrain.submit
+    asked = {"folder": str(tmp_path / "out"), "bring": False, "frames": "6,5", "chunk": 1}
+    with pytest.raises(RuntimeError, match="frames '6-5'"):
+        submit(**asked | {"frames": "6-5"})
+    with pytest.raises(RuntimeError, match="no folder"):
+        submit(**asked | {"folder": ""})
+    assert submit(**asked) == {"FINISHED"}
+    assert read(tmp_path / "out")[1]["Frames"] == "5-6"
+
+
+def test_the_guard_looks_at_the_scene_that_is_rendered(shot, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["blender"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(bundle.HERE / bundle.GUARD)
+    assert "openjd_fail: the store of Dunes is missing" in capsys.readouterr().out
+    dunes = bpy.data.objects["Dunes"]
+    bpy.context.scene.collection.objects.unlink(dunes)
+    bpy.data.scenes.new("Another").collection.objects.link(dunes)
+    runpy.run_path(bundle.HERE / bundle.GUARD)
+
+
+def test_prepare_makes_each_thing_once(shot, capsys):
+    entry = bpy.data.objects["Dunes"].adaptive_terrain.land.entries.add()
+    entry.effect = "thermal" if "thermal" in entry.bl_rna.properties else entry.effect
+    bpy.ops.wm.save_mainfile()
+    made = dict(land_request.made)
+    assert run("prepare", "--scene", shot, "--progress", "openjd") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert "openjd_status: Dunes: imported, 93 x 70 samples, " in "".join(said)[:4000]
+    assert "openjd_status: Hills: its store is there" in said and "openjd_status: Dunes: its land is shaped" in said
+    assert said[-1] == "openjd_progress: 100"
+    assert land_request.made["stores"] == made["stores"] + 1
+    assert len(list((shot.parent / "made" / "dunes_land").glob("*/store.json"))) == 1
+    before = (shot.parent / "made" / "dunes" / "store.json").read_bytes()
+    assert run("prepare", "--scene", shot) == 0
+    assert "Dunes: its store is there" in capsys.readouterr().out
+    assert land_request.made["stores"] == made["stores"] + 1
+    assert (shot.parent / "made" / "dunes" / "store.json").read_bytes() == before
+
+
+def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
+    assert run("prepare", "--scene", shot, "--only", "stores") == 0
+    out = tmp_path / "{blend_name} %d # {x}"  # which newer Blenders would fill in
+    frames = "--scene", shot, "--out", out, "--frames"
+    assert run("render", *frames, "7") == 0
+    first = (out / "frame_0007.png").read_bytes()
+    assert first.startswith(b"\x89PNG") and {p.name for p in out.iterdir()} == {"frame_0007.png", "frame_0007.json"}
+    assert run("render", *frames, "6,7", "--resume") == 0
+    said = capsys.readouterr().out
+    assert "frame 7: " in said and said.count("complete before") == 1
+    summary = json.loads((out / "frame_0006.json").read_text())
+    assert {terrain["name"] for terrain in summary["terrains"]} == {"Hills", "Dunes"}
+    assert all(terrain["bound_px"] <= 8.0 and terrain["triangles"] > 10 for terrain in summary["terrains"])
+    assert run("verify", out, "--frames", "6,7") == 0
+    assert "2 frames are whole" in capsys.readouterr().out
+
+
+NO_BOUNDS = dict.fromkeys(verifying.BOUNDS)
+
+
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (lambda out: (out / "frame_0006.json").unlink(), "frame 6 is missing"),
+        (lambda out: (out / "frame_0006.json").write_text('{"files": 3}'), "frame_0006.json is damaged"),
+        (lambda out: (out / "frame_0006.json").write_text("[]"), "frame_0006.json is damaged"),
+        (lambda out: (out / "a_0006.npz").write_bytes(b"12"), "a_0006.npz is not whole"),
+        (lambda out: (out / "a_0006.npz").unlink(), "a_0006.npz is not whole"),
+        *(
+            (lambda out, what=what: change(out / "frame_0006.json", **what), "frame_0006.json is damaged")
+            for what in (
+                {"frame": 5},
+                {"files": {"a": 1e999}},
+                {"terrains": [{"triangles": "x", **NO_BOUNDS}]},
+                {"terrains": [{"triangles": 1, **NO_BOUNDS, "bound_px": "x"}]},
+            )
+        ),
+        (lambda out: (out / "frame_0006.json").write_text("[" * 100_000), "frame_0006.json is damaged"),
+        (lambda out: change(out / "frame_0006.json", files={"a\0": 3}), "a? is not whole"),
+        (lambda out: change(out / "frame_0006.json", settings="b"), "frame 6 was made of another scene"),
+    ],
+)
+def test_what_is_not_whole_is_named(tmp_path, capsys, damage, why):
+    terrain = {"name": "a", "triangles": 5, "bound_px": 1.0, "bound_m": None, "bound_edge_px": None}
+    for frame in (4, 5, 6):
+        summary = {"frame": frame, "settings": "a", "files": {f"a_{frame:04d}.npz": 3}, "elapsed_ms": 1.0}
+        summary["terrains"] = [terrain | {"bound_area_px": None}]
+        (tmp_path / f"frame_{frame:04d}.json").write_text(json.dumps(summary))
+        (tmp_path / f"a_{frame:04d}.npz").write_bytes(b"123")
+    assert run("verify", tmp_path, "--frames", "4-6", "--progress", "openjd") == 0
+    assert "3 frames are whole, 15 triangles, largest bound 1 px" in capsys.readouterr().out
+    damage(tmp_path)
+    assert run("verify", tmp_path, "--frames", "4-6", "--progress", "openjd") == 1
+    said = capsys.readouterr()
+    assert why in said.err and said.out.splitlines()[-1].startswith("openjd_fail: ") and why in said.out
+
+
+def change(path: Path, **changed) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | changed))
+
+
+def test_a_frame_that_would_be_stale_is_no_picture(shot, tmp_path, capsys):
+    """Also where the file itself would let it pass."""
+    assert run("prepare", "--scene", shot, "--only", "stores") == 0
+    hills = bpy.data.objects["Hills"]
+    for frame, scale in ((6, 1.0), (7, 0.0)):
+        hills.scale.z = scale
+        hills.keyframe_insert("scale", index=2, frame=frame)
+    bpy.context.scene.adaptive_terrain.stop_stale_renders = False
+    bpy.ops.wm.save_mainfile()
+    out = tmp_path / "pictures"
+    where = "--scene", shot, "--out", out, "--frames", "6-7"
+    assert run("render", *where, "--progress", "openjd") == 1
+    said = capsys.readouterr()
+    assert "openjd_fail: Frame 7 is not rendered" in said.out and "'Hills' has a scale of 0" in said.err
+    assert {path.name for path in out.iterdir()} == {"frame_0006.png", "frame_0006.json"}
+
+
+def test_a_movie_is_refused(shot, tmp_path, capsys):
+    assert run("prepare", "--scene", shot, "--only", "stores") == 0
+    bpy.context.scene.render.image_settings.file_format = "FFMPEG"
+    bpy.ops.wm.save_mainfile()
+    assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "6") == 1
+    assert "expected a picture a frame" in capsys.readouterr().err
+
+
+def test_parts_of_preparing_are_those_of_the_command():
+    with pytest.raises(SystemExit):
+        command_line.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", "nothing"])
+    for part in preparing.PARTS:
+        command_line.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", part])
+
+
+def movie_formats(image_settings) -> set[str]:
+    """Those of this Blender's formats that are movies."""
+    render, found = image_settings.id_data.render, set()
+    for name in [item.identifier for item in image_settings.bl_rna.properties["file_format"].enum_items_static]:
+        try:
+            image_settings.file_format = name
+        except TypeError:
+            continue  # this build has none of it
+        found |= {name} if render.is_movie_format else set()
+    return found
+
+
+MANAGER = """
+const fs = require("fs");
+const tasks = [];
+class Task {
+    constructor(name, kind) { Object.assign(this, { name, kind, commands: [], after: [] }); }
+    addCommand(command) { this.commands.push(command); }
+    addDependency(task) { this.after.push(task.name); }
+}
+global.author = { Task: (name, kind) => new Task(name, kind), Command: (name, parameters) => ({ name, parameters }) };
+global.frameChunker = (frames, size) => frames.split(",");
+const globals = ";globalThis.compileJob = compileJob; globalThis.type = JOB_TYPE;";
+(0, eval)(fs.readFileSync(process.argv[1], "utf8") + globals);
+const [, , frames, format] = process.argv;
+const settings = { frames, format, blendfile: "/x/a.blend", render_output_path: "/o/#" };
+compileJob({ settings, addTask: (task) => tasks.push(task) });
+console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) => item.key) }));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")
+def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
+    """By a stand-in for the manager: there is none here."""
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
+    command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO)]
+    for frames in ("-5", "1-4, -2", "-3-8", "-4..-1"):
+        refused = subprocess.run([*command, frames, "PNG"], capture_output=True, text=True)
+        assert refused.returncode == 1 and f'The frames "{frames}" go below 0' in refused.stderr
+    said = json.loads(subprocess.run([*command, "1-10,20", "PNG"], capture_output=True, text=True, check=True).stdout)
+    assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(said["keys"])
+    prepare, *chunks = said["tasks"]
+    assert prepare["commands"][0]["parameters"]["args"][:3] == ["--command", "adaptive_terrain", "prepare"]
+    assert [(task["name"], task["after"]) for task in chunks] == [
+        ("render-1-10", ["prepare"]),
+        ("render-20", ["prepare"]),
+    ]
+    arguments = chunks[0]["commands"][0]["parameters"]["args"]
+    assert arguments[-2:] == ["--render-frame", "1..10"]
+    assert arguments[arguments.index("--python-expr") + 1] == (tmp_path / "out" / "guard.py").read_text()
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")
+def test_flamenco_refuses_a_movie(shot, tmp_path):
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
+    movies = movie_formats(bpy.context.scene.render.image_settings)
+    assert "FFMPEG" in movies
+    for movie in movies:
+        command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO), "1-4", movie]
+        refused = subprocess.run(command, capture_output=True, text=True)
+        assert refused.returncode == 1 and f"a movie ({movie}); expected a picture a frame" in refused.stderr

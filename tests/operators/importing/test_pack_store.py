@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stores go beside their .blend file, and are found wherever the file is saved to."""
+
+from pathlib import Path
+
+import bpy
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.importing import pack_store
+
+
+def absolute(terrain) -> Path:
+    return Path(bpy.path.abspath(terrain.adaptive_terrain.store)).resolve()
+
+
+def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terrain, store, tmp_path):
+    one, two = add_terrain("One"), add_terrain("Two")
+    assert not bpy.ops.adaptive_terrain.pack_store.poll(), "an unsaved file has no place"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    assert one.adaptive_terrain.store == store
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    assert one.adaptive_terrain.store == two.adaptive_terrain.store == "//terrain/valley_One_store"
+    assert absolute(one) == (tmp_path / "terrain" / "valley_One_store").resolve()
+    assert open_store(absolute(one)).key == open_store(store).key
+    assert not bpy.ops.adaptive_terrain.pack_store.poll(), "there is nothing left to pack"
+
+
+def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, tmp_path):
+    """A terrain that is called like one before it packs into a folder with a number."""
+    (tmp_path / "here").mkdir()
+    add_terrain()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
+    bpy.ops.adaptive_terrain.pack_store()
+    terrain = bpy.data.objects["Terrain"]
+    first, key = absolute(terrain), open_store(absolute(terrain)).key
+    terrain.name = "Valley"
+    other = add_terrain()
+    other.adaptive_terrain.island_size, other.adaptive_terrain.source = 33, "ISLAND"
+    from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+    from adaptive_terrain.operators.importing.import_terrain import settings_of
+
+    import_source(settings_of(other), tmp_path / "elsewhere")
+    other.adaptive_terrain.store = str(tmp_path / "elsewhere")
+    wanted = tmp_path / "here" / "terrain" / "valley_Terrain_island"
+    first.rename(wanted)
+    terrain.adaptive_terrain.store = "//terrain/valley_Terrain_island"
+    bpy.ops.adaptive_terrain.pack_store()
+    assert other.adaptive_terrain.store == "//terrain/valley_Terrain_island_2"
+    assert open_store(wanted).key == key != open_store(absolute(other)).key
+
+
+def test_an_absolute_path_beside_the_file_becomes_relative(scene, add_terrain, tmp_path):
+    terrain = add_terrain()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    bpy.ops.adaptive_terrain.pack_store()
+    folder = absolute(terrain)
+    terrain.adaptive_terrain.store = str(folder)
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    assert terrain.adaptive_terrain.store.startswith("//terrain/") and absolute(terrain) == folder
+    assert len(list((tmp_path / "terrain").iterdir())) == 1, "nothing was copied"
+
+
+def test_a_missing_store_is_told_and_no_path_changes(scene, add_terrain, tmp_path):
+    terrain = add_terrain()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    terrain.adaptive_terrain.store = "/nowhere/store"
+    with pytest.raises(RuntimeError, match="no terrain store at /nowhere/store"):
+        bpy.ops.adaptive_terrain.pack_store()
+    assert terrain.adaptive_terrain.store == "/nowhere/store"
+
+
+def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):
+    """Save As, a copy, and a reload of both: each file names the same store by a relative path of its own."""
+    (tmp_path / "there" / "deep").mkdir(parents=True)
+    add_terrain()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    bpy.ops.adaptive_terrain.pack_store()
+    terrain = bpy.data.objects["Terrain"]
+    folder = absolute(terrain)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "copy.blend"), copy=True)
+    assert terrain.adaptive_terrain.store.startswith("//terrain/"), "the open file stays where it is"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "deep" / "moved.blend"))
+    assert absolute(terrain) == folder and terrain.adaptive_terrain.store.startswith("//..")
+    for name in ("there/copy.blend", "there/deep/moved.blend"):
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
+        assert absolute(bpy.data.objects["Terrain"]) == folder
+        assert bpy.data.objects["Terrain"].adaptive_terrain.store.startswith("//")
+    assert not pack_store.lies_beside(bpy.data.objects["Terrain"].adaptive_terrain)
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    assert absolute(bpy.data.objects["Terrain"]).is_relative_to(tmp_path / "there" / "deep")
+
+
+def test_the_panel_asks_once_at_the_first_save(scene, add_terrain, tmp_path, monkeypatch):
+    offered = []
+    monkeypatch.setattr(pack_store, "bpy", _with_a_window(offered))
+    add_terrain()
+    for name in ("a.blend", "a.blend", "b.blend"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / name))
+    assert offered == [pack_store._offer]
+
+
+def _with_a_window(offered: list):
+    """bpy as `pack_store` would see it with a window."""
+
+    class App:
+        background = False
+
+        class timers:
+            @staticmethod
+            def register(function, first_interval):
+                offered.append(function)
+
+    class Bpy:
+        app = App
+
+        def __getattr__(self, name):
+            return getattr(bpy, name)
+
+    return Bpy()

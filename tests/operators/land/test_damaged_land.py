@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shaped land that is damaged on its disk: it is made again from its source, and what is a user's own is left alone."""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field import store_arrays
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
+from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
+from adaptive_terrain.operators.request import land_request, land_tiles
+from adaptive_terrain.operators.scene import session, shaped_land
+from land_scenes import add
+
+
+def test_shaped_land_that_was_damaged_is_made_again(terrain):
+    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
+    add("thermal")
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    folder = land_request.shaped_stores(terrain.adaptive_terrain.store)[0][0]
+    samples = next(folder.glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    session.clear()
+    samples.unlink()
+    samples.write_bytes(whole[: len(whole) // 2])
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
+
+
+def cut_off(store) -> bytes:
+    """Half a file of samples is left, as where a copy was cut off; what the whole one held."""
+    session.clear()
+    samples = next(Path(store).glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    samples.unlink()  # the old one may still be mapped
+    samples.write_bytes(whole[: len(whole) // 2])
+    return whole
+
+
+@pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
+def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mode):
+    """A render waits for it; a viewport shows its preview meanwhile."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = shaped_land.store_of(terrain)
+    whole = cut_off(folder)
+    session.update_object(terrain, mode=mode)
+    [line] = capsys.readouterr().out.splitlines()
+    assert line.startswith(f"Adaptive Terrain: The shaped land in {folder!r} is damaged, and is made again from its")
+    assert "samples.npy is damaged (it has" in line and line.endswith(").")
+    state = shaped_land.state_of(terrain)
+    assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
+    assert len(list(Path(folder).glob("data-*"))) == (mode == "RENDER"), "what is damaged takes no room"
+    session.update_object(terrain, mode="RENDER")
+    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
+    assert land_request.made["stores"] == 2 and not capsys.readouterr().out
+
+
+def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp_path):
+    """When a store is opened a few blocks of each array are looked at, and this is none of them."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    terrain.adaptive_terrain.store = str(tmp_path / "wide")
+    terrain.adaptive_terrain.render.error_px, terrain.adaptive_terrain.render.error_m = 0.0, 3.0
+    add("relief")
+    bpy.ops.adaptive_terrain.shape()
+    folder = shaped_land.store_of(terrain)
+    session.clear()
+    samples = next(Path(folder).glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    first = PAGE_BYTES + BLOCK_BYTES
+    samples.unlink()
+    samples.write_bytes(whole[:first] + b"\xff" * BLOCK_BYTES + whole[first + BLOCK_BYTES :])  # no numbers
+    open_store(folder)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2
+    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
+
+
+def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
+    """A source, and what was baked: an error that names the file."""
+    source = terrain.adaptive_terrain.store
+    add("thermal")
+    cut_off(source)
+    for mode in ("RENDER", "VIEWPORT"):
+        with pytest.raises(session.TerrainError, match=r"hills/data-\w+/samples.npy is damaged .*import the terrain"):
+            session.update_object(terrain, mode=mode)
+    assert (Path(source) / "store.json").is_file() and land_request.made["stores"] == 0
+
+
+@pytest.mark.parametrize("other", ["Thumbs.db", "data/Thumbs.db", "data/samples.npy/more"])
+def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, other):
+    """What a file browser leaves in a folder, and a folder where an array was."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = Path(shaped_land.store_of(terrain))
+    whole = cut_off(folder)
+    [data] = folder.glob("data-*")
+    file = folder / other.replace("data", data.name)
+    if file.parent.is_file():
+        file.parent.unlink()
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("not ours")
+    session.update_object(terrain, mode="RENDER")
+    [data] = folder.glob("data-*")
+    assert (data / "samples.npy").read_bytes() == whole and not list(folder.rglob("Thumbs.db"))
+
+
+def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain):
+    """The system kills who reads a mapped file beyond its end, so nobody does."""
+    add("thermal")
+    session.update_object(terrain, mode="RENDER")
+    [file] = Path(shaped_land.store_of(terrain)).glob("data-*/samples.npy")
+    os.truncate(file, PAGE_BYTES)
+    session.update_object(terrain, mode="RENDER")
+    assert session.record_of(terrain).status.error == "" and land_request.made["stores"] == 2
+
+
+@pytest.mark.parametrize("array", ["error_c", "error_m1"])
+def test_what_a_store_has_kept_and_is_cut_off_while_it_is_open_is_made_again(terrain, array):
+    settings = terrain.adaptive_terrain
+    settings.interpolation = "bicubic" if array == "error_c" else "bilinear"
+    settings.viewport.meshlet = 1 if array == "error_m1" else 0
+    session.update_object(terrain)
+    session.clear()
+    triangles, [file] = session.update_object(terrain).triangles, Path(settings.store).glob(f"data-*/{array}.npy")
+    os.truncate(file, PAGE_BYTES)
+    bpy.context.scene.camera.location.x += 1.0
+    assert abs(session.update_object(terrain).triangles - triangles) < 0.1 * triangles
+    assert file.stat().st_size > 2 * PAGE_BYTES
+
+
+def test_a_source_that_is_cut_off_while_it_is_open_is_an_error(terrain):
+    session.update_object(terrain)
+    [file] = Path(terrain.adaptive_terrain.store).glob("data-*/ranges.npy")
+    whole = file.read_bytes()
+    os.truncate(file, len(whole) // 2)
+    with pytest.raises(session.TerrainError, match=r"ranges.npy is damaged \(it has \d+ bytes, expected \d+\): import"):
+        session.update_object(terrain)
+    file.write_bytes(whole)
+    session.update_object(terrain)
+
+
+def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, monkeypatch):
+    """As where another user has made it."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    cut_off(shaped_land.store_of(terrain))
+
+    def unlink(path, missing_ok=False):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as context:
+        context.setattr(Path, "unlink", unlink)
+        with pytest.raises(
+            session.TerrainError, match=r"samples.npy is damaged \(it has .*\)\. It is shaped land, which"
+        ):
+            session.update_object(terrain)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+
+
+@pytest.mark.parametrize("action", ["export", "bake"])
+def test_damage_to_a_by_product_is_neither_exported_nor_baked(terrain, tmp_path, action):
+    """Meshes do not read it: nothing has found it before."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    scree = next(Path(shaped_land.store_of(terrain)).glob("data-*/layer_scree.npy"))
+    session.clear()
+    whole = scree.read_bytes()
+    scree.unlink()
+    scree.write_bytes(whole[:PAGE_BYTES] + bytes(len(whole) - PAGE_BYTES))
+    if action == "export":
+        assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
+        assert (tmp_path / "land_scree.tif").is_file()
+    else:
+        assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
+        scree = next(Path(terrain.adaptive_terrain.store).glob("data-*/layer_scree.npy"))
+        assert scree.read_bytes() == whole
+    assert land_request.made["stores"] == 2
+
+
+def test_what_blender_is_short_of_is_no_damage(terrain, monkeypatch):
+    """With too many files open no store can be read; the land is whole, and is not taken away."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    text = file.read_text()
+    session.clear()
+    short, opened = [True], store_arrays.open_regular
+
+    def open_regular(array):
+        if short and array.name == "samples.npy" and file.parent in array.parents:
+            raise OSError(errno.EMFILE, "Too many open files")
+        return opened(array)
+
+    monkeypatch.setattr(store_arrays, "open_regular", open_regular)
+    for mode in ("VIEWPORT", "RENDER"):
+        with pytest.raises(session.TerrainError, match="Too many open files"):
+            session.update_object(terrain, mode=mode)
+    short.clear()
+    session.update_object(terrain)
+    assert file.read_text() == text and shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain):
+    """No stack of the file makes it again."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = shaped_land.store_of(terrain)
+    bpy.ops.adaptive_terrain.land_remove()
+    terrain.adaptive_terrain.store = folder
+    cut_off(folder)
+    for mode in ("RENDER", "VIEWPORT"):
+        with pytest.raises(session.TerrainError, match=r"samples.npy is damaged .*import the terrain"):
+            session.update_object(terrain, mode=mode)
+    assert (Path(folder) / "store.json").is_file()
+
+
+@pytest.mark.parametrize("level", ["[[99999, 0.0]]", "[[1e400, 1.0]]", "[" * 20000])
+def test_a_damaged_note_of_what_was_asked_for_is_not_read(tmp_path, level):
+    """Tiles that there are none of, numbers that are none, brackets without end."""
+    folder = str(tmp_path / "land")
+    land_tiles.note(folder, [{3: 0.5}])
+    assert land_tiles.with_known(folder, [{0: 0.25}]) == [{3: 0.5, 0: 0.25}]
+    Path(f"{folder}.json").write_text(f"[{level}]")
+    assert land_tiles.with_known(folder, [{0: 0.25}]) == [{0: 0.25}]
+
+
+def test_a_damaged_baked_store_is_an_error(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.bake_land()
+    baked = terrain.adaptive_terrain.store
+    cut_off(baked)
+    with pytest.raises(session.TerrainError, match=r"hills_baked/data-\w+/samples.npy is damaged"):
+        session.update_object(terrain, mode="RENDER")
+    assert (Path(baked) / "store.json").is_file()
+
+
+def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file.unlink()
+    (file / "more").mkdir(parents=True)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+    session.update_object(terrain, mode="RENDER")
+    assert shaped_land.state_of(terrain).shown == "Shaped" and file.is_file()
+
+
+def test_a_damaged_shaped_store_is_made_again(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file.write_text("{}")
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Preview"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_land_that_another_blender_is_writing_is_not_cleared(terrain):
+    """Its draft stays when the version before is removed, and is published."""
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    folder = Path(shaped_land.store_of(terrain))
+    draft = Draft(folder)
+    samples = draft.allocate("samples", (5, 5), np.float32)
+    field = build(samples, 8.0, 8.0, missing=0, allocate=draft.allocate)
+    terrain.adaptive_terrain.land.entries[0].on = False
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert [entry.name for entry in folder.iterdir()] == [draft.folder.name]
+    draft.publish(field, "", {})
+    assert open_store(folder).samples.shape == (5, 5)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not folder.exists()
+
+
+def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeypatch):
+    """Between the end of its making and its first look."""
+    add("thermal")
+    noted = land_tiles.note
+
+    def cleared(folder, wanted):
+        monkeypatch.setattr(land_tiles, "note", noted)
+        land_request.remove(Path(folder))
+
+    monkeypatch.setattr(land_tiles, "note", cleared)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_tiles_are_kept_though_another_blender_has_cleared_them(tmp_path):
+    cache = TileCache(tmp_path / "tiles")
+    (tmp_path / "tiles").rmdir()
+    cache.take("relief", "0" * 32, (2, 3), lambda: np.ones((2, 3), np.float32))
+    cache.take("relief", "0" * 32, (2, 3), lambda: 1 / 0)
+    assert cache.kept["relief"] == 1

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Land as its stack shapes it in Blender: previews, stores, their cache, and what a scene pays for it."""
+
+import os
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.land import land_cache, shape_land
+from adaptive_terrain.operators.request import land_request, land_stack
+from adaptive_terrain.operators.request.kernels_asked import kernels_for
+from adaptive_terrain.operators.request.request import gather
+from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
+from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+from land_scenes import add
+from modal_runs import running, to_the_end
+
+
+def test_a_file_that_cannot_be_exported_is_told_of_before_the_land_is_shaped(terrain, tmp_path):
+    add("thermal")
+    with pytest.raises(RuntimeError, match="there is no folder"):
+        bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "none" / "land.tif"))
+    assert land_request.made["stores"] == 0
+
+
+def test_a_hidden_terrain_costs_nothing(terrain):
+    """Counted: neither previews nor stores are made of it, whatever asks; once it is shown they are."""
+    add("relief")
+    for hide in ("hide_viewport", "eye"):
+        if hide == "eye":
+            terrain.hide_viewport = False
+            terrain.hide_set(True)
+        else:
+            terrain.hide_viewport = True
+        terrain.hide_render = True
+        bpy.context.view_layer.update()
+        session.update_object(terrain)
+        handlers.update_all(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), "VIEWPORT")
+        assert session.record_of(terrain).status.request.land is None
+        with pytest.raises(RuntimeError, match="is hidden in viewports and in renders"):
+            bpy.ops.adaptive_terrain.shape()
+    assert land_request.made == {"previews": 0, "stores": 0}
+    terrain.hide_set(False)
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert land_request.made == {"previews": 1, "stores": 0}
+
+
+def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
+    add("thermal", scree_angle=0.4)
+    state = shaped_land.state_of(terrain)
+    assert (state.active, state.wanted) == (True, True)
+    session.update_object(terrain)
+    state = shaped_land.state_of(terrain)
+    assert state.shown == "Preview" and state.step_m == 10.0 and list(state.ms) == [0]
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    state = shaped_land.state_of(terrain)
+    assert (state.shown, state.wanted) == ("Shaped", False) and state.tiles == (1, 1)
+    assert [name for name, _ in status_lines(state)] == ["Shown", "Tiles", "Time"]
+    folder = shaped_land.store_of(terrain)
+    request = session.record_of(terrain).status.request
+    assert request.store == folder and request.land is None
+    assert land_request.made == {"previews": 1, "stores": 1}
+    bpy.ops.adaptive_terrain.shape()
+    assert land_request.made == {"previews": 1, "stores": 1}, "what is there is not made again"
+
+
+def test_the_land_is_what_the_command_makes(terrain, tmp_path):
+    add("thermal", depth=60.0)
+    bpy.ops.adaptive_terrain.shape()
+    stack = land_stack.preset_of(terrain.adaptive_terrain.land)
+    run_shape(terrain.adaptive_terrain.store, stack, tmp_path / "other")
+    mine, other = open_store(shaped_land.store_of(terrain)), open_store(tmp_path / "other")
+    assert mine.key == other.key and np.array_equal(mine.heights(), other.heights())
+
+
+def test_undo_brings_the_land_before_back_at_once(terrain):
+    """The settings alone decide which store is shown."""
+    entry = add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    first = shaped_land.store_of(terrain)
+    entry.thermal.depth = 3.0
+    bpy.ops.adaptive_terrain.shape()
+    assert shaped_land.store_of(terrain) != first
+    entry.thermal.depth = 30.0
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == first and land_request.made["stores"] == 2
+    entry.on = False
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == terrain.adaptive_terrain.store
+    assert shaped_land.state_of(terrain) == shaped_land.State()
+
+
+def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
+    add("thermal", depth=80.0)
+    session.update_object(terrain)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made == {"previews": 1, "stores": 1}
+    assert shaped_land.state_of(terrain).shown == "Shaped"
+    assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
+
+
+def other_stores(store: str, *names: str) -> list[str]:
+    """Copies of a shaped store, as of other settings; the first was not used for longest, `store` for longer."""
+    found = [shutil.copytree(store, Path(store).with_name(name)) for name in names]
+    for age, folder in enumerate((*reversed(found), store), 1):
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    return list(map(str, found))
+
+
+def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_terrain, monkeypatch):
+    """The one that was not used for longest first; never what another terrain of the scene shows."""
+
+    def there() -> set[str]:
+        return {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+
+    other = add_terrain("Other")
+    other.adaptive_terrain.store = terrain.adaptive_terrain.store
+    bpy.context.view_layer.objects.active = other
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(other)
+    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_request.OF_VIEWS)
+    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_request.bytes_in(Path(first))))
+    bpy.context.view_layer.objects.active = terrain
+    add("thermal", depth=10.0)
+    bpy.ops.adaptive_terrain.shape()
+    own = shaped_land.store_of(terrain)
+    assert there() == {shown, second, own}
+    terrain.adaptive_terrain.land.entries[0].thermal.depth = 30.0
+    session.update_object(terrain)
+    assert shaped_land.store_of(terrain) == shown, "both terrains share it"
+    monkeypatch.setattr(land_request, "MOST_BYTES", 0)
+    land_request.remove_old(land_request.Land(terrain.adaptive_terrain.store, second, False, None))
+    assert there() == {shown, second}
+
+
+def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    shown = shaped_land.store_of(terrain)
+    [other] = other_stores(shown, "0" * 16)
+    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    said = land_cache.lines(terrain.adaptive_terrain.store)
+    assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert Path(shown).exists() and not Path(other).exists() and not (beside / "tiles").exists()
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terrain, tmp_path):
+    """A store behind a link, or by way of another folder, and one that was baked from it."""
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path)
+    add("thermal")
+    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
+    for between in ("link", "scenes/.."):
+        other = add_terrain()
+        other.adaptive_terrain.store = f"{tmp_path}/{between}/hills"
+        bpy.context.view_layer.objects.active = other
+        add("thermal")
+        bpy.ops.adaptive_terrain.shape()
+        land_request._in_use.pop(terrain.session_uid, None)
+        bpy.context.view_layer.objects.active = terrain
+        assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+        assert Path(shaped_land.store_of(other)).is_dir() and shaped_land.state_of(other).shown == "Shaped"
+        bpy.data.objects.remove(other)
+        land_request._in_use.clear()
+
+
+def test_the_cache_gives_up_what_a_terrain_that_is_gone_has_shown(terrain, add_terrain):
+    add("thermal")
+    session.update_object(terrain, mode="RENDER")
+    source, folder = terrain.adaptive_terrain.store, shaped_land.store_of(terrain)
+    other = add_terrain()
+    other.adaptive_terrain.store = source
+    bpy.data.objects.remove(terrain)
+    bpy.context.view_layer.objects.active = other
+    assert land_cache.lines(source)[1].endswith(" 0 MB, stores: 0")
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not Path(folder).exists()
+
+
+def test_baked_land_needs_no_stack(terrain):
+    add("thermal", depth=80.0)
+    before = open_store(terrain.adaptive_terrain.store).key
+    source = terrain.adaptive_terrain.store
+    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
+    baked = terrain.adaptive_terrain.store
+    assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
+    assert open_store(source).key == before != open_store(baked).key
+    beside = land_request.folder_beside(source)
+    assert (beside / "tiles").is_dir() and str(beside) in land_cache.lines(baked), "for Undo"
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert not land_request.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
+    session.update_object(terrain)
+    assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
+    with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
+        bpy.ops.adaptive_terrain.bake_land()
+
+
+def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
+    import rasterio
+
+    add("thermal", depth=80.0)
+    assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
+    shaped = open_store(shaped_land.land_request.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
+    with rasterio.open(tmp_path / "land.tif") as file:
+        assert np.array_equal(file.read(1)[::-1], shaped.heights())
+    assert sorted(path.name for path in tmp_path.glob("land_*.tif")) == [f"land_{n}.tif" for n in sorted(shaped.layers)]
+    with pytest.raises(RuntimeError, match="is of no format"):
+        bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.png"))
+
+
+def only_shaped(terrain) -> str:
+    [folder] = {path.parent for path in land_request.folder_beside(terrain.adaptive_terrain.store).glob("*/store.json")}
+    return folder.name
+
+
+def test_times_are_short():
+    assert [time_text(ms) for ms in (None, 0.4, 35.2, 4200.0)] == ["-", "0.4 ms", "35.2 ms", "4.2 s"]
+
+
+@pytest.mark.parametrize("by", ["ESC", "cross"])
+def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
+    """The scene is at its frame again, and nothing was shaped."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    scene.frame_set(450)  # further than a turn gets
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert scene.frame_current != 450 and land_jobs.progress_of(terrain)[1] == "Looking at frames"
+    if by == "ESC":
+        assert operator.modal(operator.context, SimpleNamespace(type="ESC")) == {"PASS_THROUGH"}
+    else:
+        assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert scene.frame_current == 450 and not land_jobs.running and land_request.made["stores"] == 0
+
+
+@pytest.mark.parametrize("by", ["file", "undo"])
+def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypatch, by):
+    """Another file is opened, which ends what runs; or Undo puts another scene in its place."""
+    add("thermal")
+    scene = bpy.context.scene
+    terrain.adaptive_terrain.land.where = "SEEN"
+    scene.frame_start, scene.frame_end = 1, 500
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "land.blend"))
+    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
+    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
+    operator = running(shape_land.ShapeLand, terrain, names)
+    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
+    assert bpy.context.scene.frame_current != 1 and land_jobs.running
+    if by == "file":
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "land.blend"))
+        operator.cancel(operator.context)
+        operator.context.window_manager.event_timer_remove.assert_called_once()
+    else:
+        bpy.ops.ed.undo_push(message="before")
+        bpy.ops.ed.undo_push(message="after")
+        assert bpy.ops.ed.undo() == {"FINISHED"}
+        assert to_the_end(operator) == {"CANCELLED"}
+    assert not land_jobs.running and land_request.made["stores"] == 0
+
+
+def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
+    add("thermal")
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert any(module.__name__.endswith("land.thermal") for module in kernels_for(request))
+    bpy.ops.adaptive_terrain.shape()
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert not any(".land." in module.__name__ for module in kernels_for(request)), "what is shaped needs none"
+    terrain.adaptive_terrain.interpolation = "bicubic"
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    assert any(".bicubic." in module.__name__ for module in kernels_for(request))

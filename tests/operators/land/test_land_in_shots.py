@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Land that is made fine where the shot looks, frozen triangles, and water on it."""
+
+import shutil
+
+import bpy
+import numpy as np
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.operators.scene import session, shaped_land
+from land_scenes import add
+
+
+def test_water_lies_on_the_land_that_the_stack_makes(terrain):
+    """Which is shaped first: a preview is not what it is cut against."""
+    add("water", sea=-10.0)
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.water_surface() == {"FINISHED"}
+    assert land_request.made["stores"] == 1
+    [water] = terrain.children
+    heights = np.empty(3 * len(water.data.vertices), np.float32)
+    water.data.vertices.foreach_get("co", heights)
+    assert (np.abs(heights[2::3] + 10.0) < 1e-3).mean() > 0.5, "the sea of the stack"
+
+
+def look_at(scene, east: float, north: float) -> None:
+    """Straight down from 400 m on a square of some 300 m."""
+    camera = scene.camera
+    camera.location, camera.rotation_euler = (east, north, 460.0), (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+
+
+def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
+    """Tiles are counted; another frame adds its own, and what was there before stays."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    terrain.adaptive_terrain.store = str(tmp_path / "wide")
+    terrain.adaptive_terrain.land.where = "SEEN"
+    add("relief", wave=64.0, plains=0.2)
+    scene.frame_start = scene.frame_end = scene.frame_current
+    look_at(scene, -4000.0, -3000.0)
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    built, there_are = shaped_land.state_of(terrain).tiles
+    assert 0 < built < there_are and shaped_land.state_of(terrain).wanted, "another shot may look elsewhere"
+    folder = shaped_land.store_of(terrain)
+    change = open_store(folder).heights() - open_store(wide_store).heights()
+    fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 150:250], change[800:900, 1200:1300])]
+    assert fine[0] > 3.0 * fine[1], "fine waves where the camera looks only"
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 1, "the render finds its tiles"
+    look_at(scene, 4000.0, 3000.0)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).tiles[0] > built
+    look_at(scene, -4000.0, -3000.0)
+    session.update_object(terrain, mode="RENDER")
+    assert land_request.made["stores"] == 2
+    again = open_store(folder).heights() - open_store(wide_store).heights()
+    assert np.array_equal(again[50:250, 60:300], change[50:250, 60:300])
+
+
+def test_a_frozen_terrain_keeps_its_triangles_and_takes_the_shaped_heights(terrain, wide_store):
+    """Also one whose raster is larger than a preview: that one is not shown on it."""
+    terrain.adaptive_terrain.store = str(wide_store)
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.freeze() == {"FINISHED"}
+    before = len(terrain.data.polygons)
+    add("relief", wave=64.0)
+    session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Source" and len(terrain.data.polygons) == before
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.state_of(terrain).shown == "Shaped" and len(terrain.data.polygons) == before
+    shutil.rmtree(land_request.folder_beside(str(wide_store)))

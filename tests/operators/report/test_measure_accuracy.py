@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measure Accuracy: a curve and the errors of the mesh are kept in the file; nothing half-measured ever is."""
+
+import json
+import threading
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import bpy
+import pytest
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
+from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.report import measure_accuracy, measuring
+from adaptive_terrain.operators.report.measure_accuracy import MeasureAccuracy, read_measured
+from adaptive_terrain.operators.request.request import gather
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.ui.statistics_panel import (
+    StatisticsPanel,
+    measured_lines,
+    prediction_lines,
+    statistics_lines,
+)
+from modal_runs import running, to_the_end
+
+OLD = CostCurve("px", (4.0, 1.0), (1000.0, 8000.0), (1.0, 5.0))
+
+
+@pytest.fixture
+def terrain(scene, add_terrain):
+    """A terrain with a curve from before, and errors that leave little to sweep."""
+    obj = add_terrain()
+    for detail in (obj.adaptive_terrain.viewport, obj.adaptive_terrain.render):
+        detail.curve = OLD.to_json()
+    return obj
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """A sweep of two errors."""
+    monkeypatch.setattr(measure_accuracy, "PIXELS", (8.0, 2.0))
+
+
+def curves(obj):
+    return obj.adaptive_terrain.viewport.curve, obj.adaptive_terrain.render.curve
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """A measurement that waits, at its first report, until `go` is set; `reached` says that it is there."""
+    gate = SimpleNamespace(go=threading.Event(), reached=threading.Event())
+
+    def measure_request(field, request, on_progress):
+        on_progress(0.25, "waiting")
+        gate.reached.set()
+        gate.go.wait(20)
+        on_progress(0.5, "going on")
+        return measure_accuracy.Result(CostCurve("px", (2.0, 1.0), (1.0, 2.0), (1.0, 2.0)), MEASURED, "digest")
+
+    monkeypatch.setattr(measure_accuracy, "measure_request", measure_request)
+    yield gate
+    gate.go.set()
+    measuring._job = None
+
+
+def some_errors():
+    from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
+
+    errors = Errors(count=10, max=0.5, p95=0.25, p999=0.5, mean=0.125, rms=0.1875)
+    return Measured(errors, 0.75, 1e-5, errors, errors, errors, Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0), None)
+
+
+MEASURED = some_errors()
+
+
+def test_it_keeps_a_curve_for_each_mode_and_the_errors_of_the_mesh(scene, add_terrain):
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    settings.viewport.error_px, settings.render.error_px = 3.0, 1.0
+    assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
+    viewport, render = (CostCurve.from_json(text) for text in curves(terrain))
+    assert viewport.error == tuple(sorted({3.0, *PIXELS}, reverse=True)) and render.error == PIXELS
+    update = session.update_object(terrain)
+    assert dict(zip(viewport.error, viewport.triangles, strict=True))[3.0] == update.triangles
+    assert 0.0 < read_measured(settings.viewport)["screen_px"]["max"] <= update.bound_px == 3.0
+    status = session.record_of(terrain).status
+    assert read_measured(settings.viewport)["digest"] == status.digest
+    settings.viewport.error_px = 2.0
+    session.update_object(terrain)
+    assert read_measured(settings.viewport)["digest"] != session.record_of(terrain).status.digest
+
+
+def test_the_file_keeps_what_was_measured(terrain, short, tmp_path):
+    bpy.ops.adaptive_terrain.measure_accuracy()
+    before = curves(terrain), terrain.adaptive_terrain.viewport.measured
+    path = str(tmp_path / "measured.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    terrain = bpy.data.objects["Terrain"]
+    assert (curves(terrain), terrain.adaptive_terrain.viewport.measured) == before
+    assert before[0][0] != OLD.to_json()
+
+
+def test_the_curve_costs_what_the_settings_cost(terrain, short):
+    """Meshlets and other criteria stay as they are: only the error is swept."""
+    terrain.adaptive_terrain.viewport.meshlet = 2
+    terrain.adaptive_terrain.viewport.edge_px = 60.0
+    bpy.ops.adaptive_terrain.measure_accuracy()
+    terrain.adaptive_terrain.viewport.error_px = 8.0
+    triangles = session.update_object(terrain).triangles
+    curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
+    assert curve.at(8.0)[0] == pytest.approx(triangles)
+
+
+def test_metres_are_swept_where_only_metres_are_asked(terrain, scene, monkeypatch):
+    monkeypatch.setattr(measure_accuracy, "metre_steps", lambda relief_m: [relief_m / 8, relief_m / 16])
+    scene.camera = None
+    for detail in (terrain.adaptive_terrain.viewport, terrain.adaptive_terrain.render):
+        detail.error_px, detail.error_m = 0.0, 3.0
+    assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
+    curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
+    assert curve.unit == "m" and 3.0 in curve.error
+    measured = read_measured(terrain.adaptive_terrain.viewport)
+    assert 0.0 < measured["vertical_max_m"] <= 3.0 and measured["screen_px"] is None
+
+
+def test_one_mode_is_measured_where_the_other_cannot_be(terrain, short):
+    terrain.adaptive_terrain.render.error_px, terrain.adaptive_terrain.render.edge_px = 0.0, 50.0
+    assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
+    viewport, render = curves(terrain)
+    assert viewport != OLD.to_json() == render
+
+
+def test_the_thread_beside_the_window_measures_the_same(terrain, short):
+    operator = running(MeasureAccuracy, terrain)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert not MeasureAccuracy.poll(SimpleNamespace(object=terrain)), "one at a time"
+    assert to_the_end(operator) == {"FINISHED"}
+    curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
+    assert curve.error == (8.0, 2.0, 1.0) and measuring.progress_of(terrain) is None
+    [viewport, render] = [call.args for call in operator.report.call_args_list]
+    largest = read_measured(terrain.adaptive_terrain.viewport)["screen_px"]["max"]
+    assert viewport[0] == {"INFO"} and f"Viewport: measured at most {largest:.3g} px" in viewport[1]
+    assert render[1].startswith("Render: measured at most ")
+
+
+def test_the_panel_shows_progress_and_cancel_leaves_the_old_curve(terrain, held):
+    operator = running(MeasureAccuracy, terrain)
+    assert held.reached.wait(20)
+    layout = draw(terrain)
+    layout.row().progress.assert_called_once_with(factor=0.125, text="Viewport: waiting")
+    with bpy.context.temp_override(object=terrain):
+        assert bpy.ops.adaptive_terrain.cancel_measure() == {"FINISHED"}
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert curves(terrain) == (OLD.to_json(), OLD.to_json()) and session.record_of(terrain).status.error == ""
+
+
+def test_undo_stops_it_and_leaves_the_old_curve(terrain, held):
+    operator = running(MeasureAccuracy, terrain)
+    assert held.reached.wait(20)
+    handlers.on_undo(None)
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert curves(terrain) == (OLD.to_json(), OLD.to_json())
+
+
+def test_cancel_waits_for_one_update_at_most(terrain):
+    """Also between the runs of one error."""
+    request = gather(terrain, bpy.context.evaluated_depsgraph_get())
+    field, reports = session.open_field(request.store), []
+
+    def on_progress(fraction, message):
+        reports.append(message)
+        if len(reports) == 3:
+            raise measuring.Stopped
+
+    with pytest.raises(measuring.Stopped):
+        measure_accuracy.measure_request(field, request, on_progress)
+    assert reports == ["time at 16 px"] * 3
+
+
+def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
+    operator = running(MeasureAccuracy, terrain)
+    assert held.reached.wait(20)
+    bpy.data.objects.remove(terrain)
+    held.go.set()
+    assert to_the_end(operator) == {"CANCELLED"}
+
+
+def test_an_opened_file_ends_it(terrain, held):
+    operator = running(MeasureAccuracy, terrain)
+    job = measuring._job
+    operator.cancel(operator.context)
+    held.go.set()
+    job.wait()
+    assert job.result is None and measuring._job is None
+
+
+def test_what_is_wrong_is_told(terrain, store, monkeypatch):
+    for detail in (terrain.adaptive_terrain.viewport, terrain.adaptive_terrain.render):
+        detail.error_px, detail.edge_px = 0.0, 40.0
+    with pytest.raises(RuntimeError, match="Screen Error or Vertical Error"):
+        bpy.ops.adaptive_terrain.measure_accuracy()
+    terrain.adaptive_terrain.viewport.error_px = 1.0
+    terrain.adaptive_terrain.store = "/nowhere/at/all"
+    with pytest.raises(RuntimeError, match="no terrain store"):
+        bpy.ops.adaptive_terrain.measure_accuracy()
+    assert "/nowhere/at/all" in session.record_of(terrain).status.error
+    terrain.adaptive_terrain.store = store
+    monkeypatch.setattr(measure_accuracy, "measure_request", lambda *arguments: 1 / 0)
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        bpy.ops.adaptive_terrain.measure_accuracy()
+    assert curves(terrain) == (OLD.to_json(), OLD.to_json())
+
+
+def test_errors_that_take_too_many_triangles_are_left_out(terrain, monkeypatch):
+    limit = session.update_object(terrain).triangles  # of 1 px
+    monkeypatch.setattr(measure_accuracy, "MAX_TRIANGLES", limit)
+    assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
+    curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
+    assert curve.error == (16.0, 8.0, 4.0, 2.0, 1.0) and curve.triangles[-1] == limit
+    monkeypatch.setattr(measure_accuracy, "MAX_TRIANGLES", 10)
+    with pytest.raises(RuntimeError, match="An error of 16 px takes more than 10 triangles"):
+        bpy.ops.adaptive_terrain.measure_accuracy()
+    assert CostCurve.from_json(terrain.adaptive_terrain.viewport.curve) == curve
+
+
+def draw(terrain):
+    """What the panel Last Update puts into its layout."""
+    layout = Mock()
+    panel = SimpleNamespace(layout=layout, _columns=lambda: layout)
+    panel._draw_measured = lambda *arguments: StatisticsPanel._draw_measured(panel, *arguments)
+    StatisticsPanel.draw(panel, SimpleNamespace(object=terrain))
+    return layout
+
+
+def labels(layout):
+    return [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+
+
+def test_without_a_curve_the_panel_offers_the_button_and_no_number(scene, add_terrain):
+    terrain = add_terrain()
+    session.update_object(terrain)
+    layout = draw(terrain)
+    assert not [text for text in labels(layout) if "~" in text or "largest" in text]
+    layout.operator.assert_called_once_with("adaptive_terrain.measure_accuracy", icon="DRIVER_DISTANCE")
+
+
+def test_measured_errors_are_shown_for_exactly_the_mesh_that_was_measured(terrain, short):
+    bpy.ops.adaptive_terrain.measure_accuracy()
+    session.update_object(terrain)
+    assert {"Measured", "Screen (px)", "Vertical (m)"} <= set(labels(draw(terrain)))
+    terrain.location.x = 5.0
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert "Measured" not in labels(draw(terrain))
+    assert [text[:6] for text in labels(draw(terrain)) if "~" in text] == ["0.5 px", "2 px: "]
+
+
+def test_a_damaged_curve_is_told_and_gives_no_number(terrain):
+    terrain.adaptive_terrain.viewport.curve = '{"unit": "px"}'
+    session.update_object(terrain)
+    for measured in (
+        "[1, 2",
+        "[1, 2]",
+        "[" * 100_000,
+        json.dumps({"digest": session.record_of(terrain).status.digest}),
+    ):
+        terrain.adaptive_terrain.viewport.measured = measured
+        shown = labels(draw(terrain))
+        assert "damaged" in " ".join(shown) and not {"~", "Measured"} & set(" ".join(shown).split())
+
+
+def status_of(terrain, **changes):
+    session.update_object(terrain)
+    status = session.record_of(terrain).status
+    for name, value in changes.items():
+        setattr(status, name, value)
+    return status
+
+
+def test_the_curve_is_read_as_it_is_for_the_mesh_that_was_measured(terrain):
+    curve = CostCurve("px", (4.0, 1.0, 0.25), (1000.0, 16_000.0, 256_000.0), (2.0, 8.0, 32.0))
+    lines = prediction_lines(status_of(terrain, triangles=1), curve, exact=True)
+    assert lines == ["0.5 px: ~64,000 triangles, ~16 ms", "2 px: ~4,000 triangles, ~4 ms"]
+
+
+def test_the_curve_is_scaled_to_go_through_any_other_update(terrain):
+    curve = CostCurve("px", (4.0, 1.0, 0.25), (1000.0, 16_000.0, 256_000.0), (2.0, 8.0, 32.0))
+    status = status_of(terrain, triangles=160_000, changed=True, ms={"total": 24.0})
+    lines = prediction_lines(status, curve, exact=False)
+    assert lines == ["0.5 px: ~640,000 triangles, ~48 ms", "2 px: ~40,000 triangles, ~12 ms"]
+    status = status_of(terrain, triangles=160_000, changed=False, ms={"total": 0.5})
+    assert prediction_lines(status, curve, exact=False)[1] == "2 px: ~40,000 triangles, ~4 ms"
+    status.relaxed = 2.0  # a triangle limit: the mesh has the error of 2 px
+    assert [line.split(":")[0] for line in prediction_lines(status, curve, exact=False)] == ["1 px", "4 px"]
+
+
+def test_a_curve_in_another_unit_predicts_nothing(terrain):
+    curve = CostCurve("m", (4.0, 1.0), (1000.0, 16_000.0), (2.0, 8.0))
+    assert prediction_lines(status_of(terrain), curve, exact=False) == []
+
+
+def test_every_measured_figure_has_its_unit():
+    from dataclasses import asdict
+
+    lines = {name: figures for name, *figures in measured_lines(json.loads(json.dumps(asdict(MEASURED))))}
+    assert lines.pop("Measured") == ["largest", "95 %"]
+    assert (
+        lines["Screen (px)"] == lines["Facet normal (°)"] == ["0.5", "0.25"] and lines["Rounding (m)"][0] == "< 0.001"
+    )
+    assert lines["Vertical (m)"] == ["0.75", "0.25"], "the largest of the whole surface"
+    assert all(name.endswith(("(px)", "(m)", "(°)")) for name in lines)
+    assert not [name for name in lines if name.startswith(("Silhouette", "Hidden"))], "none was in the frame"
+
+
+def test_the_last_update_says_what_was_asked(terrain):
+    assert dict(statistics_lines(status_of(terrain)))["Asked"] == "1 px"

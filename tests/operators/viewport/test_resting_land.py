@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Land that gets finer while nothing changes: when it begins, what it makes, and what ends it."""
+
+import shutil
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
+from adaptive_terrain.operators.viewport import live, resting_land
+from land_scenes import wide_hills
+
+
+@pytest.fixture(scope="module")
+def hills(tmp_path_factory):
+    """Three levels."""
+    return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 700, 1000)
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, hills, tmp_path, monkeypatch):
+    """A terrain in a window, with a stack whose preview is shown, and a camera over one of its corners."""
+    shutil.copytree(hills, tmp_path / "wide")
+    obj = add_terrain()
+    obj.adaptive_terrain.store = str(tmp_path / "wide")
+    land_request.forget()
+    bpy.ops.adaptive_terrain.land_add(effect="relief")
+    scene.camera.location, scene.camera.rotation_euler = (-3000.0, -2000.0, 460.0), (0.0, 0.0, 0.0)
+    shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
+    context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
+    app = SimpleNamespace(is_job_running=lambda kind: False)
+    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=bpy.types, app=app, data=bpy.data))
+    monkeypatch.setattr(resting_land, "REST_S", 0.05)
+    monkeypatch.setattr(resting_land, "LOOK_S", 0.0)
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    until(obj, "Preview")
+    yield obj
+    resting_land.stop()
+    assert not land_jobs.running
+
+
+def until(obj, shown: str) -> None:
+    turns(lambda: shaped_land.state_of(obj).shown == shown)
+
+
+def turns(reached, limit_s: float = 60.0) -> None:
+    end = time.monotonic() + limit_s
+    while not reached():
+        assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, land_jobs.all_progress())
+        live.tick()
+        time.sleep(0.005)
+
+
+def is_finished(obj) -> bool:
+    return not land_jobs.running and not resting_land.concerned()
+
+
+def test_what_the_view_needs_gets_finer_and_a_render_has_the_rest(terrain):
+    until(terrain, "Shaped")
+    turns(lambda: is_finished(terrain))
+    state, folder = shaped_land.state_of(terrain), shaped_land.store_of(terrain)
+    assert 0 < state.tiles[0] < state.tiles[1] and state.wanted, "Shape Now makes the others"
+    assert land_request.is_of_views(folder) and session.record_of(terrain).status.request.store == folder
+    change = open_store(folder).heights() - open_store(terrain.adaptive_terrain.store).heights()
+    fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 50:150], change[550:650, 800:900])]
+    assert fine[0] > 2.0 * fine[1], "below the camera"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    live.mark_dirty()
+    turns(lambda: not land_request.is_of_views(shaped_land.store_of(terrain)))
+    assert not shaped_land.state_of(terrain).wanted
+    more = open_store(shaped_land.store_of(terrain)).heights() - open_store(folder).heights()
+    seen, unseen = (np.abs(part).mean() for part in (more[100:200, 50:150], more[550:650, 800:900]))
+    assert seen < 0.2 * unseen
+
+
+def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
+    until(terrain, "Shaped")
+    built = shaped_land.state_of(terrain).tiles[0]
+    bpy.context.scene.camera.location = (3000.0, 2000.0, 460.0)
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(lambda: shaped_land.state_of(terrain).tiles[0] > built)
+    turns(lambda: is_finished(terrain))
+    turns(lambda: session.record_of(terrain).field is session.open_field(shaped_land.store_of(terrain)))
+
+
+def test_damaged_land_is_made_again_where_one_looks(terrain, capsys):
+    """The preview is shown meanwhile, and nobody has to ask for it."""
+    until(terrain, "Shaped")
+    turns(lambda: is_finished(terrain))
+    folder, record, made = Path(shaped_land.store_of(terrain)), session.record_of(terrain), []
+    session._fields.clear()
+    samples = next(folder.glob("data-*/samples.npy"))
+    whole = samples.read_bytes()
+    samples.unlink()  # the old one is still mapped
+    samples.write_bytes(whole[: len(whole) // 2])
+    terrain.adaptive_terrain.smooth = not terrain.adaptive_terrain.smooth
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    for state in ("Preview", "Shaped"):
+        turns(lambda state=state: made.append(record.status.error) or shaped_land.state_of(terrain).shown == state)
+    assert set(made) == {""} and capsys.readouterr().out.count("_views' is damaged, and is made again from its") == 1
+    assert record.field is session.open_field(str(folder))
+    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
+
+
+@pytest.mark.parametrize("fault", ["folder", "rights"])
+@pytest.mark.parametrize("stack", [True, False])
+def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatch, fault, stack):
+    """What says that it is a store is a folder, or may not be read; then it is as it was before, to the nanosecond."""
+    terrain.adaptive_terrain.live, record = True, session.record_of(terrain)
+    monkeypatch.setattr(resting_land, "REST_S", 1e9)
+    if not stack:
+        bpy.ops.adaptive_terrain.land_remove()
+        live.mark_dirty()
+        turns(lambda: record.status.request.land is None)
+    file = Path(terrain.adaptive_terrain.store) / "store.json"
+    before = file.stat()
+    opened, aside = stores.open_regular, file.with_suffix(".aside")
+    file.rename(aside)
+    if fault == "folder":
+        file.mkdir()
+    else:
+        aside.rename(file)
+        file.chmod(0)
+        monkeypatch.setattr(
+            stores, "open_regular", lambda f: opened(f) if f.stat().st_mode & 0o400 else opened(f.parent)
+        )
+    land_request._key_of.cache_clear()
+    session._fields.clear()
+    live.mark_dirty()
+    turns(lambda: "store.json cannot be read (" in record.status.error)
+    if fault == "folder":
+        file.rmdir()
+        aside.rename(file)
+    else:
+        file.chmod(before.st_mode)
+        monkeypatch.setattr(stores, "open_regular", opened)
+    assert file.stat().st_mtime_ns == before.st_mtime_ns
+    live.mark_dirty()
+    turns(lambda: not record.status.error)
+
+
+def test_another_slider_ends_it_and_begins_anew(terrain):
+    turns(lambda: any(work.job is not None for work in land_jobs.running.values()))
+    [work] = land_jobs.running.values()
+    terrain.adaptive_terrain.land.entries[0].relief.wave = 90.0
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(lambda: work.job.poll().done)
+    assert work.job.cancelled
+    until(terrain, "Shaped")
+    assert [entry.relief.wave for entry in terrain.adaptive_terrain.land.entries] == [90.0]
+
+
+def test_who_cancels_it_is_left_in_peace(terrain):
+    turns(lambda: land_jobs.running)
+    assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    for _ in range(40):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    terrain.adaptive_terrain.land.entries[0].relief.wave = 70.0
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    until(terrain, "Shaped")
+
+
+def test_without_live_update_nothing_is_begun(terrain):
+    terrain.adaptive_terrain.live = False
+    for _ in range(40):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+
+
+def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, capsys):
+    """A disk that damages what is written: after some tries the panel says so, and nothing is made any more."""
+    opened, record = session.open_store, session.record_of(terrain)
+
+    def damaged(path):
+        if land_request.is_of_views(str(path)):
+            raise TerrainError(f"{path} is damaged (its disk is worn out): import the terrain again.")
+        return opened(path)
+
+    monkeypatch.setattr(session, "open_store", damaged)
+    turns(lambda: "its disk is worn out" in record.status.error)
+    turns(lambda: not land_jobs.running)
+    for _ in range(60):
+        live.tick()
+        time.sleep(0.005)
+    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    assert capsys.readouterr().out.count("is made again from its source") == land_request.MOST_REPAIRS

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The time budget asks for the finest error that fits, by the stored curve alone."""
+
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
+from adaptive_terrain.operators.request.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.ui.detail_panel import ViewportPanel
+from adaptive_terrain.operators.viewport import live
+
+CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
+
+
+def mesh_bytes(obj):
+    array = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", array)
+    return array.tobytes()
+
+
+@pytest.fixture
+def terrain(scene, add_terrain):
+    obj = add_terrain()
+    for detail, ms in ((obj.adaptive_terrain.viewport, 2.0), (obj.adaptive_terrain.render, 8.0)):
+        detail.limit_time, detail.max_ms, detail.curve = True, ms, CURVE.to_json()
+    bpy.context.view_layer.update()
+    return obj
+
+
+def request_of(terrain, mode=VIEWPORT):
+    return gather(terrain, bpy.context.evaluated_depsgraph_get(), mode)
+
+
+def test_the_finest_error_that_fits_is_asked_for_in_each_mode(terrain):
+    assert request_of(terrain).criterion.error_px == CURVE.error_for_ms(2.0) == pytest.approx(8.0, rel=1e-3)
+    assert request_of(terrain, RENDER).criterion.error_px == pytest.approx(2.0, rel=1e-3)
+    assert request_of(terrain).note == ""
+
+
+def test_the_error_is_finer_than_asked_where_there_is_time(terrain):
+    terrain.adaptive_terrain.viewport.error_px = 12.0
+    bpy.context.view_layer.update()
+    assert request_of(terrain).criterion.error_px == pytest.approx(8.0, rel=1e-3)
+
+
+def test_the_mesh_depends_on_no_clock(terrain):
+    session.update_object(terrain)
+    first = mesh_bytes(terrain)
+    for slowness in (0.01, 1000.0):  # whatever later updates take
+        session.record_of(terrain).status.ms["total"] = slowness
+        terrain.data.clear_geometry()
+        session.update_object(terrain)
+        assert mesh_bytes(terrain) == first
+    session.clear()
+    session.update_object(terrain)
+    assert mesh_bytes(terrain) == first and len(terrain.data.polygons) > 100
+    terrain.adaptive_terrain.viewport.max_ms = 8.0
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert mesh_bytes(terrain) != first
+
+
+def test_metres_are_budgeted_where_only_metres_are_asked(terrain):
+    detail = terrain.adaptive_terrain.viewport
+    detail.error_px, detail.error_m = 0.0, 1.0
+    detail.curve = CostCurve("m", (8.0, 2.0), (500.0, 2000.0), (1.0, 4.0)).to_json()
+    bpy.context.view_layer.update()
+    criterion = request_of(terrain).criterion
+    assert (criterion.error_px, criterion.error_m) == (0.0, pytest.approx(4.0, rel=1e-3))
+
+
+@pytest.mark.parametrize(
+    ("curve", "asked", "told"),
+    [
+        ("", {}, "Time budget needs a measured curve: press Measure Accuracy"),
+        ("{", {}, "damaged"),
+        (CURVE.to_json(), {"error_px": 0.0, "error_m": 2.0}, "a curve measured in m"),
+        (CURVE.to_json(), {"error_px": 0.0, "edge_px": 50.0}, "needs an error to vary"),
+    ],
+)
+def test_what_is_asked_is_used_and_told_where_the_budget_cannot_be(terrain, curve, asked, told):
+    detail = terrain.adaptive_terrain.viewport
+    detail.curve = curve
+    for name, value in asked.items():
+        setattr(detail, name, value)
+    bpy.context.view_layer.update()
+    request = request_of(terrain)
+    assert told in request.note
+    for name in ("error_px", "error_m", "edge_px"):
+        assert getattr(request.criterion, name) == getattr(detail, name)
+    session.update_object(terrain)
+    assert told in session.record_of(terrain).status.request.note
+
+
+def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert gather(terrain, depsgraph, RENDER, overrides=Overrides(error_px=3.0)).criterion.error_px == 3.0
+    unlike = gather(terrain, depsgraph, RENDER, overrides=Overrides(meshlet=2)).criterion
+    assert unlike.meshlet == 2 and unlike.error_px == request_of(terrain, RENDER).criterion.error_px != 3.0
+
+
+def draw(terrain):
+    layout = Mock()
+    ViewportPanel.draw(SimpleNamespace(_columns=lambda: layout), SimpleNamespace(object=terrain))
+    texts = [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    return [text for text in texts if text != "off"]
+
+
+def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px", ""], "always two lines"
+    detail, beyond = terrain.adaptive_terrain.viewport, "Beyond what was measured"
+    detail.max_ms = 1e5
+    assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px.", beyond]
+    detail.max_ms = 1e-3
+    assert draw(terrain) == [f"None fits; coarsest error: {CURVE.error[0] * 16:.4g} px.", beyond]
+    terrain.adaptive_terrain.viewport.curve = ""
+    assert " ".join(draw(terrain)) == "Time budget needs a measured curve: press Measure Accuracy"
+    terrain.adaptive_terrain.viewport.limit_time = False
+    assert draw(terrain) == []
+
+
+def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
+    """The errors that Measure Accuracy keeps are those of the mesh that its own curve leads to."""
+    from adaptive_terrain.operators.report import measure_accuracy
+    from adaptive_terrain.operators.report.measure_accuracy import read_measured
+
+    monkeypatch.setattr(measure_accuracy, "PIXELS", (16.0, 4.0, 1.0))
+    assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
+    detail = terrain.adaptive_terrain.viewport
+    assert detail.curve != CURVE.to_json()
+    session.update_object(terrain)
+    status = session.record_of(terrain).status
+    assert status.request.criterion.error_px == CostCurve.from_json(detail.curve).error_for_ms(2.0)
+    assert read_measured(detail)["digest"] == status.digest
+
+
+def test_the_viewport_follows_a_curve_that_has_just_been_measured(terrain, monkeypatch):
+    shown = SimpleNamespace(
+        scene=bpy.context.scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[])
+    )
+    monkeypatch.setattr(live, "_windows", lambda: [shown])
+    terrain.adaptive_terrain.viewport.curve = ""
+    bpy.context.view_layer.update()
+    key = live._next_job().request.key()
+    terrain.adaptive_terrain.viewport.curve = CURVE.to_json()
+    bpy.context.view_layer.update()
+    job = live._next_job()
+    assert job.request.key() != key and job.request.criterion.error_px == pytest.approx(8.0, rel=1e-3)
+    job.future.result(20)

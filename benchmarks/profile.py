@@ -2,7 +2,7 @@
 """Profiles of the rows that fall short of their goals: which part of their work takes which share of their time.
 
 `python -m adaptive_terrain.benchmarks.profile` (`make profile`) samples the same scenes as `bench` (sampling.py) and
-writes profiles.json beside this file, from which docs/performance.md shows them. Shares, not times: a share stays what
+writes pages/profiles.json, from which docs/performance.md shows them. Shares, not times: a share stays what
 it is when something else runs on the machine.
 """
 
@@ -16,8 +16,7 @@ from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
 from ..operators.text.machine import machine
-from . import sampling
-from .profiles import (
+from .pages.profiles import (
     BAND,
     BAND_TEST,
     BLENDER,
@@ -43,7 +42,8 @@ from .profiles import (
     WELD,
     in_words,
 )
-from .sampling import Sample
+from .rig import sampling
+from .rig.sampling import Sample
 
 SECONDS = 4.0
 CYCLES_SECONDS = 30.0
@@ -104,7 +104,8 @@ def _outside(library: str, symbol: str) -> str:
 def scenes_of_rows(folder: Path) -> Iterator[tuple[str, int, str, float, Callable[[], object], tuple[str, ...]]]:
     """Row, size, which scene of it, seconds, the work, and the kernels that count (none named: everything counts)."""
     from ..operators.blender import need_bpy
-    from . import cycles, cycles_frame, engine, in_blender, scenes
+    from .rig import scenes
+    from .rows import cycles, cycles_frame, engine, in_blender
 
     flat, rough = scenes.flat(), scenes.rough()
     walk = KERNELS_OF_REFINEMENT
@@ -169,7 +170,7 @@ def shares(samples: Counter[Sample], kernels: tuple[str, ...]) -> tuple[int, dic
 
 
 def main() -> None:
-    from .report import write_text  # imports kernels, which must wait for `with_lines`
+    from .pages.report import write_text  # imports kernels, which must wait for `with_lines`
 
     sampling.need_tools()
     profiles = []

@@ -11,7 +11,11 @@ from pathlib import Path
 from ..cbt_terrain.errors import TerrainError
 from ..operators.blender import need_bpy
 from ..operators.text.machine import machine
-from . import (
+from .pages import goals, performance_page, report
+from .rig import scenes
+from .rig.baselines import RoamRebuild, build_roam_rebuild
+from .rig.measure import Row
+from .rows import (
     cycles,
     cycles_likeness,
     demand_rows,
@@ -20,7 +24,6 @@ from . import (
     engine,
     files,
     fit_row,
-    goals,
     hidden_row,
     in_blender,
     in_program,
@@ -29,19 +32,14 @@ from . import (
     light_rows,
     maps_rows,
     morph_rows,
-    performance_page,
     query_rows,
-    report,
     scale,
     scatter_rows,
-    scenes,
     scree_rows,
     shading_row,
     start,
     water_rows,
 )
-from .baselines import RoamRebuild, build_roam_rebuild
-from .measure import Row
 
 # Measures one row or several, and measures them anew whenever it is called.
 Measure = Callable[[], Row | Iterable[Row]]

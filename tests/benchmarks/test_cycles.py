@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.benchmarks import cycles_likeness
-from adaptive_terrain.benchmarks.cycles import similarity
+from adaptive_terrain.benchmarks.rows import cycles_likeness
+from adaptive_terrain.benchmarks.rows.cycles import similarity
 
 
 def plain(x, y) -> float:

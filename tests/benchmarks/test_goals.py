@@ -2,9 +2,10 @@
 """The rule by which a quick run fails, and that the goals stand beside rows that exist."""
 
 import pytest
-from adaptive_terrain.benchmarks import goals, suite
-from adaptive_terrain.benchmarks.measure import Row
-from adaptive_terrain.benchmarks.report import MEANING
+from adaptive_terrain.benchmarks import suite
+from adaptive_terrain.benchmarks.pages import goals
+from adaptive_terrain.benchmarks.pages.report import MEANING
+from adaptive_terrain.benchmarks.rig.measure import Row
 
 
 def ingest(ratio):

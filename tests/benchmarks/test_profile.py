@@ -11,8 +11,9 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.benchmarks import goals, profile, profiles, sampling
-from adaptive_terrain.benchmarks.profiles import (
+from adaptive_terrain.benchmarks import profile
+from adaptive_terrain.benchmarks.pages import goals, profiles
+from adaptive_terrain.benchmarks.pages.profiles import (
     BAND_TEST,
     BLOCK,
     BOX,
@@ -24,14 +25,16 @@ from adaptive_terrain.benchmarks.profiles import (
     SYSTEM,
     WELD,
 )
-from adaptive_terrain.benchmarks.sampling import Sample
+from adaptive_terrain.benchmarks.rig import sampling
+from adaptive_terrain.benchmarks.rig.sampling import Sample
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.kernels.refine import walk
 
 # Loads a small module of kernels with line tables and names what its first instructions come from.
 RESOLVE = """
 import json
-from adaptive_terrain.benchmarks import profile, sampling
+from adaptive_terrain.benchmarks import profile
+from adaptive_terrain.benchmarks.rig import sampling
 sampling.with_lines()
 from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.kernels.refine import replay

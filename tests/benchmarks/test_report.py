@@ -5,9 +5,9 @@ import json
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from adaptive_terrain.benchmarks import goals, performance_page, plot, profiles, report
-from adaptive_terrain.benchmarks.measure import Row, Timed, alternate, median_by_step
-from adaptive_terrain.benchmarks.scale import slope
+from adaptive_terrain.benchmarks.pages import goals, performance_page, plot, profiles, report
+from adaptive_terrain.benchmarks.rig.measure import Row, Timed, alternate, median_by_step
+from adaptive_terrain.benchmarks.rows.scale import slope
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.text import svg
 

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.benchmarks import (
-    baselines,
+from adaptive_terrain.benchmarks import suite
+from adaptive_terrain.benchmarks.pages.report import MEANING
+from adaptive_terrain.benchmarks.rig import baselines, measure, scenes
+from adaptive_terrain.benchmarks.rows import (
     demand_rows,
     effects,
     engine,
@@ -18,19 +20,15 @@ from adaptive_terrain.benchmarks import (
     layer_rows,
     light_rows,
     maps_rows,
-    measure,
     morph_rows,
     query_rows,
     scale,
     scatter_rows,
-    scenes,
     scree_rows,
     shading_row,
     start,
-    suite,
     water_rows,
 )
-from adaptive_terrain.benchmarks.report import MEANING
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store

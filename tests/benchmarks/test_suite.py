@@ -8,9 +8,11 @@ import re
 from dataclasses import asdict
 
 import pytest
-from adaptive_terrain.benchmarks import goals, in_program, report, suite
-from adaptive_terrain.benchmarks.measure import Row
-from adaptive_terrain.benchmarks.report import MEANING
+from adaptive_terrain.benchmarks import suite
+from adaptive_terrain.benchmarks.pages import goals, report
+from adaptive_terrain.benchmarks.pages.report import MEANING
+from adaptive_terrain.benchmarks.rig.measure import Row
+from adaptive_terrain.benchmarks.rows import in_program
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 

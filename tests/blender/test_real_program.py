@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_terrain.benchmarks import in_program
+from adaptive_terrain.benchmarks.rows import in_program
 from hostile_files import source, vrt
 from PIL import Image
 from program_window import SCREEN, read_screen, wait_for, window

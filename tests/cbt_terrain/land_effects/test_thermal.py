@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.benchmarks import plain_scree
+from adaptive_terrain.benchmarks.rig import plain_scree
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.land_effects import thermal
 from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What horizon culling saves of the built-in island, in the demo's flight and low over the ground; what it costs."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.terrain import Terrain
+from ...operators.demo.demo import FLIGHT, FRAMES
+from ..rig import scenes
+from ..rig.measure import Row
+
+FACTOR = 8.0
+RESOLUTION = (1920, 1080)
+SHOWN = FRAMES[::3]
+LOW_M, AROUND_M = 20.0, 1500.0  # metres above the ground, and from the middle
+
+
+def hidden_row(folder: Path) -> Row:
+    """Its ratio is of triangles, at 1 px; all threads."""
+    field = scenes.built_in_island()
+    file = folder / "flight.json"
+    file.write_text(json.dumps(FLIGHT), encoding="utf-8")
+    path = read_camera_path(file)
+    plain, plain_ms, _ = _flown(field, lambda frame: path.view(frame, RESOLUTION), 1.0)
+    hiding, ms, map_ms = _flown(field, lambda frame: path.view(frame, RESOLUTION), FACTOR)
+    low = [_flown(field, lambda frame: _low(field, frame), factor)[0] for factor in (FACTOR, 1.0)]
+    figures = {"plain_ms": plain_ms, "map_ms": map_ms, "low_ratio": low[0] / low[1]}
+    size = plain // len(SHOWN)
+    return Row("hidden", size, ms, "triangles of a factor of 1", ratio=hiding / plain, figures=figures)
+
+
+def _flown(field: HeightField, view: Callable[[int], View], factor: float) -> tuple[int, float, float]:
+    """Triangles of all frames, and medians of a frame's milliseconds: its update, and of that the map."""
+    terrain, triangles, times = Terrain(field), 0, []
+    for frame in SHOWN:
+        update = terrain.update(Criterion(error_px=1.0, hidden_factor=factor), [view(frame)])
+        triangles += update.triangles
+        times.append((update.ms["total"], update.ms.get("horizon", 0.0)))
+    return triangles, *(median(each) for each in zip(*times[1:], strict=True))
+
+
+def _low(field: HeightField, frame: int) -> View:
+    """Around the middle, which is looked at, just above the ground."""
+    turn, lattice = math.tau * frame / len(FRAMES), field.lattice
+    x, y = AROUND_M * math.cos(turn), AROUND_M * math.sin(turn)
+    row, column = round(y / lattice.step_y + lattice.height // 2), round(x / lattice.step_x + lattice.width // 2)
+    eye = (x, y, float(field.samples[row, column]) + LOW_M)
+    return View.look(eye, (-x, -y, eye[2]), resolution=RESOLUTION)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What baking a map costs, beside the plainest way to as large a normal map: numpy, on one thread."""
+
+import tempfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.field.build import from_array
+from ...cbt_terrain.field.island import SIDE, island
+from ...cbt_terrain.maps.bake import bake
+from ..rig.measure import Row, alternate, stopwatch
+
+SAMPLES, TEXELS = 2049, 2048
+ASKED = (Asked("detail_normal", ("this benchmark",)),)
+
+
+def maps_row() -> Row:
+    """The normals of an island of as many samples as texels, from heights to a complete PNG file. Its first run makes
+    the pyramid as well."""
+    step = SIDE / (SAMPLES - 1)
+    heights = island(SAMPLES)
+    field = from_array(heights, step)
+
+    def baked() -> dict[str, float]:
+        with tempfile.TemporaryDirectory() as folder, stopwatch() as elapsed:
+            bake(field, ASKED, Path(folder) / "maps", [TEXELS])
+        return {"total": elapsed[0]}
+
+    def plain() -> float:
+        with stopwatch() as elapsed:
+            north, east = np.gradient(heights[:TEXELS, :TEXELS], step)
+            normals = np.stack([-east, -north, np.ones_like(east)], -1)
+            normals /= np.sqrt((normals * normals).sum(-1, keepdims=True))
+            zlib.compress(np.rint((normals * 0.5 + 0.5) * 255).astype(np.uint8).tobytes(), 1)
+        return elapsed[0]
+
+    timed = alternate(baked, plain)
+    figures = {"ns_texel": timed.ms["total"] * 1e6 / TEXELS**2}
+    return Row("maps_normal", TEXELS**2, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)

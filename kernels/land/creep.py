@@ -8,7 +8,7 @@ of thousands of metres in single precision millimetres would be lost.
 
 import warp as wp
 
-from ..effects.routing import Grid
+from ..effects.rows import Grid
 
 
 @wp.struct

@@ -7,7 +7,7 @@ for); no product and sum stand in one statement, which some processors would rou
 
 import warp as wp
 
-from ..effects.routing import Grid
+from ..effects.rows import Grid
 from ..field.noise import value_noise
 
 

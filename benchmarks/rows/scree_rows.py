@@ -2,13 +2,11 @@
 """What a sweep of scree costs beside plain numpy, and what a droplet costs."""
 
 import numpy as np
-import warp as wp
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.island import SIDE, island
 from ...cbt_terrain.land_effects import droplets, thermal
 from ...cbt_terrain.land_effects.land_effect import Ground
-from ...cbt_terrain.run.buffers import flat
 from ..rig import plain_scree
 from ..rig.measure import Row, alternate, stopwatch
 
@@ -27,17 +25,17 @@ def scree_rows():
 def _scree(ground: Ground) -> Row:
     """A sweep from bare rock twice as steep as the island, with beds, ours and numpy's of the same bytes."""
     room = np.full(ground.heights.shape, 30.0, np.float32)
-    base, slope = 2.0 * ground.heights - room, thermal.slope_of(ground, thermal.THERMAL.defaults())
+    base = 2.0 * ground.heights - room
     made = {}
 
     def sweep(name: str) -> float:
-        left, scree, scratch = room.copy(), np.zeros_like(room), np.empty_like(room)
-        arrays = [flat(array, wp.float32) for array in (base, left, scree, scratch)]
+        left, scree = room.copy(), np.zeros_like(room)
+        slope = thermal.slope_of(ground, thermal.THERMAL.defaults(), base, left, scree)
         with stopwatch() as elapsed:
             if name == "numpy":
                 plain_scree.sweep(slope, 0, base, left, scree)
             else:
-                list(thermal.sweep(slope, 0, arrays, 1))
+                list(thermal.sweep(slope, 0, 1))
         made[name] = left.tobytes() + scree.tobytes()
         return elapsed[0]
 

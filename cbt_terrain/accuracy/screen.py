@@ -24,6 +24,7 @@ from ...kernels.accuracy import screen as screen_kernels
 from ..ask.linear import inverse, length, lengths, product
 from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from ..errors import TerrainError
+from ..field.blocks import halvings, stacked
 from ..run import launch
 from ..run.buffers import shared
 from .mesh import Ground, Progress, errors_of, ignore
@@ -40,29 +41,17 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     """
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (_reduce(_reduce(heights, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum))
-    if around:
-        more = 0.28125 * (high.astype(np.float64) - low)
+    if ground.packed.curved:
+        more = ground.packed.detail_most + around * 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
-    more = ground.packed.detail_most
-    if more:
-        low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
-        high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
-    lows, highs, widths, bases = [], [], [0], [0]
-    while True:
-        bases.append(sum(a.size for a in lows))
-        widths.append(low.shape[1])
-        lows.append(low.reshape(-1))
-        highs.append(high.reshape(-1))
-        if low.size == 1:
-            break
-        low, high = _halve(low, np.minimum), _halve(high, np.maximum)
-    ends = sorted(float(h[0]) * ground.scale + ground.offset for h in (lows[-1], highs[-1]))
+    (lows, base, width), (highs, _, _) = stacked(halvings(low, np.minimum), 1), stacked(halvings(high, np.maximum), 1)
+    ends = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
     b = ray_kernels.Blocks()
-    b.levels, b.low_z, b.high_z = len(lows), *ends
+    b.levels, b.low_z, b.high_z = len(base) - 1, *ends
     b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
-    b.base, b.width = (shared(np.array(a, np.int32), wp.int32) for a in (bases, widths))
-    b.low, b.high = (shared(np.concatenate(a), wp.float32) for a in (lows, highs))
+    b.base, b.width = shared(base, wp.int32), shared(width, wp.int32)
+    b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
     return b
 
 
@@ -75,15 +64,6 @@ def _reduce(samples: np.ndarray, side: int, reduce, axis: int, around: int) -> n
     for k in range(-around, side + 1 + around):
         reduce(result, np.take(samples, np.clip(first + k, 0, cells), axis), out=result)
     return result
-
-
-def _halve(blocks: np.ndarray, reduce) -> np.ndarray:
-    """The least or greatest of every 2 x 2 blocks; a last odd row or column stands alone."""
-    for axis in (0, 1):
-        count = blocks.shape[axis]
-        first = np.arange(0, count, 2)
-        blocks = reduce(np.take(blocks, first, axis), np.take(blocks, np.minimum(first + 1, count - 1), axis))
-    return blocks
 
 
 def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernels.Eye:

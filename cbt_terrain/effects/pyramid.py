@@ -28,13 +28,13 @@ def ground(field: HeightField, vertical_scale: float, vertical_offset: float, th
     if not field.prefiltered:
         count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
         made = np.empty(max(count, 1), np.float32)
-        below = _ground(field, made)
+        below = packed(field, made)
         for level in range(1, below.levels):
             rows, columns = shapes(field.lattice)[level]
             inputs = [below, level, below.coarser]
             launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
         field.prefiltered.append(made)  # when it is complete: who is stopped leaves none
-    found = _ground(field, field.prefiltered[0])
+    found = packed(field, field.prefiltered[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
 
@@ -48,7 +48,8 @@ def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
     return field.prefiltered[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def _ground(field: HeightField, coarser: np.ndarray) -> kernels.Ground:
+def packed(field: HeightField, coarser: np.ndarray) -> kernels.Ground:
+    """The heights as they are, and the levels above them (float32 [n], the finest first) as kernels read them."""
     lattice = field.lattice
     sizes = np.array(shapes(lattice))
     found = kernels.Ground()

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import catchment, routing
+from ...kernels.effects import rows as kernels
 from ..run import launch
 from ..run.buffers import flat
 
@@ -31,7 +32,7 @@ class Drainage:
     `catchments`: float64, how many samples drain through each, all along its one receiver.
     """
 
-    grid: routing.Grid
+    grid: kernels.Grid
     heights: np.ndarray
     base: np.ndarray
     to: np.ndarray
@@ -39,31 +40,36 @@ class Drainage:
     catchments: np.ndarray
     threads: int = 1
 
+    def packed(self, filled: np.ndarray) -> kernels.Drainage:
+        """As kernels read it; memory is shared. filled: float32 [n]."""
+        d = kernels.Drainage()
+        d.grid, d.to, d.order = self.grid, flat(self.to, wp.uint8), flat(self.order, wp.int32)
+        d.h, d.filled = flat(self.heights, wp.float32), flat(filled, wp.float32)
+        return d
+
     def filled(self) -> np.ndarray:
         """float32 [n] metres: the least surface, nowhere below the heights, from which every sample drains."""
         out = np.empty_like(self.heights)
-        arrays = flat(self.to, wp.uint8), flat(self.order, wp.int32), flat(self.heights, wp.float32)
-        launch.once(catchment.fill_lakes, [self.grid, *arrays, flat(out, wp.float32)], step="routing")
+        launch.once(catchment.fill_lakes, [self.packed(out)], step="routing")
         return out
 
     def areas(self, filled: np.ndarray) -> np.ndarray:
         """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
-        count = len(self.to)
+        count, d = len(self.to), self.packed(filled)
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
-        inputs = [count, flat(self.order, wp.int32), flat(filled, wp.float32), flat(key, wp.float32)]
-        inputs.append(flat(item, wp.int32))
+        inputs = [count, d, flat(key, wp.float32), flat(item, wp.int32)]
         launch.spread(catchment.take_in_reverse, count, inputs, step="routing", threads=self.threads)
         launch.sort_pairs(key, item, count, step="routing")
         area = np.ones(count)
-        arrays = [flat(item, wp.int32), flat(filled, wp.float32), flat(area, wp.float64)]
-        launch.once(catchment.gather_area, [self.grid, flat(self.to, wp.uint8), *arrays], step="routing")
+        d.area = flat(area, wp.float64)
+        launch.once(catchment.gather_area, [d, flat(item, wp.int32)], step="routing")
         return area
 
     def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:
         """Give all that is below the surface of a lake the area of its outlet."""
-        arrays = [flat(self.order, wp.int32), flat(self.heights, wp.float32), flat(filled, wp.float32)]
-        inputs = [self.grid, flat(self.to, wp.uint8), *arrays, flat(area, wp.float64)]
-        launch.once(catchment.level_lakes, inputs, step="routing")
+        d = self.packed(filled)
+        d.area = flat(area, wp.float64)
+        launch.once(catchment.level_lakes, [d], step="routing")
 
 
 def route(
@@ -87,28 +93,28 @@ def route(
     base[:, [0, -1]] = 1
     base = base.reshape(-1)
     h = heights.reshape(-1) + np.float32(0.0)  # a sort tells -0 from 0
-    grid, to = grid_of(rows, columns, step_x, step_y), np.empty(len(h), np.uint8)
-    # The names of one step each: float32 heights, and what is found of them.
-    arrays = [flat(h, wp.float32), flat(base, wp.uint8)]
-    inputs = [_for_choice(grid, draw), draw or routing.Draw(), *arrays, flat(to, wp.uint8)]
-    launch.spread(routing.find_receivers, rows, inputs, step="routing", threads=threads, cost=columns / 8)
-    scratch, label, pits = np.empty(len(h), np.int32), np.zeros(len(h), np.int32), np.zeros(1, np.int32)
-    inputs = [grid, *arrays, flat(scratch, wp.int32), flat(to, wp.uint8), flat(label, wp.int32), flat(pits, wp.int32)]
-    launch.once(routing.cross_flats, inputs, step="routing")
+    count, pits = len(h), np.zeros(1, np.int32)
+    to, donors, order, label = (np.empty(count, kind) for kind in (np.uint8, np.uint8, np.int32, np.int32))
+    label[:] = 0
+    area = np.ones(count) if own is None else own.astype(np.float64).reshape(-1)
+    d = kernels.Drainage()
+    d.grid = grid = grid_of(rows, columns, step_x, step_y)
+    d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
+    d.label, d.order, d.area = flat(label, wp.int32), flat(order, wp.int32), flat(area, wp.float64)
+    work = {"step": "routing", "threads": threads}
+    inputs = [d, _nearness(grid, draw), draw or routing.Draw()]
+    launch.spread(routing.find_receivers, rows, inputs, cost=columns / 8, **work)
+    launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
-        _link(grid, h, to, int(pits[0]), label, threads)
-    donors, order = np.empty(len(h), np.uint8), scratch
-    inputs = [grid, flat(to, wp.uint8), flat(donors, wp.uint8)]
-    launch.spread(routing.count_donors, rows, inputs, step="routing", threads=threads, cost=columns / 16)
-    area = np.ones(len(h)) if own is None else own.astype(np.float64).reshape(-1)
-    inputs += [flat(order, wp.int32), flat(area, wp.float64)]
-    launch.once(routing.order_downstream, inputs, step="routing")
+        _link(d, int(pits[0]), threads)
+    launch.spread(routing.count_donors, rows, [d], cost=columns / 16, **work)
+    launch.once(routing.order_downstream, [d], step="routing")
     return Drainage(grid, h, base, to, order, area, threads)
 
 
-def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Grid:
+def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
     """Rows, columns and weights by direction of samples so many metres apart."""
-    grid, diagonal = routing.Grid(), step_x * step_x + step_y * step_y
+    grid, diagonal = kernels.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
     grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)
     # Length of contour over distance: half a side's for the axes, for diagonals the part that makes squares Quinn's.
@@ -116,31 +122,25 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> routing.Gr
     return grid
 
 
-def _for_choice(grid: routing.Grid, draw: "routing.Draw | None") -> routing.Grid:
-    """The grid that receivers are chosen by."""
+def _nearness(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
+    """One over the distance by direction, as receivers are chosen by it."""
     if draw is None or draw.jitter == 0.0:
-        return grid
-    fair = routing.Grid()
-    fair.width, fair.height, fair.share = grid.width, grid.height, grid.share
+        return grid.nearness
     ew, ns, across = grid.nearness
     axes = math.sqrt(ew / ns)
-    fair.nearness = wp.vec3f(ew * axes, ns / axes, DIAGONAL * across)
-    return fair
+    return wp.vec3f(ew * axes, ns / axes, DIAGONAL * across)
 
 
-def _link(grid, h, to, pits: int, label: np.ndarray, threads: int) -> None:
+def _link(d: kernels.Drainage, pits: int, threads: int) -> None:
     """Turn the flow of every basin that ends in a pit to the basin beyond its lowest pass."""
-    arrays = [flat(to, wp.uint8), flat(label, wp.int32)]
-    blocks = -(-len(h) // BLOCK)
-    inputs = [BLOCK, grid, *arrays]
-    launch.spread(routing.label_basins, blocks, inputs, step="routing", threads=threads, cost=BLOCK)
-    start = np.zeros(grid.height + 1, np.int64)
+    width, height = d.grid.width, d.grid.height
+    work = {"step": "routing", "threads": threads}
+    launch.spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK, **work)
+    start = np.zeros(height + 1, np.int64)
 
     def find(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
-        found = [flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
-        inputs = [emit, grid, flat(h, wp.float32), flat(label, wp.int32), *found]
-        cost = grid.width / 8
-        launch.spread(routing.find_passes, grid.height - 1, inputs, step="routing", threads=threads, cost=cost)
+        inputs = [emit, d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
+        launch.spread(routing.find_passes, height - 1, inputs, cost=width / 8, **work)
 
     find(0, np.empty(1, np.float32), np.empty(1, np.int32))
     start[1:] = np.cumsum(start[:-1])
@@ -150,5 +150,4 @@ def _link(grid, h, to, pits: int, label: np.ndarray, threads: int) -> None:
     find(1, key, edge)
     launch.sort_pairs(key, edge, count, step="routing")
     up = np.arange(pits + 2, dtype=np.int32)
-    inputs = [count, pits, grid, flat(edge, wp.int32), flat(label, wp.int32), flat(up, wp.int32), flat(to, wp.uint8)]
-    launch.once(routing.link_basins, inputs, step="routing")
+    launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(up, wp.int32)], step="routing")

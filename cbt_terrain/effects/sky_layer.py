@@ -74,11 +74,12 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
             sums = state.setdefault("sky", np.zeros(heights.shape, np.float32))
             azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, found)
-            per_cell = wp.vec2f(scale / steps[0], scale / steps[1])
-            numbers = [columns, rows, per_cell, wp.vec2f(*azimuth), wp.float32(1.0 / AZIMUTHS)]
-            arrays = [flat(found, wp.float32), flat(sums, wp.float32)]
-            inputs = [flat(heights, wp.float32), *numbers, *arrays]
-            launch.spread(kernels.add_sky, rows, inputs, step="light", threads=threads, cost=columns)
+            sky = kernels.Sky()
+            sky.rows, sky.columns = rows, columns
+            sky.per_cell, sky.azimuth = wp.vec2f(scale / steps[0], scale / steps[1]), wp.vec2f(*azimuth)
+            sky.share = 1.0 / AZIMUTHS
+            sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, found, sums))
+            launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
             state["azimuths"] += 1
             if state["azimuths"] == AZIMUTHS:
                 _keep_in_store(field, scale, sums)
@@ -156,10 +157,10 @@ def sweep(
     # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)
-    memory = [np.empty(count * items * s.major, kind) for count, kind in ((1, float), (1, np.int32), (2, np.float32))]
-    inputs = [s, *(flat(a, kind) for a, kind in zip(memory, (wp.float64, wp.int32, wp.float32), strict=True))]
-    cost = 2.0 * kernels.LINES * s.major
-    launch.spread(kernels.sweep, items, [*inputs, flat(out, wp.float32)], step="light", threads=threads, cost=cost)
+    points = items * s.major
+    s.profiles, s.hulls = flat(np.empty(points), wp.float64), flat(np.empty(points, np.int32), wp.int32)
+    s.slopes, s.out = flat(np.empty(2 * points, np.float32), wp.float32), flat(out, wp.float32)
+    launch.spread(kernels.sweep, items, [s], step="light", threads=threads, cost=2.0 * kernels.LINES * s.major)
 
 
 def _kept(field: HeightField, kind: str, scale: float) -> dict:

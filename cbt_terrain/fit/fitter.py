@@ -99,7 +99,7 @@ class Fitter:
         domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
         domain.table = shared(table, wp.float32)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
-        work = Sweeps(self, m, buffers, shared(error, wp.uint8))
+        m.codes, work = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
             leaves, _ = refinement.run(domain, asked, self.depth, MAX_TRIANGLES)
             surface = builder.build(leaves, domain, 0)
@@ -129,7 +129,7 @@ class Fitter:
         if not self.scale:
             return Mesh(update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed)
         buffers, m = Buffers(), self._mesh(error_m)
-        Sweeps(self, m, buffers, None).bind(update.surface, self._nothing_known())
+        Sweeps(self, m, buffers).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
         if self.field.valid is not None:
             worst = buffers.numpy("fit_worst")[: update.triangles]

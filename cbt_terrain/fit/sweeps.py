@@ -22,11 +22,11 @@ MAX_ROUNDS = 64
 class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that are looked at."""
 
-    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers, codes: wp.array | None):
-        self.fitter, self.m, self.buffers, self.codes = fitter, m, buffers, codes
+    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers):
+        self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
-        self.stacks = [wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")]
+        m.splitting, m.climbing = wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")
         self.found_np = np.zeros(7, np.int32)
         self.found = shared(self.found_np, wp.int32)
 
@@ -91,7 +91,7 @@ class Sweeps:
         for _ in range(SWEEPS):
             self._pull()
             inputs = [self.count, self.triangles, self.m, self.found]
-            launch.slices(kernels.move, [inputs], step="fit move", recorded=self.recorded)
+            launch.once(kernels.move, inputs, step="fit move", recorded=self.recorded)
             self.count = int(self.found_np[0])
             if not self.found_np[1]:
                 break
@@ -106,9 +106,7 @@ class Sweeps:
     def refine(self, local: float) -> dict[str, int]:
         """Split what is beyond the bound, or pin it to the surface."""
         self.found_np[1:3] = self.triangles, self.vertices
-        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.codes]
-        launch.slices(
-            refine_kernels.refine, [[*inputs, *self.stacks, self.found]], step="fit refine", recorded=self.recorded
-        )
+        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.found]
+        launch.once(refine_kernels.refine, inputs, step="fit refine", recorded=self.recorded)
         self.count, self.triangles, self.vertices = self.found_np[:3].tolist()
         return dict(zip(("splits", "pins", "later", "deepest"), self.found_np[3:].tolist(), strict=True))

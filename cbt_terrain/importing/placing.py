@@ -10,7 +10,7 @@ import numpy as np
 from ..field import store as stores
 from ..field.georeference import ROTATED, degree_lengths, ellipsoid_of
 from ..field.heightfield import HeightField
-from .answers import answer, ask
+from .store_job import ask, serve
 
 MODULE = "cbt_terrain.importing.placing"
 
@@ -64,6 +64,6 @@ def placing_of(store: str | os.PathLike) -> Placing:
     return Placing(*(float(c) for c in field.origin[:2]), *lengths, field.crs)
 
 
-def child_main(request: str) -> None:
-    """Answer one request on stdout."""
-    answer(request, lambda asked: unit_lengths(stores.open_store(asked["store"])), lambda asked: asked["store"])
+def child_main() -> None:
+    """Answer one request."""
+    serve(lambda asked, *_: unit_lengths(stores.open_store(asked["store"])), lambda asked: f"Reading {asked['store']}")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ..field.lands import LANDS
 from ..run import child
-from .answers import answer, ask
 from .guard import guard
 from .raster import ImportSettings
 from .sources import check_file, open_source
+from .store_job import ask, serve
 
 
 def describe_source(settings: ImportSettings) -> dict:
@@ -43,12 +43,12 @@ def _ask(request: dict, what: str) -> dict:
     return ask("cbt_terrain.importing.source_info", request, what)
 
 
-def child_main(request: str) -> None:
-    """Answer one request on stdout."""
-    answer(request, _answer, lambda asked: asked["settings"]["source"])
+def child_main() -> None:
+    """Answer one request."""
+    serve(_answer, lambda asked: f"Reading {asked['settings']['source']}")
 
 
-def _answer(asked: dict) -> dict:
+def _answer(asked: dict, *_) -> dict:
     settings = asked["settings"]
     if settings is None:
         return _of_this_process()

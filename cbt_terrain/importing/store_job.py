@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A store that is made in a child process: started, watched and ended by the parent; and what the child says.
+"""What a child process is asked for: a store that it makes, or one question. It is started, watched and ended by the
+parent; and what the child says.
 
 The request is one JSON object in a line on the child's stdin. It prints one JSON object a line: {"fraction",
 "message"}, and at the end {"report"} or {"error"}. The stdin stays open: when it ends, the parent has, and what else is
@@ -24,6 +25,7 @@ from ..field import store as stores
 from ..field import store_folder
 from ..run import child, stopping
 from ..run.stall import Stall, stalled_text
+from .guard import VARIABLES
 
 POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
@@ -42,19 +44,20 @@ class Progress:
     report: dict | None = None
 
 
-class StoreJob:
-    """A child process that makes a store.
+class ChildJob:
+    """A child process that does something.
 
     module: whose `child_main` does it, with `request` as what it is asked for. what: "The import of a.tif", in errors;
     blame: what may be wrong where the child just ends. reading, watched: what is read from outside while messages are
-    among `watched`: the child is then ended where it stays silent for too long. report: of a store that is whole
-    already; then there is nothing to do. Raises TerrainError.
+    among `watched`: the child is then ended where it stays silent for too long. report: where there is nothing left to
+    do. Raises TerrainError.
     """
+
+    _left = ""  # what an end without a report has left, in errors
 
     def __init__(
         self,
         module: str,
-        store: str | os.PathLike,
         request: dict,
         *,
         what: str,
@@ -64,17 +67,13 @@ class StoreJob:
         variables: dict[str, str] | None = None,
         report: dict | None = None,
     ):
-        self._store, self._what, self._blame = Path(store), what, blame
-        self._reading, self._watched = reading, watched
+        self._what, self._blame, self._reading, self._watched = what, blame, reading, watched
         self._progress, self.cancelled, self._lines = Progress(), False, []
         self._process, self._stall, self._stalled = None, Stall(), False
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
-            return
-        self._folder = store_folder.new_data_name()
-        self._made = store_folder.missing_folders(self._store)
-        place = {"store": str(self._store.absolute()), "folder": self._folder, "made": list(map(str, self._made))}
-        self._start(module, request | place, variables or {})
+        else:
+            self._start(module, request, variables or {})
 
     def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
         self._errors = tempfile.TemporaryFile()
@@ -118,7 +117,7 @@ class StoreJob:
         return self._progress
 
     def cancel(self) -> None:
-        """Stop the job now; the store stays as it was. Does nothing to one that is done."""
+        """Stop the job now. Does nothing to one that is done."""
         if self.poll().done:
             return
         self._process.kill()
@@ -136,7 +135,7 @@ class StoreJob:
 
     def _reason_of_end(self) -> str:
         if self.cancelled:
-            return f"{self._what} was cancelled; the store is as it was before."
+            return f"{self._what} was cancelled{self._left}."
         if self._stalled:
             return stalled_text(self._reading)
         code = self._process.returncode
@@ -145,28 +144,52 @@ class StoreJob:
         how = f"exit code {code}" + (f" ({said[-1]})" if said else "")
         if code < 0:
             how = f"signal {signal.Signals(-code).name}"
-        return f"{self._what} ended with {how} before it was done, and the store is as it was before: {self._blame}."
+        return f"{self._what} ended with {how} before it was done{self._left}: {self._blame}."
 
     def _finish(self) -> None:
-        """The child has ended: with a report, with an error, or killed, perhaps just after it published the store."""
+        """The child has ended: with a report, with an error, or killed, perhaps just after its work was done."""
         self._process.stdin.close()
         self._process.stdout.close()
         last = self._lines[-1] if self._lines else {}
         report, error = last.get("report"), last.get("error")
         if report is None and error is None:
-            try:
-                content = stores.read_json(self._store)
-                report = content["report"] if content["data"] == self._folder else None
-            except TerrainError:
-                pass
+            report = self._published()
             error = self._reason_of_end() if report is None else None
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
             self.cancelled = False
         else:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)
-            store_folder.discard(self._store, self._folder, self._made)
+            self._discard()
         self._errors.close()
+
+    def _published(self) -> dict | None:
+        """The report of work that is done, though the child has not told it."""
+
+    def _discard(self) -> None:
+        """Take away what the child has begun."""
+
+
+class StoreJob(ChildJob):
+    """A child process that makes a store, which stays as it was where it does not come to its end."""
+
+    _left = ", and the store is as it was before"
+
+    def __init__(self, module: str, store: str | os.PathLike, request: dict, **how):
+        self._store, self._folder = Path(store), store_folder.new_data_name()
+        self._made = store_folder.missing_folders(self._store)
+        place = {"store": str(self._store.absolute()), "folder": self._folder, "made": list(map(str, self._made))}
+        super().__init__(module, request | place, **how)
+
+    def _published(self) -> dict | None:
+        try:
+            content = stores.read_json(self._store)
+        except TerrainError:
+            return None
+        return content["report"] if content["data"] == self._folder else None
+
+    def _discard(self) -> None:
+        store_folder.discard(self._store, self._folder, self._made)
 
 
 def _inside(what: str) -> str:
@@ -174,7 +197,7 @@ def _inside(what: str) -> str:
     return what[0].lower() + what[1:]
 
 
-def wait_for(start: Callable[[], StoreJob], on_progress: Tell = lambda _fraction, _message: None) -> dict:
+def wait_for(start: Callable[[], ChildJob], on_progress: Tell = lambda _fraction, _message: None) -> dict:
     """Start a job and wait for it; returns its report.
 
     on_progress(fraction, message) is called as it goes on; what it raises stops the job. Raises TerrainError. The store
@@ -195,12 +218,20 @@ def wait_for(start: Callable[[], StoreJob], on_progress: Tell = lambda _fraction
     return progress.report
 
 
+def ask(module: str, request: dict, what: str):
+    """What the `child_main` of a module, which opens a file from outside, reports; what: it opens, in errors. Raises
+    TerrainError."""
+    about = {"what": f"Reading {what}", "reading": what, "watched": (Progress.message,), "variables": VARIABLES}
+    blame = "the file may be damaged, or memory may have run out"
+    return wait_for(lambda: ChildJob(module, request, blame=blame, **about))
+
+
 # A request, how to say how far it is, and what is to be called when the process may start threads; -> the report.
 Serve = Callable[[dict, Tell, Callable[[], None]], dict]
 
 
 def serve(work: Serve, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
-    """In the child: read a request from stdin, do it, and say on stdout how it goes. what: as of StoreJob; heard: is
+    """In the child: read a request from stdin, do it, and say on stdout how it goes. what: as of ChildJob; heard: is
     called when the parent writes something more."""
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print goes to stderr

@@ -14,8 +14,8 @@ import numpy as np
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.store import open_store
-from ..importing.answers import answer, ask
 from ..importing.placing import is_placed, unit_lengths
+from ..importing.store_job import ask, serve
 from ..maps.exr import ExrFile
 from ..run import child
 from ..run.partial_files import written_beside
@@ -94,12 +94,12 @@ def _not_written(path: Path, reason: OSError) -> TerrainError:
     return TerrainError(f"{path} cannot be written ({reason.strerror or reason}): make room or choose another folder.")
 
 
-def child_main(request: str) -> None:
-    """Answer one request on stdout."""
-    answer(request, _write_tiffs, lambda asked: f"the store {asked['store']}")
+def child_main() -> None:
+    """Answer one request."""
+    serve(_write_tiffs, lambda asked: f"Reading the store {asked['store']}")
 
 
-def _write_tiffs(asked: dict) -> list[str]:
+def _write_tiffs(asked: dict, *_) -> list[str]:
     child.end_with_parent()
     field = open_store(asked["store"])
     for name, path in asked["files"].items():

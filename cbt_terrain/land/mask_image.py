@@ -8,10 +8,10 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.store_arrays import all_checksums, header, map_array
-from ..importing.answers import answer, ask
 from ..importing.guard import guard
 from ..importing.raster import ImportSettings
 from ..importing.sources import check_file, open_source
+from ..importing.store_job import ask, serve
 from ..run import child, partial_files
 from .tile_cache import content_key
 
@@ -35,12 +35,12 @@ def load_image(file: str, folder: Path) -> np.ndarray:
     return map_array(kept, shape, np.float32)
 
 
-def child_main(request: str) -> None:
-    """Answer one request on stdout."""
-    answer(request, _read, lambda asked: f"the mask {shown(asked['file'])}")
+def child_main() -> None:
+    """Answer one request."""
+    serve(_read, lambda asked: f"Reading the mask {shown(asked['file'])}")
 
 
-def _read(asked: dict) -> list[int]:
+def _read(asked: dict, *_) -> list[int]:
     """Write the image into the folder; its rows and columns."""
     path, kept = Path(asked["file"]), Path(asked["folder"]) / f"{asked['key']}.npy"
     guard(path.suffix.lower(), kept.parent)

@@ -64,11 +64,11 @@ def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, fl
     if ground.missing is not None:
         heights[ground.missing] = np.nan
     mask = np.ones(heights.shape, np.float32) if ground.mask is None else np.ascontiguousarray(ground.mask, np.float32)
-    arrays = [flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)]
+    rain.ground, rain.mask, rain.change = flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)
     carried = 0.0
     for colour, tiles in enumerate(_tiles(rain, ground)):
         lost = np.zeros(len(tiles))
-        inputs = [flat(tiles, wp.int32), rain, *arrays, flat(lost, wp.float64)]
+        inputs = [flat(tiles, wp.int32), rain, flat(lost, wp.float64)]
         cost = 5.0 * rain.drops * rain.steps
         launch.spread(kernels.rain_on_tiles, len(tiles), inputs, step="droplets", threads=ground.threads, cost=cost)
         carried += math.fsum(lost)

@@ -129,22 +129,19 @@ def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
 
 
 def _advance(flood: Flood, dt: float) -> None:
-    (rows, columns), (dx, dy), threads = flood.bed.shape, flood.metres, flood.threads
-    water, outlets = flat(flood.water, wp.float64), flat(flood.outlets, wp.int32)
-    old, new, part = flood.fluxes, flood.pushed, flood.part
-    was_east, was_north, east, north, part = (flat(a[1:], wp.float64) for a in (*old, *new, part))
-    metres, per = wp.vec2d(dx, dy), wp.vec2d(dt / dx, dt / dy)
-    numbers = [columns, rows, metres, wp.float64(dt), wp.float64(flood.rough)]
-    common = {"step": "flood", "threads": threads, "cost": columns / 4}
-    bed, fluxes = flat(flood.bed, wp.float32), [was_east, was_north, east, north]
-    launch.spread(kernels.push, rows, [*numbers, bed, water, *fluxes], **common)
-    flood.fluxes, flood.pushed = new, old
-    launch.spread(kernels.limit, rows, [columns, per, east, north, water, part], **common)
-    rain = [wp.float64(dt), flat(flood.rain, wp.float32)]
-    launch.spread(kernels.move, rows, [columns, per, *rain, east, north, part, water], **common)
-    launch.once(
-        kernels.leave, [outlets, flat(flood.deep, wp.float64), water, flat(flood.left, wp.float64)], step="flood"
-    )
+    flood.fluxes, flood.pushed = flood.pushed, flood.fluxes
+    s, work = kernels.Water(), {"step": "flood", "threads": flood.threads, "cost": flood.bed.shape[1] / 4}
+    s.height, s.width = flood.bed.shape
+    s.step_x, s.step_y = flood.metres
+    s.seconds, s.rough = dt, flood.rough
+    s.bed, s.rain, s.depth = flat(flood.bed, wp.float32), flat(flood.rain, wp.float32), flat(flood.water, wp.float64)
+    s.was_east, s.was_north = (flat(a[1:], wp.float64) for a in flood.pushed)
+    s.east, s.north = (flat(a[1:], wp.float64) for a in flood.fluxes)
+    s.part = flat(flood.part[1:], wp.float64)
+    for phase in (kernels.push, kernels.limit, kernels.move):
+        launch.spread(phase, s.height, [s], **work)
+    ends = [flat(flood.outlets, wp.int32), flat(flood.deep, wp.float64), s.depth, flat(flood.left, wp.float64)]
+    launch.once(kernels.leave, ends, step="flood")
 
 
 def speeds(flood: Flood) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects.routing import Draw
-from ...kernels.land import far_creep
+from ...kernels.land import creep as creep_kernels
 from ...kernels.land import fluvial as kernels
 from ..effects.routing import Drainage, grid_of, route
 from ..run import launch
@@ -88,8 +88,8 @@ def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.nd
     ground, drainage = bed.heights, bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.lift.any() else drainage.heights + np.float32(years) * bed.lift
     bed.heights = raised.copy()
-    rate, filled = _cut(bed, drainage, years, values)
-    load = None if filled is None else _lay_down(bed, drainage, rate, raised, filled, values["deposition"], years)
+    river, filled = _cut(bed, drainage, years, values)
+    load = None if filled is None else _lay_down(bed, drainage, river, raised, filled, years)
     lifted = np.float32(years) * bed.lift[bed.rim]
     bed.heights[bed.rim] = raised[bed.rim] = ground[bed.rim] + lifted  # water stood higher there
     if values["creep"] > 0.0:
@@ -135,20 +135,22 @@ def _draw(bed: Bed, number: int) -> Draw:
     return draw
 
 
-def _cut(bed: Bed, drainage: Drainage, years: float, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Returns the factor F of every sample, and, where sediment is wanted, the water's surface."""
-    grid, rate, to = drainage.grid, np.empty_like(bed.heights), flat(drainage.to, wp.uint8)
-    numbers = [bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years]
-    arrays = [flat(drainage.catchments, wp.float64), flat(bed.soft, wp.float32), flat(rate, wp.float32)]
-    rows, columns = bed.shape
-    inputs = [grid, *numbers, to, *arrays]
-    launch.spread(kernels.find_rates, rows, inputs, step="rivers", threads=bed.threads, cost=columns / 8)
-    drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*grid.nearness])))
+def _cut(
+    bed: Bed, drainage: Drainage, years: float, values: dict[str, float]
+) -> tuple[kernels.River, np.ndarray | None]:
+    """Returns the step so far and, where sediment is wanted, the water's surface."""
+    r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
-    arrays = [flat(a, wp.float32) for a in (bed.part, rate, rate if filled is None else filled, bed.heights)]
-    inputs = [grid, drop, int(filled is not None), to, flat(drainage.order, wp.int32), *arrays]
-    launch.once(kernels.cut_down, inputs, step="rivers")
-    return rate, filled
+    r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
+    r.cell, r.hillslope, r.strength = bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years
+    r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.nearness])))
+    r.to, r.order = flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
+    r.area = flat(drainage.catchments, wp.float64)
+    r.soft, r.part, r.rate, r.h = (flat(a, wp.float32) for a in (bed.soft, bed.part, rate, bed.heights))
+    r.filled = r.rate if filled is None else flat(filled, wp.float32)
+    launch.spread(kernels.find_rates, rows, [r], step="rivers", threads=bed.threads, cost=columns / 8)
+    launch.once(kernels.cut_down, [r], step="rivers")
+    return r, filled
 
 
 def diffuse(
@@ -160,32 +162,32 @@ def diffuse(
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, values.copy()
-    grid = grid_of(rows, columns, bed.step_x, bed.step_y)
-    common = {"step": "rivers", "threads": bed.threads}
-    where = [flat(still, wp.uint8), flat(part, wp.float32)]
+    soil, common = creep_kernels.Soil(), {"step": "rivers", "threads": bed.threads}
+    soil.grid = grid_of(rows, columns, bed.step_x, bed.step_y)
+    soil.base, soil.part = flat(still, wp.uint8), flat(part, wp.float32)
     if passes > MOST_PASSES:
-        arrays = [*where, *(flat(a, wp.float32) for a in (other, np.empty_like(values), values))]
-        blocks, inputs = -(-columns // BLOCK), [BLOCK, grid, ns, *arrays]
-        launch.spread(far_creep.creep_along_columns, blocks, inputs, cost=BLOCK * rows / 8, **common)
-        launch.spread(far_creep.creep_along_rows, rows, [grid, ew, *arrays], cost=columns, **common)
+        soil.ew, soil.ns = ew, ns
+        soil.scratch, soil.change, soil.h = (flat(a, wp.float32) for a in (other, np.empty_like(values), values))
+        blocks = -(-columns // BLOCK)
+        launch.spread(creep_kernels.creep_along_columns, blocks, [BLOCK, soil], cost=BLOCK * rows / 8, **common)
+        launch.spread(creep_kernels.creep_along_rows, rows, [soil], cost=columns, **common)
         return values
-    kept = np.zeros_like(values) if kept is None else kept / np.float32(max(passes, 1))
+    soil.ew, soil.ns = ew / max(passes, 1), ns / max(passes, 1)
+    soil.kept = flat(np.zeros_like(values) if kept is None else kept / np.float32(max(passes, 1)), wp.float32)
     for _ in range(passes):
-        arrays = [*where, *(flat(a, wp.float32) for a in (kept, values, other))]
-        launch.spread(kernels.creep, rows - 2, [grid, ew / passes, ns / passes, *arrays], cost=columns / 16, **common)
+        soil.old, soil.h = flat(values, wp.float32), flat(other, wp.float32)
+        launch.spread(creep_kernels.creep, rows - 2, [soil], cost=columns / 16, **common)
         values, other = other, values
     return values
 
 
 def _lay_down(
-    bed: Bed, drainage: Drainage, rate, raised, filled: np.ndarray, deposition: float, years: float
+    bed: Bed, drainage: Drainage, river: kernels.River, raised: np.ndarray, filled: np.ndarray, years: float
 ) -> np.ndarray:
-    load = np.zeros(len(rate)) if bed.brought is None else bed.brought * years
+    load = np.zeros(len(filled)) if bed.brought is None else bed.brought * years
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.part > 0.0)
-    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
-    arrays += [flat(a, wp.float32) for a in (bed.part, rate, raised, filled)]
-    inputs = [drainage.grid, deposition, *arrays, flat(load, wp.float64), flat(bed.heights, wp.float32)]
-    launch.once(kernels.lay_down, inputs, step="rivers")
+    river.before, river.load = flat(raised, wp.float32), flat(load, wp.float64)
+    launch.once(kernels.lay_down, [river], step="rivers")
     _settle(bed, lake, raised)
     return load
 

@@ -127,17 +127,18 @@ def _brought(loose: np.ndarray, slides: np.ndarray, loose_there: np.ndarray, gro
 
 def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose: np.ndarray, sweeps: int) -> np.ndarray:
     """float32 [rows, columns] m: where the loose snow lies when slides have come to rest. `loose` is used up."""
-    bed, (rows, columns) = _walled(ground.heights + stuck, ground.missing), loose.shape
-    falls = wp.vec3f(
-        *(_repose(values) * d for d in (ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y)))
-    )
-    arrays, rest = [flat(bed, wp.float32), flat(loose, wp.float32)], np.zeros_like(loose)
+    slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
+    slides.height, slides.width = rows, columns
+    steps = ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y)
+    slides.falls = wp.vec3f(*(_repose(values) * step for step in steps))
+    slides.bed = flat(_walled(ground.heights + stuck, ground.missing), wp.float32)
+    slides.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
         # To and fro: with one order always slabs of one parity would give more than the others.
         for along, parity in ((1, odd), (0, 1 - odd)):
             first = -((parity + ground.first[0]) % 2)
-            inputs = [first, columns, rows, along, (odd + ground.first[1]) % 2, falls, *arrays]
+            inputs = [first, along, (odd + ground.first[1]) % 2, slides]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
             # What is on its way is in rows of one parity after each pass; the mean of four has no such comb.

@@ -86,17 +86,16 @@ def settle(
 ) -> np.ndarray:
     """The scree after `times` the sweeps of one level; `left`, of `room`, is what may still break then. All float32
     [rows, columns] m, see kernels/land/thermal.py; `base` and `scree` are used up."""
-    slope, rest = slope_of(ground, values), np.zeros_like(scree)
-    arrays = [flat(array, wp.float32) for array in (base, left, scree, np.empty_like(scree))]
+    slope, rest = slope_of(ground, values, base, left, scree), np.zeros_like(scree)
     work = {"step": "thermal", "threads": ground.threads, "cost": 3.0 * slope.width}
     numbers = [LONGEST, OCTAVES, values["uneven"] * slope.repose]
-    launch.spread(kernels.lie_unevenly, slope.height, [slope, *numbers, arrays[0]], **work)
+    launch.spread(kernels.lie_unevenly, slope.height, [slope, *numbers], **work)
     breaking, sweeps, recorded = times * BREAKING, times * (BREAKING + RESTING), {}
     for number in range(sweeps):
         if number == breaking:
             even_out(left, room)
             slope.weather = 0.0
-        for _half in sweep(slope, number, arrays, ground.threads, recorded):
+        for _half in sweep(slope, number, ground.threads, recorded):
             # What is still on its way is on rows of one parity after each half: the mean of four has no such comb.
             if number >= sweeps - 2:
                 rest += np.float32(0.25) * scree
@@ -104,19 +103,16 @@ def settle(
     return rest
 
 
-def sweep(
-    slope: kernels.Slope, number: int, arrays: list[wp.array], threads: int, recorded: dict | None = None
-) -> Iterator[None]:
-    """Sweep `number` over base, left, scree and scratch, flat; yields after each half of it. `recorded`: as launch.py
-    has it, for sweeps over the same arrays.
+def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
+    """Sweep `number`; yields after each half of it. `recorded`: as launch.py has it, for sweeps over the same slope.
 
     To and fro: with one order always, slabs of one parity would be worn more than those of the other.
     """
     work, odd = {"step": "thermal", "threads": threads, "recorded": recorded}, number & 1
-    launch.spread(kernels.face_rows, slope.height, [slope, *arrays], cost=0.1 * slope.width, **work)
+    launch.spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width, **work)
     for along, parity in ((1, odd), (0, 1 - odd)):
         first = -((parity ^ slope.first_row) & 1)
-        slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope, *arrays]
+        slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope]
         launch.spread(kernels.settle_slabs, slabs, inputs, cost=0.5 * slope.width, **work)
         yield
 
@@ -136,8 +132,10 @@ def even_out(left: np.ndarray, room: np.ndarray) -> None:
         b -= a - before  # what has arrived: next to nothing is lost by rounding
 
 
-def slope_of(ground: Ground, values: Mapping[str, float]) -> kernels.Slope:
-    """The numbers that the kernels want."""
+def slope_of(
+    ground: Ground, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
+) -> kernels.Slope:
+    """What the kernels want: numbers, and arrays, whose memory is shared."""
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape
     slope.first_row, slope.first_column = ground.first
@@ -149,6 +147,8 @@ def slope_of(ground: Ground, values: Mapping[str, float]) -> kernels.Slope:
     towards = math.radians(values["dip_to"])
     slope.dip_x, slope.dip_y = dip * math.sin(towards) * ground.step_x, dip * math.cos(towards) * ground.step_y
     slope.part, slope.share, slope.weather, slope.seed = PART, SHARE, WEATHER, ground.seed & 0xFFFFFFFF
+    slope.base, slope.left, slope.scree = (flat(array, wp.float32) for array in (base, left, scree))
+    slope.facing = flat(np.empty_like(scree), wp.float32)
     return slope
 
 

@@ -3,13 +3,14 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
 from ...kernels.land import water as kernels
 from ..effects.effect import Parameter
-from ..effects.routing import Drainage, route
+from ..effects.routing import route
 from ..run import launch
 from ..run.buffers import flat
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
@@ -32,17 +33,16 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     area = drainage.areas(filled)
     drainage.level_lakes(filled, area)
     ground.progress(0.8)
-    rain = _rain(ground, values)
     normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
-    bed = [flat(heights, wp.float32), flat(filled, wp.float32)]
-    made = [flat(normal, wp.float32), flat(surface, wp.float32)]
-    inputs = [rain, *bed, flat(area, wp.float64), *made]
-    launch.spread(kernels.flow_uniformly, shape[0], inputs, step="water", threads=threads, cost=10 * shape[1])
+    rain = _rain(ground, values)
+    rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)
+    rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
+    rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
+    launch.spread(kernels.flow_uniformly, shape[0], [rain], step="water", threads=threads, cost=10 * shape[1])
     # Filling the surface of the flow as routing fills the ground lets lakes stand as high as their outlet flows.
-    dammed = Drainage(drainage.grid, surface, drainage.base, drainage.to, drainage.order, threads).filled()
-    found = [flat(a, wp.float32) for a in (dammed, normal, speed, discharge)]
-    inputs = [rain, *bed, flat(dry, wp.uint8), flat(area, wp.float64), *found]
-    launch.spread(kernels.measure_water, count, inputs, step="water", threads=threads, cost=2)
+    dammed = replace(drainage, heights=surface).filled()
+    rain.surface = flat(dammed, wp.float32)
+    launch.spread(kernels.measure_water, count, [rain], step="water", threads=threads, cost=2)
     layers = {DEPTH.name: dammed, SPEED.name: speed, DISCHARGE.name: discharge}
     return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
 

@@ -22,11 +22,11 @@ import warp as wp
 from ...kernels.effects import texels as kernels
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Asked, Places
+from ..effects.pyramid import packed
 from ..errors import TerrainError
 from ..evaluate.evaluate import values_at
 from ..evaluate.plan import plan
 from ..evaluate.scale import STEPS_PER_LEVEL
-from ..field import codes
 from ..field.heightfield import HeightField
 from ..run import launch, partial_files
 from ..run.buffers import flat, shared
@@ -187,23 +187,17 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
     """The ground under `rows` rows of the texels of a tile's image of `side` texels a side, from row `first`."""
-    raster, grid, field, tiling = kernels.Raster(), kernels.Texels(), place.field, place.tiling
-    lattice = field.lattice
-    raster.samples = codes.packed(field.samples, field.steps)
-    raster.columns, raster.rows = lattice.width, lattice.height
-    raster.step_x, raster.step_y = lattice.step_x, lattice.step_y
-    raster.per_x, raster.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    raster.west, raster.south, _, _ = lattice.rectangle()
-    raster.height_scale, raster.height_offset = place.vertical_scale, place.vertical_offset
+    ground, grid, tiling = packed(place.field, np.empty(1, np.float32)), kernels.Texels(), place.tiling
+    ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
     grid.columns = side
     grid.west, grid.north = tiling.first_texel(tile, side)
     grid.step_x, grid.step_y = tiling.texel(side)
     positions = np.empty((rows * side, 3), np.float32)
-    inputs = [first * side, raster, grid, shared(positions, wp.vec3f)]
+    inputs = [first * side, ground, grid, shared(positions, wp.vec3f)]
     launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
     level = np.full(len(positions), place.level(side), np.float32)
     scale = place.vertical_scale, place.vertical_offset
-    return Places(field, positions, level, *scale, place.threads, place.image_level(side))
+    return Places(place.field, positions, level, *scale, place.threads, place.image_level(side))
 
 
 def _coded(values: np.ndarray, image: _Image, threads: int) -> np.ndarray:

@@ -39,7 +39,7 @@ class Blocks:
 
 @wp.struct
 class Ray:
-    """Points (u, v, z) + t * (du, dv, dz): cells and metres."""
+    """Points (u, v, z) + t * (du, dv, dz): cells and metres. `tolerance`: metres that it may be beyond the surface."""
 
     u: wp.float64
     v: wp.float64
@@ -47,6 +47,7 @@ class Ray:
     du: wp.float64
     dv: wp.float64
     dz: wp.float64
+    tolerance: wp.float64
 
 
 @wp.func
@@ -74,16 +75,9 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_one_cell(
-    ground: Ground,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    tolerance: wp.float64,
+    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Where (t) between first and last the ray is more than `tolerance` beyond the surface; and its side at the end.
+    """Where (t) between first and last the ray is beyond the surface; and its side at the end.
 
     `side` is where the ray has come from, 0 where it has been on the surface so far.
     """
@@ -111,17 +105,17 @@ def in_one_cell(
     e_turn = (a * turn + b) * turn + c
     e_last = (a * length + b) * length + c
     if side == zero:
-        side = side_of(c, tolerance)
+        side = side_of(c, ray.tolerance)
     if side == zero:
-        side = side_of(e_turn, tolerance)
+        side = side_of(e_turn, ray.tolerance)
     if side == zero:
-        side = side_of(e_last, tolerance)
+        side = side_of(e_last, ray.tolerance)
     hit = NOWHERE
     if side != zero:
-        above = side * c + tolerance
+        above = side * c + ray.tolerance
         if above < zero:
             hit = first
-        elif side * e_turn + tolerance < zero or side * e_last + tolerance < zero:
+        elif side * e_turn + ray.tolerance < zero or side * e_last + ray.tolerance < zero:
             hit = first + wp.min(first_root(side * a, side * b, above), length)
     return hit, side
 
@@ -134,21 +128,14 @@ def above_patch(ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, t: wp.float6
 
 @wp.func
 def between(
-    ground: Ground,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    tolerance: wp.float64,
+    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ) -> wp.float64:
-    """Where (t) between first and last, at which it is so, the ray comes to be `tolerance` beyond the surface."""
+    """Where (t) between first and last, at which it is so, the ray comes to be beyond the surface."""
     low = first
     high = last
     for _ in range(HALVINGS):
         middle = wp.float64(0.5) * (low + high)
-        if side * above_patch(ground, ray, i, j, middle) + tolerance < wp.float64(0.0):
+        if side * above_patch(ground, ray, i, j, middle) + ray.tolerance < wp.float64(0.0):
             high = middle
         else:
             low = middle
@@ -156,27 +143,29 @@ def between(
 
 
 @wp.func
+def side_of_span(ray: Ray, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
+    """1 where the ray is above all heights between a and b from t to `out`, -1 where below, 0 where that is not so."""
+    z0 = ray.z + t * ray.dz
+    z1 = ray.z + out * ray.dz
+    side = wp.float64(0.0)
+    if wp.min(z0, z1) - wp.max(a, b) > ray.tolerance:
+        side = wp.float64(1.0)
+    elif wp.min(a, b) - wp.max(z0, z1) > ray.tolerance:
+        side = wp.float64(-1.0)
+    return side
+
+
+@wp.func
 def in_one_patch(
-    ground: Ground,
-    ray: Ray,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
-    tolerance: wp.float64,
+    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
     """As `in_one_cell`, of a curved surface: to what its places show."""
     hit = NOWHERE
     a, b = heights_about(ground.samples, ground.columns, ground.rows, i, j)
     a = (a - ground.detail_most) * ground.scale + ground.offset
     b = (b + ground.detail_most) * ground.scale + ground.offset
-    z0 = ray.z + first * ray.dz
-    z1 = ray.z + last * ray.dz
-    above = wp.min(z0, z1) - wp.max(a, b)
-    below = wp.min(a, b) - wp.max(z0, z1)
-    if above > tolerance or below > tolerance:
-        on_side = wp.where(above > tolerance, wp.float64(1.0), wp.float64(-1.0))
+    on_side = side_of_span(ray, first, last, a, b)
+    if on_side != wp.float64(0.0):
         if side * on_side < wp.float64(0.0):
             hit = first
         side = on_side
@@ -187,9 +176,9 @@ def in_one_patch(
             t = first + (last - first) * (wp.float64(k) / wp.float64(PLACES))
             e = above_patch(ground, ray, i, j, t)
             if side == wp.float64(0.0):
-                side = side_of(e, tolerance)
-            elif side * e + tolerance < wp.float64(0.0):
-                hit = between(ground, ray, i, j, before, t, side, tolerance)
+                side = side_of(e, ray.tolerance)
+            elif side * e + ray.tolerance < wp.float64(0.0):
+                hit = between(ground, ray, i, j, before, t, side)
             before = t
             k += 1
     return hit, side
@@ -204,20 +193,6 @@ def over_ground(ground: Ground, blocks: Blocks, ray: Ray, start: wp.float64, end
     # a ray begins far enough from the surface to know its side, also where that is flat
     spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
     return within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
-
-
-@wp.func
-def side_of_block(
-    ground: Ground, blocks: Blocks, n: wp.int32, ray: Ray, t: wp.float64, out: wp.float64, tolerance: wp.float64
-) -> wp.float64:
-    """1 where the ray is above all of block n from t to `out`, -1 where it is below, 0 where that is not sure."""
-    a = wp.float64(blocks.low[n]) * ground.scale + ground.offset
-    b = wp.float64(blocks.high[n]) * ground.scale + ground.offset
-    z0 = ray.z + t * ray.dz
-    z1 = ray.z + out * ray.dz
-    above = wp.min(z0, z1) - wp.max(a, b)
-    below = wp.min(a, b) - wp.max(z0, z1)
-    return wp.where(above > tolerance, wp.float64(1.0), wp.where(below > tolerance, wp.float64(-1.0), wp.float64(0.0)))
 
 
 @wp.func
@@ -243,10 +218,9 @@ def first_crossing(
     start: wp.float64,
     end: wp.float64,
     start_level: wp.int32,
-    tolerance: wp.float64,
 ) -> wp.float64:
     """The first t in start .. end where the ray passes through the surface, infinite where it does not.
-    With a tolerance: where it is that many metres beyond. `start_level`: of the first block that is tried."""
+    `start_level`: of the first block that is tried."""
     zero = wp.float64(0.0)
     cells_x = ground.columns - 1
     cells_y = ground.rows - 1
@@ -269,12 +243,14 @@ def first_crossing(
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
         if level == 0 and ground.curved == 1:
-            hit, side = in_one_patch(ground, ray, i, j, t, out, side, tolerance)
+            hit, side = in_one_patch(ground, ray, i, j, t, out, side)
         elif level == 0:
-            hit, side = in_one_cell(ground, ray, i, j, t, out, side, tolerance)
+            hit, side = in_one_cell(ground, ray, i, j, t, out, side)
         else:
             n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
-            on_side = side_of_block(ground, blocks, n, ray, t, out, tolerance)
+            low = wp.float64(blocks.low[n]) * ground.scale + ground.offset
+            high = wp.float64(blocks.high[n]) * ground.scale + ground.offset
+            on_side = side_of_span(ray, t, out, low, high)
             clear = on_side != zero
             hit = wp.where(side * on_side < zero, t, NOWHERE)
             side = wp.where(clear, on_side, side)

@@ -113,6 +113,7 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 def hidden(ground: Ground, blocks: Blocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d):
     """Whether the surface lies between the eye and one of its points; what the clip start cuts away does not hide."""
     ray = Ray()
+    ray.tolerance = blocks.tolerance
     ray.u = u
     ray.v = v
     ray.z = z
@@ -130,7 +131,7 @@ def hidden(ground: Ground, blocks: Blocks, eye: Eye, u: wp.float64, v: wp.float6
         if eye.kind == PANORAMIC:
             depth = wp.length(camera)
         end = wp.float64(1.0) - eye.start / depth
-    return first_crossing(ground, blocks, ray, wp.float64(0.0), end, 0, blocks.tolerance) < NOWHERE
+    return first_crossing(ground, blocks, ray, wp.float64(0.0), end, 0) < NOWHERE
 
 
 @wp.kernel
@@ -240,7 +241,7 @@ def seen_points(
     """
     p = offset + wp.tid()
     ray = ray_through(eye, place[p][0], place[p][1])
-    t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels, wp.float64(0.0))
+    t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels)
     x[p] = wp.int64(-1)
     if t < NOWHERE:
         units = wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))

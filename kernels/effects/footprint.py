@@ -15,38 +15,27 @@ class Eye:
     pixel2: wp.float64  # squared samples that a pixel covers at unit distance
 
 
-# Loops that are vectorised: 2 ns a place, and 10 in Warp.
-
-
+# Loops that are vectorised: 2 ns a place, and 10 in Warp. Eighths of a level are quarters of the power of two that a
+# squared footprint is: its exponent and, of its mantissa, how many of 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) it reaches.
+# By bits, so the same everywhere.
 @wp.func_native("""
     const wp::vec3f* place = positions.data + first;
-    float* __restrict out = finest.data + first;
-    const auto& m = eye.linear.data;
-    const auto& s = eye.shift.c;
-    for (int k = 0; k < count; ++k) {
-        const double x = place[k].c[0], y = place[k].c[1], z = place[k].c[2];
-        const double a = m[0][0] * x + m[0][1] * y + m[0][2] * z + s[0];
-        const double b = m[1][0] * x + m[1][1] * y + m[1][2] * z + s[1];
-        const double c = m[2][0] * x + m[2][1] * y + m[2][2] * z + s[2];
-        const double squared = (a * a + b * b + c * c) * eye.pixel2;
-        const float found = squared < most ? squared : most;
-        out[k] = found < out[k] ? found : out[k];
-    }
-""")
-def look(
-    positions: wp.array(dtype=wp.vec3f),
-    first: wp.int32,
-    count: wp.int32,
-    eye: Eye,
-    most: wp.float64,
-    finest: wp.array(dtype=wp.float32),
-): ...
-
-
-# Eighths of a level are quarters of the power of two that a squared footprint is: its exponent and, of its mantissa,
-# how many of 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) it reaches. By bits, so the same everywhere.
-@wp.func_native("""
     float* __restrict out = levels.data + first;
+    const double largest = (double)(2ll << 2 * most);
+    for (int e = 0; e < (int)eyes.shape[0]; ++e) {
+        const auto& eye = eyes.data[e];
+        const auto& m = eye.linear.data;
+        const auto& s = eye.shift.c;
+        for (int k = 0; k < count; ++k) {
+            const double x = place[k].c[0], y = place[k].c[1], z = place[k].c[2];
+            const double a = m[0][0] * x + m[0][1] * y + m[0][2] * z + s[0];
+            const double b = m[1][0] * x + m[1][1] * y + m[1][2] * z + s[1];
+            const double c = m[2][0] * x + m[2][1] * y + m[2][2] * z + s[2];
+            const double squared = (a * a + b * b + c * c) * eye.pixel2;
+            const float found = squared < largest ? squared : largest;
+            out[k] = found < out[k] ? found : out[k];
+        }
+    }
     for (int k = 0; k < count; ++k) {
         const float squared = out[k] > 1.0f ? out[k] : 1.0f;
         int bits;
@@ -57,7 +46,14 @@ def look(
         out[k] = (eighths < 8 * most ? eighths : 8 * most) * 0.125f;
     }
 """)
-def to_levels(levels: wp.array(dtype=wp.float32), first: wp.int32, count: wp.int32, most: wp.int32): ...
+def levels_of(
+    positions: wp.array(dtype=wp.vec3f),
+    first: int,
+    count: int,
+    eyes: wp.array(dtype=Eye),
+    most: int,
+    levels: wp.array(dtype=wp.float32),
+): ...
 
 
 @wp.kernel
@@ -71,7 +67,4 @@ def footprint_levels(
     """Block `offset + tid` of places, of the eye that sees each finest: 0 to `most`, in steps of 1/8. `levels` holds
     infinity."""
     first = (offset + wp.tid()) * BLOCK
-    count = wp.min(levels.shape[0] - first, BLOCK)
-    for e in range(eyes.shape[0]):
-        look(positions, first, count, eyes[e], wp.float64(wp.int64(1) << wp.int64(2 * most + 1)), levels)
-    to_levels(levels, first, count, most)
+    levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, most, levels)

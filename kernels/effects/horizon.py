@@ -94,6 +94,9 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
 @wp.func_native("""
 #pragma clang fp contract(off)
     const int FINEST = 2;
+    const double dx = azimuth[0] / g.step_x, dy = azimuth[1] / g.step_y;  // cells a metre
+    // What is nearer is the place itself: positions are float32, and a difference of heights over nothing is no slope.
+    const double near = (g.step_x < g.step_y ? g.step_x : g.step_y) / 1024.0;
     // The ray against the lines of one direction. It runs from line cell + behind of a cell to line cell + ahead.
     struct Axis {
         double from, per_metre, metres;  // cells, cells a metre, metres a cell
@@ -174,39 +177,20 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     }
     return best < enough ? best : enough;
 """)
-def walk(
+def horizon(
     g: Occluder,
     x0: wp.float64,
     y0: wp.float64,
     z0: wp.float64,
-    dx: wp.float64,
-    dy: wp.float64,
-    near: wp.float64,
-    far: wp.float64,
-    least: wp.float64,
-    enough: wp.float64,
-) -> wp.float64:
-    """The horizon, at least `least`, of crossings between `near` and `far` metres; the walk may stop at `enough`.
-
-    x0, y0: cells from the first sample, inside the raster; z0: metres, scaled. dx, dy: cells per metre along the ray.
-    Lines are crossed in order, of two at the same distance the one that runs north first; a skip ends in the state in
-    which a visit of every crossing would be there, so none is lost and none is made up at a corner of cells.
-    """
-    ...
-
-
-@wp.func
-def horizon(
-    g: Occluder,
-    x: wp.float64,
-    y: wp.float64,
-    z: wp.float64,
     azimuth: wp.vec2d,
     far: wp.float64,
     least: wp.float64,
     enough: wp.float64,
-):
-    """See `walk`; azimuth: unit length, in metres. What is nearer than 1/1024 of a cell is the place itself: positions
-    are float32, and a difference of heights over nothing is no slope."""
-    near = wp.min(g.step_x, g.step_y) * wp.float64(0.0009765625)
-    return walk(g, x, y, z, azimuth[0] / g.step_x, azimuth[1] / g.step_y, near, far, least, enough)
+) -> wp.float64:
+    """The horizon, at least `least`, of crossings up to `far` metres off; the walk may stop at `enough`.
+
+    x0, y0: cells from the first sample, inside the raster; z0: metres, scaled. azimuth: unit length, in metres. Lines
+    are crossed in order, of two at the same distance the one that runs north first; a skip ends in the state in which a
+    visit of every crossing would be there, so none is lost and none is made up at a corner of cells.
+    """
+    ...

@@ -7,6 +7,7 @@ is (first place, first place of the last surface, how many). What is equal is so
 
 import warp as wp
 
+from ..field.noise import scramble
 from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
 
 # Five for each of 51 places of one hash in 64 that may be missed: of 3,000 places all are looked for.
@@ -69,8 +70,7 @@ def match_in_order(
 @wp.func
 def slot_of(p: wp.vec3f, bits: wp.int32) -> wp.int32:
     """Where a place belongs in a table of 2**bits."""
-    h = wp.cast(p[0], wp.uint32) * wp.uint32(0x1E3779B1) ^ wp.cast(p[1], wp.uint32) * wp.uint32(0x35EBCA77)
-    h = (h ^ (h >> wp.uint32(15))) * wp.uint32(0x2C1B3C6D)
+    h = scramble(scramble(wp.cast(p[0], wp.uint32)) + wp.cast(p[1], wp.uint32))
     return wp.int32(h >> wp.uint32(32 - bits))
 
 

@@ -109,17 +109,28 @@ def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float3
 # derivative is the quadratic spline of differences of neighbours, the second the linear one of theirs: a plane has one
 # slope, and no bend, but for the rounding of those. In C: with Warp's vectors it takes twice as long.
 
-ROWS = """
+
+@wp.func_native("""
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const auto& own = ground.samples;
+    const bool coded = level == 0 && own.coded;
+    const wp::uint16* numbers = own.numbers.data;
+    const float* floats = level ? ground.coarser.data + ground.first.data[level] : own.floats.data;
+    const int columns = ground.columns.data[level], rows = ground.rows.data[level];
+    auto height = [&](wp::int64 i) __attribute__((always_inline)) {
+        return coded ? (float)((numbers[i] + own.first) * own.scale + own.offset) : floats[i];
+    };
     four r[4];
     if (x >= 0 && x + 3 < columns && y >= 0 && y + 3 < rows)
-        for (int k = 0; k < 4; ++k) { INNER }
-    else {
-        for (int k = 0; k < 16; ++k) {
-            const wp::int64 i = wp::int64(wp::clamp(y + k / 4, 0, rows - 1)) * columns
-                                + wp::clamp(x + k % 4, 0, columns - 1);
-            r[k / 4][k % 4] = SAMPLE;
+        for (int k = 0; k < 4; ++k) {
+            const wp::int64 i = wp::int64(y + k) * columns + x;
+            if (coded) r[k] = four{height(i), height(i + 1), height(i + 2), height(i + 3)};
+            else r[k] = *(const four*)(floats + i);
         }
+    else {
+        for (int k = 0; k < 16; ++k)
+            r[k / 4][k % 4] = height(wp::int64(wp::clamp(y + k / 4, 0, rows - 1)) * columns
+                                     + wp::clamp(x + k % 4, 0, columns - 1));
         for (int k = 0; k < 4; ++k) {
             if (x < 0) r[k][0] = 2.0f * r[k][1] - r[k][2];
             if (x + 3 == columns) r[k][3] = 2.0f * r[k][2] - r[k][1];
@@ -127,8 +138,6 @@ ROWS = """
         if (y < 0) r[0] = 2.0f * r[1] - r[2];
         if (y + 3 == rows) r[3] = 2.0f * r[2] - r[1];
     }
-"""
-OF_ROWS = """
     const float s = 1.0f - u, t = 1.0f - v, sixth = 1.0f / 6.0f, base = r[1][1];
     for (int k = 0; k < 4; ++k) r[k] -= base;
     const four a = r[1] - r[0], b = r[2] - r[1], c = r[3] - r[2];
@@ -148,39 +157,8 @@ OF_ROWS = """
     q.c[4] = d0 * (g[1] - g[0]) + d1 * (g[2] - g[1]) + d2 * (g[3] - g[2]);
     q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
     return q;
-"""
-FLOAT_ROW = "r[k] = *(const four*)(heights.data + first + wp::int64(y + k) * columns + x);"
-FLOAT = "heights.data[first + i]"
-CODE = "(wp::float32)((heights.data[i] + first) * scale + offset)"
-CODE_ROW = f"for (wp::int64 n = 0, i = wp::int64(y + k) * columns + x; n < 4; ++n, ++i) r[k][n] = {CODE};"
-
-
-@wp.func_native(ROWS.replace("INNER", FLOAT_ROW).replace("SAMPLE", FLOAT) + OF_ROWS)
-def jet_of_floats(
-    heights: wp.array(dtype=wp.float32),
-    first: wp.int64,
-    columns: wp.int32,
-    rows: wp.int32,
-    x: wp.int32,
-    y: wp.int32,
-    u: wp.float32,
-    v: wp.float32,
-) -> Jet: ...
-
-
-@wp.func_native(ROWS.replace("INNER", CODE_ROW).replace("SAMPLE", CODE) + OF_ROWS)
-def jet_of_codes(
-    heights: wp.array(dtype=wp.uint16),
-    first: wp.int32,
-    scale: wp.float64,
-    offset: wp.float64,
-    columns: wp.int32,
-    rows: wp.int32,
-    x: wp.int32,
-    y: wp.int32,
-    u: wp.float32,
-    v: wp.float32,
-) -> Jet: ...
+""")
+def jet_of(ground: Ground, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet: ...
 
 
 @wp.func
@@ -192,23 +170,9 @@ def part_of(level: wp.int32) -> wp.float64:
 @wp.func
 def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
     """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
-    columns = item_at(ground.columns, level)
-    rows = item_at(ground.rows, level)
-    i = wp.min(wp.int32(x), columns - 2)
-    j = wp.min(wp.int32(y), rows - 2)
-    u = wp.float32(x - wp.float64(i))
-    v = wp.float32(y - wp.float64(j))
-    q = Jet()
-    if level == 0 and ground.samples.coded != 0:
-        s = ground.samples
-        q = jet_of_codes(s.numbers, s.first, s.scale, s.offset, columns, rows, i - 1, j - 1, u, v)
-    else:
-        floats = ground.samples.floats
-        first = wp.int64(0)
-        if level > 0:
-            floats = ground.coarser
-            first = item_at(ground.first, level)
-        q = jet_of_floats(floats, first, columns, rows, i - 1, j - 1, u, v)
+    i = wp.min(wp.int32(x), item_at(ground.columns, level) - 2)
+    j = wp.min(wp.int32(y), item_at(ground.rows, level) - 2)
+    q = jet_of(ground, level, i - 1, j - 1, wp.float32(x - wp.float64(i)), wp.float32(y - wp.float64(j)))
     part = part_of(level)
     per_x = ground.per_x * part
     per_y = ground.per_y * part

@@ -12,6 +12,7 @@ import warp as wp
 
 from ..field.noise import scramble
 from .rows import (
+    Drainage,
     count_donors_of_row,
     find_receivers_of_row,
     label_samples,
@@ -24,19 +25,6 @@ from .rows import (
 ROOT = wp.constant(wp.uint8(4))
 # Added to the receiver of a flat's sample that stands in the queue of the first pass.
 WAITING = wp.constant(wp.uint8(16))
-
-
-@wp.struct
-class Grid:
-    """Samples in rows, and weights by direction: to east and west, to north and south, diagonally.
-
-    `nearness`: one over the distance, 1 / m. `share`: of flow to several neighbours, for a metre of fall.
-    """
-
-    width: wp.int32
-    height: wp.int32
-    nearness: wp.vec3f
-    share: wp.vec3d
 
 
 @wp.struct
@@ -69,121 +57,92 @@ def straight_first(q: wp.int32) -> wp.int32:
 
 
 @wp.kernel
-def find_receivers(
-    offset: int,
-    grid: Grid,
-    draw: Draw,
-    h: wp.array(dtype=wp.float32),
-    base: wp.array(dtype=wp.uint8),
-    to: wp.array(dtype=wp.uint8),
-):
+def find_receivers(offset: int, d: Drainage, nearness: wp.vec3f, draw: Draw):
     """Row `offset + tid`: each sample's steepest way down (O'Callaghan and Mark 1984), ROOT where there is none."""
     y = offset + wp.tid()
-    first = y * grid.width
-    if y == 0 or y == grid.height - 1:
-        for i in range(first, first + grid.width):
-            to[i] = ROOT
+    first = y * d.grid.width
+    if y == 0 or y == d.grid.height - 1:
+        for i in range(first, first + d.grid.width):
+            d.to[i] = ROOT
     else:
-        to[first] = ROOT
-        to[first + grid.width - 1] = ROOT
+        d.to[first] = ROOT
+        d.to[first + d.grid.width - 1] = ROOT
         noise = scramble(wp.uint32(draw.row + y) + draw.seed) + wp.uint32(draw.column)
         least = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
         step = draw.jitter * wp.float32(0.00390625)
-        find_receivers_of_row(y, grid.width, grid.nearness, least, step, noise, h, base, to)
+        find_receivers_of_row(d, y, nearness, least, step, noise)
 
 
 @wp.func
-def grow(
-    grid: Grid,
-    h: wp.array(dtype=wp.float32),
-    base: wp.array(dtype=wp.uint8),
-    queue: wp.array(dtype=wp.int32),
-    end: wp.int32,
-    to: wp.array(dtype=wp.uint8),
-):
-    """Level samples without a receiver flow towards those in the queue, each along one of the shortest ways."""
+def grow(d: Drainage, end: wp.int32):
+    """Level samples without a receiver flow towards those in the queue, each along one of the shortest ways. The queue
+    is the first `end` of `order`."""
     at = wp.int32(0)
     while at < end:
-        i = queue[at]
+        i = d.order[at]
         at += 1
-        if to[i] >= WAITING:
-            to[i] = to[i] - WAITING
+        if d.to[i] >= WAITING:
+            d.to[i] = d.to[i] - WAITING
         for q in range(8):
             k = straight_first(q)
-            j = towards(i, k, grid.width)
-            if to[j] == ROOT and base[j] == wp.uint8(0) and h[j] == h[i]:
-                to[j] = wp.uint8(8 - k)
-                queue[end] = j
+            j = towards(i, k, d.grid.width)
+            if d.to[j] == ROOT and d.base[j] == wp.uint8(0) and d.h[j] == d.h[i]:
+                d.to[j] = wp.uint8(8 - k)
+                d.order[end] = j
                 end += 1
 
 
 @wp.kernel
-def cross_flats(
-    grid: Grid,
-    h: wp.array(dtype=wp.float32),
-    base: wp.array(dtype=wp.uint8),
-    queue: wp.array(dtype=wp.int32),
-    to: wp.array(dtype=wp.uint8),
-    label: wp.array(dtype=wp.int32),
-    pits: wp.array(dtype=wp.int32),
-):
+def cross_flats(d: Drainage, pits: wp.array(dtype=wp.int32)):
     """Serial. A flat drains to where it has an outlet, the nearest one; without one, to its first sample, a pit.
 
-    `queue` [n] is scratch, `pits` [1] becomes the number of pits, and `label` of each its number from 2 on.
+    `order` is scratch, `pits` [1] becomes the number of pits, and `label` of each its number from 2 on.
     """
-    n = grid.width * grid.height
+    n = d.grid.width * d.grid.height
     end = wp.int32(0)
-    i = next_pit(0, n, to, base)
+    i = next_pit(d, 0)
     while i < n:
         found = wp.int32(0)
         for q in range(8):
             k = straight_first(q)
-            j = towards(i, k, grid.width)
-            drains = (to[j] < WAITING and to[j] != ROOT) or base[j] != wp.uint8(0)
-            if found == 0 and drains and h[j] == h[i]:
+            j = towards(i, k, d.grid.width)
+            drains = (d.to[j] < WAITING and d.to[j] != ROOT) or d.base[j] != wp.uint8(0)
+            if found == 0 and drains and d.h[j] == d.h[i]:
                 found = 1
-                to[i] = wp.uint8(k) + WAITING
-                queue[end] = i
+                d.to[i] = wp.uint8(k) + WAITING
+                d.order[end] = i
                 end += 1
-        i = next_pit(i + 1, n, to, base)
-    grow(grid, h, base, queue, end, to)
+        i = next_pit(d, i + 1)
+    grow(d, end)
     count = wp.int32(0)
     # What flows to a pit has a receiver already when the scan comes to it.
-    i = next_pit(0, n, to, base)
+    i = next_pit(d, 0)
     while i < n:
-        base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
-        queue[0] = i
-        grow(grid, h, base, queue, wp.int32(1), to)
-        base[i] = wp.uint8(0)
-        label[i] = count + 2
+        d.base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
+        d.order[0] = i
+        grow(d, wp.int32(1))
+        d.base[i] = wp.uint8(0)
+        d.label[i] = count + 2
         count += 1
-        i = next_pit(i + 1, n, to, base)
+        i = next_pit(d, i + 1)
     pits[0] = count
 
 
 @wp.kernel
-def label_basins(
-    offset: int,
-    block: int,
-    grid: Grid,
-    to: wp.array(dtype=wp.uint8),
-    label: wp.array(dtype=wp.int32),
-):
+def label_basins(offset: int, block: int, d: Drainage):
     """Block `offset + tid`: the number of the pit that each sample flows to, 1 for any of `base`; 0 before.
 
     A thread may write labels of other blocks: all write the same, since a sample has one root.
     """
     first = (offset + wp.tid()) * block
-    label_samples(first, wp.min(first + block, grid.width * grid.height), grid.width, to, label)
+    label_samples(d, first, wp.min(first + block, d.grid.width * d.grid.height))
 
 
 @wp.kernel
 def find_passes(
     offset: int,
     emit: int,
-    grid: Grid,
-    h: wp.array(dtype=wp.float32),
-    label: wp.array(dtype=wp.int32),
+    d: Drainage,
     start: wp.array(dtype=wp.int64),
     key: wp.array(dtype=wp.float32),
     edge: wp.array(dtype=wp.int32),
@@ -195,9 +154,9 @@ def find_passes(
     """
     y = offset + wp.tid()
     if emit == 0:
-        start[y] = wp.int64(passes_of_row(y, grid.width, label))
+        start[y] = wp.int64(passes_of_row(d, y))
     elif start[y + 1] > start[y]:
-        list_passes_of_row(y, grid.width, h, label, start[y], key, edge)
+        list_passes_of_row(d, y, start[y], key, edge)
 
 
 @wp.func
@@ -225,15 +184,7 @@ def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32
 
 
 @wp.kernel
-def link_basins(
-    count: int,
-    pits: int,
-    grid: Grid,
-    edge: wp.array(dtype=wp.int32),
-    label: wp.array(dtype=wp.int32),
-    up: wp.array(dtype=wp.int32),
-    to: wp.array(dtype=wp.uint8),
-):
+def link_basins(count: int, pits: int, d: Drainage, edge: wp.array(dtype=wp.int32), up: wp.array(dtype=wp.int32)):
     """Serial. From the lowest pass on: of two basins that are not linked yet one drains over it, never that of `base`.
 
     `up` [pits + 2]: the sets of basins that are linked, each its own before.
@@ -244,57 +195,51 @@ def link_basins(
     while e < count and left > 0:
         i = edge[e] / 4
         k = 5 + edge[e] % 4
-        j = towards(i, k, grid.width)
-        a = representative(up, label[i])
-        b = representative(up, label[j])
+        j = towards(i, k, d.grid.width)
+        a = representative(up, d.label[i])
+        b = representative(up, d.label[j])
         if a != b:
             left -= 1
             # The set of `outside` keeps its number, so that one comparison knows it.
             if a == outside:
-                turn(to, j, 8 - k, grid.width)
+                turn(d.to, j, 8 - k, d.grid.width)
                 up[b] = a
             else:
-                turn(to, i, k, grid.width)
+                turn(d.to, i, k, d.grid.width)
                 up[a] = b
         e += 1
 
 
 @wp.func
-def donors_at(grid: Grid, to: wp.array(dtype=wp.uint8), x: wp.int32, y: wp.int32) -> wp.uint8:
+def donors_at(d: Drainage, x: wp.int32, y: wp.int32) -> wp.uint8:
     """How many neighbours flow to a sample of the rim."""
     count = wp.int32(0)
     for k in range(9):
         xx = x + k % 3 - 1
         yy = y + k / 3 - 1
-        if k != 4 and xx >= 0 and xx < grid.width and yy >= 0 and yy < grid.height:
-            if to[yy * grid.width + xx] == wp.uint8(8 - k):
+        if k != 4 and xx >= 0 and xx < d.grid.width and yy >= 0 and yy < d.grid.height:
+            if d.to[yy * d.grid.width + xx] == wp.uint8(8 - k):
                 count += 1
     return wp.uint8(count)
 
 
 @wp.kernel
-def count_donors(offset: int, grid: Grid, to: wp.array(dtype=wp.uint8), donors: wp.array(dtype=wp.uint8)):
+def count_donors(offset: int, d: Drainage):
     """Row `offset + tid`: how many neighbours flow to each sample."""
     y = offset + wp.tid()
-    if y == 0 or y == grid.height - 1:
-        for x in range(grid.width):
-            donors[y * grid.width + x] = donors_at(grid, to, x, y)
+    if y == 0 or y == d.grid.height - 1:
+        for x in range(d.grid.width):
+            d.donors[y * d.grid.width + x] = donors_at(d, x, y)
     else:
-        last = grid.width - 1
-        donors[y * grid.width] = donors_at(grid, to, 0, y)
-        donors[y * grid.width + last] = donors_at(grid, to, last, y)
-        count_donors_of_row(y, grid.width, to, donors)
+        last = d.grid.width - 1
+        d.donors[y * d.grid.width] = donors_at(d, 0, y)
+        d.donors[y * d.grid.width + last] = donors_at(d, last, y)
+        count_donors_of_row(d, y)
 
 
 @wp.kernel
-def order_downstream(
-    grid: Grid,
-    to: wp.array(dtype=wp.uint8),
-    donors: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    area: wp.array(dtype=wp.float64),
-):
+def order_downstream(d: Drainage):
     """Serial. All samples, each after those that flow to it (Zhou, Wei and Fu 2019): down from each spring as far as
     no other branch is missing. `donors` is used up. `area`: what each sample counts before, the sum of all that drains
     through it after."""
-    walk_downstream(grid.width * grid.height, grid.width, to, donors, order, area)
+    walk_downstream(d)

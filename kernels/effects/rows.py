@@ -1,39 +1,52 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Snippets of C for the loops of routing that every sample passes; tests/kernels/test_routing_rows.py says in Python
-what each stands for. No product and sum stand in one statement: fused, they would round otherwise.
+"""A raster that drains, and snippets of C for the loops of routing that every sample passes;
+tests/kernels/test_routing_rows.py says in Python what each stands for. No product and sum stand in one statement:
+fused, they would round otherwise.
 
-Rows, which Warp's own loops leave scalar, and walks, where its index checks and strides are half of the time.
-Nanoseconds a sample of the island at 1025 x 1025, with them and in Warp alone: receivers 1.4 and 18, donors 0.3 and 11,
-passes 14 and 14, pits 4 and 4, basins 13 and 13, order with areas 22 and 22.
+Rows, which Warp's own loops leave scalar, and walks. Nanoseconds a sample of the island at 1025 x 1025, with them and
+in Warp alone: receivers 1.3 and 18, donors 0.2 and 11, passes 3 and 11, pits 1 and 7, basins 7 and 10, order with areas
+9 and 12.
 """
 
 import warp as wp
 
 
+@wp.struct
+class Grid:
+    """Samples in rows, and weights by direction: to east and west, to north and south, diagonally.
+
+    `nearness`: one over the distance, 1 / m. `share`: of flow to several neighbours, for a metre of fall.
+    """
+
+    width: wp.int32
+    height: wp.int32
+    nearness: wp.vec3f
+    share: wp.vec3d
+
+
+@wp.struct
+class Drainage:
+    """A raster and how it drains, [n]; see routing.py and catchment.py."""
+
+    grid: Grid
+    h: wp.array(dtype=wp.float32)  # metres
+    base: wp.array(dtype=wp.uint8)  # 1 where water leaves
+    to: wp.array(dtype=wp.uint8)  # the receiver, as a direction
+    label: wp.array(dtype=wp.int32)  # the number of the basin
+    donors: wp.array(dtype=wp.uint8)  # how many neighbours flow there
+    order: wp.array(dtype=wp.int32)  # samples after those that flow to them
+    area: wp.array(dtype=wp.float64)  # samples that drain through each
+    filled: wp.array(dtype=wp.float32)  # the surface with its lakes
+
+
 @wp.func_native("""
-    const float* __restrict m = h.data + (size_t)y * width;
+    const int width = d.grid.width;
+    const float* __restrict m = d.h.data + (size_t)y * width;
     const float* __restrict s = m - width;
     const float* __restrict n = m + width;
-    const unsigned char* __restrict stops = base.data + (size_t)y * width;
-    unsigned char* __restrict out = to.data + (size_t)y * width;
+    const unsigned char* __restrict stops = d.base.data + (size_t)y * width;
+    unsigned char* __restrict out = d.to.data + (size_t)y * width;
     const float ew = nearness[0], ns = nearness[1], across = nearness[2];
-    if (step == 0.0f) {
-        #pragma clang loop vectorize(enable) interleave(enable)
-        for (int x = 1; x < width - 1; ++x) {
-            float z = m[x], best = 0.0f, v;
-            int k = 4;
-            v = (z - s[x - 1]) * across; k = v > best ? 0 : k; best = v > best ? v : best;
-            v = (z - s[x]) * ns;         k = v > best ? 1 : k; best = v > best ? v : best;
-            v = (z - s[x + 1]) * across; k = v > best ? 2 : k; best = v > best ? v : best;
-            v = (z - m[x - 1]) * ew;     k = v > best ? 3 : k; best = v > best ? v : best;
-            v = (z - m[x + 1]) * ew;     k = v > best ? 5 : k; best = v > best ? v : best;
-            v = (z - n[x - 1]) * across; k = v > best ? 6 : k; best = v > best ? v : best;
-            v = (z - n[x]) * ns;         k = v > best ? 7 : k; best = v > best ? v : best;
-            v = (z - n[x + 1]) * across; k = v > best ? 8 : k;
-            out[x] = stops[x] ? 4 : (unsigned char)k;
-        }
-        return;
-    }
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 1; x < width - 1; ++x) {
         unsigned a = noise + (unsigned)x, b;
@@ -64,23 +77,16 @@ import warp as wp
     }
 """)
 def find_receivers_of_row(
-    y: wp.int32,
-    width: wp.int32,
-    nearness: wp.vec3f,
-    least: wp.float32,
-    step: wp.float32,
-    noise: wp.uint32,
-    h: wp.array(dtype=wp.float32),
-    base: wp.array(dtype=wp.uint8),
-    to: wp.array(dtype=wp.uint8),
+    d: Drainage, y: int, nearness: wp.vec3f, least: wp.float32, step: wp.float32, noise: wp.uint32
 ): ...
 
 
 @wp.func_native("""
-    const unsigned char* __restrict m = to.data + (size_t)y * width;
+    const int width = d.grid.width;
+    const unsigned char* __restrict m = d.to.data + (size_t)y * width;
     const unsigned char* __restrict s = m - width;
     const unsigned char* __restrict n = m + width;
-    unsigned char* __restrict out = donors.data + (size_t)y * width;
+    unsigned char* __restrict out = d.donors.data + (size_t)y * width;
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 1; x < width - 1; ++x) {
         unsigned char low = (s[x - 1] == 8) + (s[x] == 7) + (s[x + 1] == 6) + (m[x - 1] == 5);
@@ -88,14 +94,13 @@ def find_receivers_of_row(
         out[x] = low + high;
     }
 """)
-def count_donors_of_row(
-    y: wp.int32, width: wp.int32, to: wp.array(dtype=wp.uint8), donors: wp.array(dtype=wp.uint8)
-): ...
+def count_donors_of_row(d: Drainage, y: int): ...
 
 
 @wp.func_native("""
-    const unsigned char* __restrict t = to.data;
-    const unsigned char* __restrict b = base.data;
+    const int n = d.grid.width * d.grid.height;
+    const unsigned char* __restrict t = d.to.data;
+    const unsigned char* __restrict b = d.base.data;
     while (i < n) {
         if (i + 64 <= n) {
             unsigned char found = 0;
@@ -112,15 +117,16 @@ def count_donors_of_row(
     }
     return n;
 """)
-def next_pit(i: wp.int32, n: wp.int32, to: wp.array(dtype=wp.uint8), base: wp.array(dtype=wp.uint8)) -> wp.int32:
-    """The first sample from i on without a receiver that is not of `base`; n if there is none."""
+def next_pit(d: Drainage, i: int) -> int:
+    """The first sample from i on without a receiver that is not of `base`; the number of samples if there is none."""
     ...
 
 
 @wp.func_native("""
+    const int width = d.grid.width;
     const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
-    int* l = label.data;
-    const unsigned char* t = to.data;
+    int* l = d.label.data;
+    const unsigned char* t = d.to.data;
     for (int i = first; i < end; ++i) {
         if (l[i]) continue;
         int at = i;
@@ -133,13 +139,12 @@ def next_pit(i: wp.int32, n: wp.int32, to: wp.array(dtype=wp.uint8), base: wp.ar
         }
     }
 """)
-def label_samples(
-    first: wp.int32, end: wp.int32, width: wp.int32, to: wp.array(dtype=wp.uint8), label: wp.array(dtype=wp.int32)
-): ...
+def label_samples(d: Drainage, first: int, end: int): ...
 
 
 @wp.func_native("""
-    const int* __restrict m = label.data + (size_t)y * width;
+    const int width = d.grid.width;
+    const int* __restrict m = d.label.data + (size_t)y * width;
     const int* __restrict n = m + width;
     int count = 0;
     #pragma clang loop vectorize(enable) interleave(enable)
@@ -148,15 +153,16 @@ def label_samples(
     return count + (m[0] != m[1]) + (m[0] != n[0]) + (m[0] != n[1]) + (m[width - 1] != n[width - 2])
         + (m[width - 1] != n[width - 1]);
 """)
-def passes_of_row(y: wp.int32, width: wp.int32, label: wp.array(dtype=wp.int32)) -> wp.int32:
+def passes_of_row(d: Drainage, y: int) -> int:
     """How many neighbours to the east and in the next row are of another basin."""
     ...
 
 
 @wp.func_native("""
-    const int* __restrict m = label.data + (size_t)y * width;
+    const int width = d.grid.width;
+    const int* __restrict m = d.label.data + (size_t)y * width;
     const int* __restrict n = m + width;
-    const float* __restrict z = h.data + (size_t)y * width;
+    const float* __restrict z = d.h.data + (size_t)y * width;
     float* __restrict k = key.data;
     int* __restrict e = edge.data;
     const int ahead[4] = {1, width - 1, width, width + 1};
@@ -184,41 +190,29 @@ def passes_of_row(y: wp.int32, width: wp.int32, label: wp.array(dtype=wp.int32))
     }
 """)
 def list_passes_of_row(
-    y: wp.int32,
-    width: wp.int32,
-    h: wp.array(dtype=wp.float32),
-    label: wp.array(dtype=wp.int32),
-    at: wp.int64,
-    key: wp.array(dtype=wp.float32),
-    edge: wp.array(dtype=wp.int32),
+    d: Drainage, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
 ): ...
 
 
 @wp.func_native("""
+    const int width = d.grid.width;
     const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
-    unsigned char* d = donors.data;
-    const unsigned char* t = to.data;
-    int* __restrict out = order.data;
-    double* a = area.data;
-    for (int spring = 0; spring < n; ++spring) {
+    unsigned char* left = d.donors.data;
+    const unsigned char* t = d.to.data;
+    int* __restrict out = d.order.data;
+    double* a = d.area.data;
+    for (int spring = 0; spring < width * d.grid.height; ++spring) {
         int i = spring;
-        while (d[i] == 0) {
-            d[i] = 255;
+        while (left[i] == 0) {
+            left[i] = 255;
             *out++ = i;
             if (t[i] != 4) {
                 const int j = i + away[t[i]];
                 a[j] += a[i];
-                --d[j];
+                --left[j];
                 i = j;
             }
         }
     }
 """)
-def walk_downstream(
-    n: wp.int32,
-    width: wp.int32,
-    to: wp.array(dtype=wp.uint8),
-    donors: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    area: wp.array(dtype=wp.float64),
-): ...
+def walk_downstream(d: Drainage): ...

@@ -20,7 +20,8 @@ LINES = 64  # of one item of work
 class Sweep:
     """Heights and the lines over them. The *major* direction is the one that lines are nearer to.
 
-    A line has a point at each of `major` samples, and crosses `slope` of the `minor` ones from one to the next."""
+    A line has a point at each of `major` samples, and crosses `slope` of the `minor` ones from one to the next. Items
+    of work are LINES lines; each has its part of the scratch arrays."""
 
     heights: wp.array(dtype=wp.float32)  # metres; they count `scale` times
     scale: wp.float64
@@ -34,6 +35,10 @@ class Sweep:
     metres: wp.float64  # from a point of a line to the next
     first: wp.int32  # number of the first line: where it is at the major sample 0
     lines: wp.int32
+    profiles: wp.array(dtype=wp.float64)  # scratch, [major] of each item
+    hulls: wp.array(dtype=wp.int32)  # likewise
+    slopes: wp.array(dtype=wp.float32)  # [2 major] of each
+    out: wp.array(dtype=wp.float32)  # metres a metre, at least 0
 
 
 @wp.func_native(
@@ -41,9 +46,9 @@ class Sweep:
 #pragma clang fp contract(off)
     const int n = s.major, m = s.minor, on = s.backwards ? 1 : -1;
     const long long across = s.minor_stride, along = s.major_stride;
-    double *z = profiles.data + (long long)item * n;
-    int *hull = hulls.data + (long long)item * n;
-    float *before = slopes.data + (long long)item * 2 * n, *now = before + n;
+    double *z = s.profiles.data + (long long)item * n;
+    int *hull = s.hulls.data + (long long)item * n;
+    float *before = s.slopes.data + (long long)item * 2 * n, *now = before + n;
     const int end = (item + 1) * LINES < s.lines ? (item + 1) * LINES : s.lines;
     for (int l = item ? item * LINES - 1 : 0; l < end; l++) {
         const int line = s.first + l;
@@ -72,43 +77,44 @@ class Sweep:
             const int j = (int)at + ((int)at < at);
             if (at <= -1.0 || j >= m) continue;
             const float a = before[k], b = now[k];
-            out.data[k * along + j * across] = a < 0.0f ? b : b < 0.0f ? a : (float)(a + ((double)b - a) * (j - at));
+            s.out.data[k * along + j * across] = a < 0.0f ? b : b < 0.0f ? a : (float)(a + ((double)b - a) * (j - at));
         }
         float *last = before; before = now; now = last;
     }
 """.replace("LINES", str(LINES))
 )
-def sweep_lines(
-    s: Sweep,
-    item: int,
-    profiles: wp.array(dtype=wp.float64),
-    hulls: wp.array(dtype=wp.int32),
-    slopes: wp.array(dtype=wp.float32),
-    out: wp.array(dtype=wp.float32),
-): ...
+def sweep_lines(s: Sweep, item: int): ...
 
 
 @wp.kernel
-def sweep(
-    offset: int,
-    s: Sweep,
-    profiles: wp.array(dtype=wp.float64),
-    hulls: wp.array(dtype=wp.int32),
-    slopes: wp.array(dtype=wp.float32),
-    out: wp.array(dtype=wp.float32),
-):
-    """Lines of item `offset + tid`, LINES of them, and the one before, from which the horizons of the samples between
-    lines are: metres a metre, at least 0. The memory of an item: `profiles`, `hulls` [major], `slopes` [2 major]."""
-    sweep_lines(s, offset + wp.tid(), profiles, hulls, slopes, out)
+def sweep(offset: int, s: Sweep):
+    """Lines of item `offset + tid`, and the one before, from which the horizons of the samples between lines are."""
+    sweep_lines(s, offset + wp.tid())
+
+
+@wp.struct
+class Sky:
+    """What is over one azimuth of a raster's sky, in rows of `columns` samples."""
+
+    columns: wp.int32
+    rows: wp.int32
+    per_cell: wp.vec2f  # the vertical scale by metres of a cell
+    azimuth: wp.vec2f
+    share: wp.float32  # of the whole sky
+    heights: wp.array(dtype=wp.float32)
+    horizons: wp.array(dtype=wp.float32)
+    out: wp.array(dtype=wp.float32)  # the sky so far
 
 
 @wp.func_native("""
 #pragma clang fp contract(off)
+    const int columns = sky.columns, rows = sky.rows;
+    const float per_x = sky.per_cell[0], per_y = sky.per_cell[1], share = sky.share;
     const int south = y > 0 ? y - 1 : 0, north = y < rows - 1 ? y + 1 : rows - 1;
-    const float *low = heights.data + (long long)south * columns, *high = heights.data + (long long)north * columns;
-    const float *row = heights.data + (long long)y * columns, *horizon = horizons.data + (long long)y * columns;
-    float *sum = out.data + (long long)y * columns;
-    const float to_north = per_y / (north - south), c = cosine, s = sine;
+    const float *h = sky.heights.data, *low = h + (long long)south * columns, *high = h + (long long)north * columns;
+    const float *row = h + (long long)y * columns, *horizon = sky.horizons.data + (long long)y * columns;
+    float *sum = sky.out.data + (long long)y * columns;
+    const float to_north = per_y / (north - south), c = sky.azimuth[0], s = sky.azimuth[1];
     auto add = [&](int x, int w, int e, float to_east) __attribute__((always_inline)) {
         const float gx = (row[e] - row[w]) * to_east, gy = (high[x] - low[x]) * to_north, plane = gx * c + gy * s;
         const float slope = horizon[x] > plane ? horizon[x] : plane, size = slope < 0.0f ? -slope : slope;
@@ -126,40 +132,16 @@ def sweep(
     for (int x = 1; x < columns - 1; x++) add(x, x - 1, x + 1, per_x * 0.5f);
     add(columns - 1, columns - 2, columns - 1, per_x);
 """)
-def add_row(
-    heights: wp.array(dtype=wp.float32),
-    columns: int,
-    rows: int,
-    y: int,
-    per_x: wp.float32,
-    per_y: wp.float32,
-    cosine: wp.float32,
-    sine: wp.float32,
-    share: wp.float32,
-    horizons: wp.array(dtype=wp.float32),
-    out: wp.array(dtype=wp.float32),
-):
+def add_row(sky: Sky, y: int):
     """`open_part` of light.py for a row of samples, with their central differences, one-sided at the rim: in single
     precision, and as C with vectors ten times faster than there."""
     ...
 
 
 @wp.kernel
-def add_sky(
-    offset: int,
-    heights: wp.array(dtype=wp.float32),
-    columns: int,
-    rows: int,
-    per_cell: wp.vec2f,
-    azimuth: wp.vec2f,
-    share: wp.float32,
-    horizons: wp.array(dtype=wp.float32),
-    out: wp.array(dtype=wp.float32),
-):
-    """Row `offset + tid` of the raster: add the `share` of the sky that is over the azimuth. `per_cell`: the vertical
-    scale by metres of a cell."""
-    y = offset + wp.tid()
-    add_row(heights, columns, rows, y, per_cell[0], per_cell[1], azimuth[0], azimuth[1], share, horizons, out)
+def add_sky(offset: int, sky: Sky):
+    """Row `offset + tid` of the raster: add the share that is over the azimuth."""
+    add_row(sky, offset + wp.tid())
 
 
 @wp.struct

@@ -3,24 +3,8 @@
 
 import warp as wp
 
-from ..field.codes import Samples, sample_at
-
-
-@wp.struct
-class Raster:
-    """A terrain's samples, and where they are: metres in the terrain's own space."""
-
-    samples: Samples
-    columns: wp.int32
-    rows: wp.int32
-    step_x: wp.float64
-    step_y: wp.float64
-    per_x: wp.float64  # samples in a metre
-    per_y: wp.float64
-    west: wp.float64
-    south: wp.float64
-    height_scale: wp.float64
-    height_offset: wp.float64
+from ..field.codes import bilinear, corners_of
+from .pyramid import Ground
 
 
 @wp.struct
@@ -35,29 +19,24 @@ class Texels:
 
 
 @wp.kernel
-def texel_places(offset: int, first: int, raster: Raster, texels: Texels, out: wp.array(dtype=wp.vec3f)):
+def texel_places(offset: int, first: int, ground: Ground, texels: Texels, out: wp.array(dtype=wp.vec3f)):
     """The ground under texel `first + offset + tid`, bilinear between samples; of one beyond the raster, at its rim."""
     i = offset + wp.tid()
     texel = first + i
-    last_x = wp.float64(raster.columns - 1)
-    last_y = wp.float64(raster.rows - 1)
+    columns = ground.columns[0]
+    rows = ground.rows[0]
     x = texels.west + wp.float64(texel % texels.columns) * texels.step_x
     y = texels.north - wp.float64(texel / texels.columns) * texels.step_y
-    cell_x = wp.clamp((x - raster.west) * raster.per_x, wp.float64(0.0), last_x)
-    cell_y = wp.clamp((y - raster.south) * raster.per_y, wp.float64(0.0), last_y)
-    column = wp.min(wp.int32(cell_x), raster.columns - 2)
-    row = wp.min(wp.int32(cell_y), raster.rows - 2)
-    at = wp.int64(row) * wp.int64(raster.columns) + wp.int64(column)
-    up = at + wp.int64(raster.columns)
-    u = cell_x - wp.float64(column)
-    v = cell_y - wp.float64(row)
-    one = wp.int64(1)
-    south = wp.lerp(wp.float64(sample_at(raster.samples, at)), wp.float64(sample_at(raster.samples, at + one)), u)
-    north = wp.lerp(wp.float64(sample_at(raster.samples, up)), wp.float64(sample_at(raster.samples, up + one)), u)
+    cell_x = wp.clamp((x - ground.west) * ground.per_x, wp.float64(0.0), wp.float64(columns - 1))
+    cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), wp.float64(rows - 1))
+    column = wp.min(wp.int32(cell_x), columns - 2)
+    row = wp.min(wp.int32(cell_y), rows - 2)
+    corners = corners_of(ground.samples, columns, column, row)
+    height = bilinear(corners, cell_x - wp.float64(column), cell_y - wp.float64(row))
     out[i] = wp.vec3f(
-        wp.float32(raster.west + cell_x * raster.step_x),
-        wp.float32(raster.south + cell_y * raster.step_y),
-        wp.float32(wp.lerp(south, north, v) * raster.height_scale + raster.height_offset),
+        wp.float32(ground.west + cell_x * ground.step_x),
+        wp.float32(ground.south + cell_y * ground.step_y),
+        wp.float32(height * ground.height_scale + ground.height_offset),
     )
 
 

@@ -44,6 +44,9 @@ class Mesh:
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
     push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
     movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
+    codes: wp.array(dtype=wp.uint8)  # errors that rise with what is split, see raising.py
+    splitting: wp.array(dtype=wp.int32)  # scratch: triangles that are to be split
+    climbing: wp.array(dtype=wp.vec3i)  # scratch: diamonds whose errors are to rise
 
 
 @wp.func
@@ -171,14 +174,7 @@ def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int3
 
 
 @wp.func
-def split(
-    m: Mesh,
-    t: wp.int32,
-    codes: wp.array(dtype=wp.uint8),
-    stack: wp.array(dtype=wp.int32),
-    climbing: wp.array(dtype=wp.vec3i),
-    size: wp.vec2i,
-) -> wp.vec2i:
+def split(m: Mesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
     """Bisect a triangle and what has to be for a conforming mesh; the code of what is split rises to RAISED.
 
     `size`: triangles and vertices; as they are then is returned. New vertices are samples, on the surface. New
@@ -188,19 +184,19 @@ def split(
     triangles = size[0]
     vertices = size[1]
     top = wp.int32(1)
-    stack[0] = t
+    m.splitting[0] = t
     while top > 0:
-        a = stack[top - 1]
+        a = m.splitting[top - 1]
         b = m.beside[3 * a + 2]
         if b >= 0 and m.beside[3 * b + 2] != a:
-            stack[top] = b  # coarser by one bisection
+            m.splitting[top] = b  # coarser by one bisection
             top += 1
         else:
             top -= 1
             left = m.corner_verts[3 * a]
             right = m.corner_verts[3 * a + 2]
             p = (m.point[left] + m.point[right]) / 2
-            climb(d, p[0], p[1], m.level[a], wp.int32(RAISED), codes, climbing)
+            climb(d, p[0], p[1], m.level[a], wp.int32(RAISED), m.codes, m.climbing)
             v = vertices
             vertices += 1
             m.point[v] = p

@@ -47,7 +47,6 @@ def weighted(q: wp.float32, weight: wp.float32, all: wp.float32) -> wp.vec2f:
 def pull(first: int, end: int, m: Mesh):
     """How far listed triangles are from the surface and how they push their corners."""
     d = m.domain
-    bits = d.unit_bits - d.levels
     per_scale = wp.float64(1.0) / d.height_scale
     for k in range(first, end):
         t = m.active[k]
@@ -69,21 +68,9 @@ def pull(first: int, end: int, m: Mesh):
             rise_right = (wp.float64(z[2]) - wp.float64(z[1])) * per_scale
             q = Pushes()
             if m.level[t] <= 2 * d.levels + 1:
-                q = pushes_of(
-                    d.samples.floats,
-                    d.width,
-                    d.height,
-                    apex[0] >> bits,
-                    apex[1] >> bits,
-                    (left[0] - apex[0]) >> bits,
-                    (left[1] - apex[1]) >> bits,
-                    (right[0] - apex[0]) >> bits,
-                    (right[1] - apex[1]) >> bits,
-                    (wp.float64(z[1]) - d.height_offset) * per_scale,
-                    wp.float32(rise_left),
-                    wp.float32(rise_right),
-                    wp.float32(aim / d.error_scale),
-                )
+                height = (wp.float64(z[1]) - d.height_offset) * per_scale
+                rises = wp.vec2f(wp.float32(rise_left), wp.float32(rise_right))
+                q = pushes_of(d, left, apex, right, height, rises, wp.float32(aim / d.error_scale))
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
             around = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])

@@ -13,12 +13,14 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
 #pragma clang fp contract(off)
     typedef float lanes __attribute__((vector_size(32)));
     typedef int masks __attribute__((vector_size(32)));
-    const float* data = h.data;
-    const int size = (int)h.shape[0];
+    const float* data = d.samples.floats.data;
+    const int size = (int)d.samples.floats.shape[0], width = d.width, height = d.height, bits = d.unit_bits - d.levels;
+    const int apex_x = apex[0] >> bits, left_x = (left[0] - apex[0]) >> bits, right_x = (right[0] - apex[0]) >> bits;
+    const int apex_y = apex[1] >> bits, left_y = (left[1] - apex[1]) >> bits, right_y = (right[1] - apex[1]) >> bits;
     const int n = wp::max(wp::abs(left_x), wp::abs(left_y));
     const float per_leg = 1.0f / ((float)left_x * (float)left_x + (float)left_y * (float)left_y);
-    const float slope_x = (rise_left * (float)left_x + rise_right * (float)right_x) * per_leg;
-    const float slope_y = (rise_left * (float)left_y + rise_right * (float)right_y) * per_leg;
+    const float slope_x = (rises[0] * (float)left_x + rises[1] * (float)right_x) * per_leg;
+    const float slope_y = (rises[0] * (float)left_y + rises[1] * (float)right_y) * per_leg;
     const float high = (float)z;  // two numbers for the apex: heights are small beside it, not beside 0
     const float rest = (float)(z - (double)high);
     const bool level = left_x == 0 || left_y == 0;
@@ -26,7 +28,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
     lanes most = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
-    const int apex = apex_y * width + apex_x;
+    const int origin = apex_y * width + apex_x;
     const int right_rim = width - 1 - apex_x, upper_rim = height - 1 - apex_y;  // nothing counts beyond
     const int south = wp::min(wp::min(left_y, right_y), 0);
     const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_rim);
@@ -34,7 +36,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         const int away = wp::abs(y);
         int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
-        const int row = apex + y * width, last = wp::min(first + samples - 1, right_rim);
+        const int row = origin + y * width, last = wp::min(first + samples - 1, right_rim);
         const float base = rest + slope_y * (float)y;
         for (int x = first; x <= last; x += 8) {
             int from = row + x;
@@ -80,7 +82,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             continue;
         x += skip * dx;
         y += skip * dy;
-        int at = apex + y * width + x;
+        int at = origin + y * width + x;
         float r0 = (data[at] - high) - (rest + slope_x * (float)x + slope_y * (float)y);
         for (int k = skip; k < end; ++k) {
             const int across = at + dx, along = at + dy * width, next = along + dx;
@@ -118,28 +120,22 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     return pushes;
 """)
 def pushes_of(
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    apex_x: int,
-    apex_y: int,
-    left_x: int,
-    left_y: int,
-    right_x: int,
-    right_y: int,
+    d: Domain,
+    left: wp.vec2i,
+    apex: wp.vec2i,
+    right: wp.vec2i,
     z: wp.float64,
-    rise_left: wp.float32,
-    rise_right: wp.float32,
+    rises: wp.vec2f,
     aim: wp.float32,
 ) -> Pushes:
     """A triangle with its corners on samples against the bilinear surface over it.
 
-    h: heights of all samples, `width` in each of `height` rows. apex: the sample at the right angle, or a point beyond
-    the raster's rim, where nothing counts; `z` the triangle's height there. left, right: from there to the other
-    corners, cells; their heights above it. Returns the largest distance, then of the apex, of the left and of the right
-    corner the weights of the points beyond `aim`, summed, and the sum of what they are beyond it, weighted, positive
-    upwards. Points: samples, and extrema along the diagonals of cells on the triangle's sides. Nearly all time of a
-    sweep passes here, in vectors of eight samples of a row.
+    left, apex, right: its corners, lattice units; the apex, at the right angle, may be beyond the raster's rim, where
+    nothing counts. `z`: the triangle's height there; `rises`: of the left and of the right corner above it. Returns the
+    largest distance, then of the apex, of the left and of the right corner the weights of the points beyond `aim`,
+    summed, and the sum of what they are beyond it, weighted, positive upwards. Points: samples, and extrema along the
+    diagonals of cells on the triangle's sides. Nearly all time of a sweep passes here, in vectors of eight samples of a
+    row.
     """
     ...
 

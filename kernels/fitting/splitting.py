@@ -10,21 +10,12 @@ from .raising import raise_cells
 
 
 @wp.kernel
-def refine(
-    count: int,
-    max_depth: int,
-    local: wp.float64,
-    m: Mesh,
-    codes: wp.array(dtype=wp.uint8),
-    stack: wp.array(dtype=wp.int32),
-    climbing: wp.array(dtype=wp.vec3i),
-    found: wp.array(dtype=wp.int32),
-):
+def refine(count: int, max_depth: int, local: wp.float64, m: Mesh, found: wp.array(dtype=wp.int32)):
     """Split triangles beyond the bound that interpolation would split too; of others the vertices go to the surface.
 
     `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since
     one split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
-    split where they lie, those in cells only in `codes`, for the next walk.
+    split where they lie, those in cells only in `m.codes`, for the next walk.
     `found` [8] receives how many are listed, triangles and vertices (which it holds before), how many are split, how
     many vertices are new on the surface, how many splits wait for the next walk, splits that interpolation would not
     make (only what float32 positions add is beyond the bound), and triangles too coarse at the deepest level.
@@ -78,11 +69,11 @@ def refine(
                 if depth < max_depth and (too_coarse or rounded):
                     if finer < 0:
                         if size[0] + 2 * depth + 2 < m.room:
-                            size = split(m, t, codes, stack, climbing, size)
+                            size = split(m, t, size)
                         else:
                             later += 1
                     else:
-                        raise_cells(d, x >> bits, y >> bits, (finer + 1) >> 1, codes, climbing)
+                        raise_cells(d, x >> bits, y >> bits, (finer + 1) >> 1, m.codes, m.climbing)
                         later += 1
                     splits += 1
                 else:

@@ -23,6 +23,7 @@ class Rain:
     droplet, metres, `steps` at most. `brush_x`, `brush_y`: samples around a droplet that it changes. `capacity`: m3
     that one carries on a slope of 1. `keep`: of its direction, a step. `load`, `drop`: the part of what it lacks, or
     has too much, that it takes up or lays down, a step. `dry`: of its water that is lost, a step. `sea`: where it ends.
+    `mask`: times what it takes up.
     """
 
     width: wp.int32
@@ -46,21 +47,18 @@ class Rain:
     drop: wp.float64
     dry: wp.float64
     sea: wp.float64
+    ground: wp.array(dtype=wp.float32)
+    mask: wp.array(dtype=wp.float32)
+    change: wp.array(dtype=wp.float64)
 
 
 @wp.func
-def height_at(i: wp.int32, ground: wp.array(dtype=wp.float32), change: wp.array(dtype=wp.float64)) -> wp.float64:
-    return wp.float64(ground[i]) + change[i]
+def height_at(rain: Rain, i: wp.int32) -> wp.float64:
+    return wp.float64(rain.ground[i]) + rain.change[i]
 
 
 @wp.func
-def patch(
-    rain: Rain,
-    x: wp.float64,
-    y: wp.float64,
-    ground: wp.array(dtype=wp.float32),
-    change: wp.array(dtype=wp.float64),
-) -> wp.vec3d:
+def patch(rain: Rain, x: wp.float64, y: wp.float64) -> wp.vec3d:
     """The bilinear surface at (x, y): its slope to the east and north, metres a metre, and its height."""
     one = wp.float64(1.0)
     i = wp.int32(x)
@@ -68,25 +66,17 @@ def patch(
     u = x - wp.float64(i)
     v = y - wp.float64(j)
     at = (j - rain.first_row) * rain.width + i - rain.first_column
-    a = height_at(at, ground, change)
-    b = height_at(at + 1, ground, change) - a
-    c = height_at(at + rain.width, ground, change)
-    d = height_at(at + rain.width + 1, ground, change) - c
+    a = height_at(rain, at)
+    b = height_at(rain, at + 1) - a
+    c = height_at(rain, at + rain.width)
+    d = height_at(rain, at + rain.width + 1) - c
     low = a + b * u
     rise = c + d * u - low
     return wp.vec3d((b * (one - v) + d * v) / rain.step_x, rise / rain.step_y, low + rise * v)
 
 
 @wp.func
-def lay(
-    rain: Rain,
-    x: wp.float64,
-    y: wp.float64,
-    volume: wp.float64,
-    more: wp.int32,
-    ground: wp.array(dtype=wp.float32),
-    change: wp.array(dtype=wp.float64),
-):
+def lay(rain: Rain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
     """Lay down `volume` m3 around (x, y), under a round brush, `more` samples wider; less than 0: take up."""
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
@@ -104,7 +94,7 @@ def lay(
         for column in range(west, east):
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
-            if ground[i] == ground[i]:
+            if rain.ground[i] == rain.ground[i]:
                 total += wp.max(rest - u * u, none)
     part = volume / (rain.step_x * rain.step_y * total)
     for row in range(south, north):
@@ -113,19 +103,12 @@ def lay(
         for column in range(west, east):
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
-            if ground[i] == ground[i]:
-                change[i] = change[i] + part * wp.max(rest - u * u, none)
+            if rain.ground[i] == rain.ground[i]:
+                rain.change[i] = rain.change[i] + part * wp.max(rest - u * u, none)
 
 
 @wp.func
-def run_droplet(
-    rain: Rain,
-    x: wp.float64,
-    y: wp.float64,
-    ground: wp.array(dtype=wp.float32),
-    mask: wp.array(dtype=wp.float32),
-    change: wp.array(dtype=wp.float64),
-) -> wp.float64:
+def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
     """From (x, y) until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
     none = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -140,7 +123,7 @@ def run_droplet(
     held = wp.float64(0.0)
     carried = wp.float64(0.0)
     step = wp.int32(0)
-    here = patch(rain, x, y, ground, change)
+    here = patch(rain, x, y)
     while step < rain.steps and here[2] > rain.sea:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
@@ -160,7 +143,7 @@ def run_droplet(
                 held = none
                 step = rain.steps
             else:
-                there = patch(rain, u, v, ground, change)
+                there = patch(rain, u, v)
                 if there[2] == there[2]:
                     fall = here[2] - there[2]
                     room = rain.capacity * water * wp.max(fall, none) / rain.stride
@@ -172,30 +155,22 @@ def run_droplet(
                     else:
                         row = wp.int32(y + wp.float64(0.5)) - rain.first_row
                         near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
-                        volume = -wp.min((room - held) * rain.load, fall * cell) * wp.float64(mask[near])
+                        volume = -wp.min((room - held) * rain.load, fall * cell) * wp.float64(rain.mask[near])
                     held -= volume
-                    lay(rain, x, y, volume, 0, ground, change)
+                    lay(rain, x, y, volume, 0)
                     water *= one - rain.dry
                     x = u
                     y = v
-                    here = patch(rain, x, y, ground, change)
+                    here = patch(rain, x, y)
                 else:
                     step = rain.steps
     if held > none:
-        lay(rain, x, y, held, 1, ground, change)
+        lay(rain, x, y, held, 1)
     return carried
 
 
 @wp.kernel
-def rain_on_tiles(
-    offset: int,
-    tiles: wp.array(dtype=wp.int32),
-    rain: Rain,
-    ground: wp.array(dtype=wp.float32),
-    mask: wp.array(dtype=wp.float32),
-    change: wp.array(dtype=wp.float64),
-    carried: wp.array(dtype=wp.float64),
-):
+def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: Rain, carried: wp.array(dtype=wp.float64)):
     """All droplets of the tile with the number `tiles[offset + tid]` in the whole level, those from beyond this ground
     left out."""
     slot = offset + wp.tid()
@@ -210,5 +185,5 @@ def rain_on_tiles(
         y = wp.float64((tile / rain.across) * rain.rows) + part_y * wp.float64(rain.rows)
         if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):
             if x < wp.float64(rain.first_column + rain.width - 1) and y < wp.float64(rain.first_row + rain.height - 1):
-                lost += run_droplet(rain, x, y, ground, mask, change)
+                lost += run_droplet(rain, x, y)
     carried[slot] = lost

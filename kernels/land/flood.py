@@ -14,12 +14,39 @@ import warp as wp
 # The part of either neighbour that a flux takes on open, level water.
 SMOOTHING = 0.05
 
-_FACE = """
+
+@wp.struct
+class Water:
+    """Water on a bed and a step of it, samples in rows. Fluxes, and `part`, have a row before and after the raster's.
+
+    `part`: of what each sample gives, what it has.
+    """
+
+    width: wp.int32
+    height: wp.int32
+    step_x: wp.float64  # metres
+    step_y: wp.float64
+    seconds: wp.float64
+    rough: wp.float64  # Manning's coefficient
+    bed: wp.array(dtype=wp.float32)  # metres
+    rain: wp.array(dtype=wp.float32)  # m/s
+    depth: wp.array(dtype=wp.float64)  # metres
+    was_east: wp.array(dtype=wp.float64)  # m^2/s to the next sample in the east, before the step
+    was_north: wp.array(dtype=wp.float64)
+    east: wp.array(dtype=wp.float64)  # after it
+    north: wp.array(dtype=wp.float64)
+    part: wp.array(dtype=wp.float64)
+
+
+_PUSH = """
 #pragma clang fp contract(off)
-    const float *z0 = bed.data + (long long)y * width, *z1 = z0 + across;
-    const double *w0 = water.data + (long long)y * width, *w1 = w0 + across;
-    const double *q0 = flux.data + (long long)y * width, *before = q0 - across, *after = q0 + across;
-    double *__restrict out = pushed.data + (long long)y * width;
+    const int across = to_north ? s.width : 1, count = to_north ? s.width : s.width - 1;
+    const double dt = s.seconds, rough = s.rough, metres = to_north ? s.step_y : s.step_x;
+    const long long first = (long long)y * s.width;
+    const float *z0 = s.bed.data + first, *z1 = z0 + across;
+    const double *w0 = s.depth.data + first, *w1 = w0 + across;
+    const double *q0 = (to_north ? s.was_north : s.was_east).data + first, *before = q0 - across, *after = q0 + across;
+    double *__restrict out = (to_north ? s.north : s.east).data + first;
     const double pull = 9.81 * dt / metres, drag = 9.81 * dt * rough * rough;
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 0; x < count; ++x) {
@@ -41,54 +68,31 @@ _FACE = """
 """.replace("SMOOTHING", str(SMOOTHING))
 
 
-@wp.func_native(_FACE)
-def push_row(
-    bed: wp.array(dtype=wp.float32),
-    water: wp.array(dtype=wp.float64),
-    y: int,
-    width: int,
-    count: int,
-    across: int,
-    metres: wp.float64,
-    dt: wp.float64,
-    rough: wp.float64,
-    flux: wp.array(dtype=wp.float64),
-    pushed: wp.array(dtype=wp.float64),
-):
-    """The fluxes, m^2/s, from `count` samples of row y to those that are `across` further on, `metres` away."""
+@wp.func_native(_PUSH)
+def push_row(s: Water, y: int, to_north: int):
+    """The fluxes from the samples of row y to those that are next in the east, or in the north."""
     ...
 
 
 @wp.kernel
-def push(
-    offset: int,
-    width: int,
-    height: int,
-    metres: wp.vec2d,
-    dt: wp.float64,
-    rough: wp.float64,
-    bed: wp.array(dtype=wp.float32),
-    water: wp.array(dtype=wp.float64),
-    east: wp.array(dtype=wp.float64),
-    north: wp.array(dtype=wp.float64),
-    pushed_east: wp.array(dtype=wp.float64),
-    pushed_north: wp.array(dtype=wp.float64),
-):
+def push(offset: int, s: Water):
     """Row `offset + tid`: from the flux of each sample to its east and to its north those after the step."""
     y = offset + wp.tid()
-    push_row(bed, water, y, width, width - 1, 1, metres[0], dt, rough, east, pushed_east)
-    if y + 1 < height:
-        push_row(bed, water, y, width, width, width, metres[1], dt, rough, north, pushed_north)
+    push_row(s, y, 0)
+    if y + 1 < s.height:
+        push_row(s, y, 1)
 
 
 _LIMIT = """
 #pragma clang fp contract(off)
-    const long long first = (long long)y * width;
-    const double *e = east.data + first, *n = north.data + first, *s = n - width, *w = water.data + first;
-    double *__restrict out = part.data + first;
+    const long long first = (long long)y * water.width;
+    const double per_x = water.seconds / water.step_x, per_y = water.seconds / water.step_y;
+    const double *e = water.east.data + first, *n = water.north.data + first, *s = n - water.width;
+    const double *w = water.depth.data + first;
+    double *__restrict out = water.part.data + first;
     auto over = [](double v) __attribute__((always_inline)) { return v > 0.0 ? v : 0.0; };
     #pragma clang loop vectorize(enable) interleave(enable)
-    for (int x = 0; x < width; ++x) {
+    for (int x = 0; x < water.width; ++x) {
         const double gone = (over(e[x]) + over(-e[x - 1])) * per_x + (over(n[x]) + over(-s[x])) * per_y;
         out[x] = gone > w[x] ? w[x] / gone : 1.0;
     }
@@ -96,45 +100,29 @@ _LIMIT = """
 
 
 @wp.func_native(_LIMIT)
-def limit_row(
-    y: int,
-    width: int,
-    per_x: wp.float64,
-    per_y: wp.float64,
-    east: wp.array(dtype=wp.float64),
-    north: wp.array(dtype=wp.float64),
-    water: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float64),
-): ...
+def limit_row(water: Water, y: int): ...
 
 
 @wp.kernel
-def limit(
-    offset: int,
-    width: int,
-    per: wp.vec2d,
-    east: wp.array(dtype=wp.float64),
-    north: wp.array(dtype=wp.float64),
-    water: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float64),
-):
-    """Row `offset + tid`: the part of what each sample gives that it has. `per`: seconds by metres of a sample."""
-    limit_row(offset + wp.tid(), width, per[0], per[1], east, north, water, part)
+def limit(offset: int, water: Water):
+    """Row `offset + tid`: the part of what each sample gives that it has."""
+    limit_row(water, offset + wp.tid())
 
 
 _MOVE = """
 #pragma clang fp contract(off)
-    const long long first = (long long)y * width;
-    const double *e = east.data + first, *n = north.data + first, *s = n - width;
-    const double *p = part.data + first, *above = p + width, *below = p - width;
-    const float *r = rain.data + first;
-    double *__restrict w = water.data + first;
+    const long long first = (long long)y * water.width;
+    const double dt = water.seconds, per_x = dt / water.step_x, per_y = dt / water.step_y;
+    const double *e = water.east.data + first, *n = water.north.data + first, *s = n - water.width;
+    const double *p = water.part.data + first, *above = p + water.width, *below = p - water.width;
+    const float *r = water.rain.data + first;
+    double *__restrict w = water.depth.data + first;
     auto over = [](double v) __attribute__((always_inline)) { return v > 0.0 ? v : 0.0; };
     auto flow = [&](double q, double from, double to) __attribute__((always_inline)) {
         return over(q) * from - over(-q) * to;
     };
     #pragma clang loop vectorize(enable) interleave(enable)
-    for (int x = 0; x < width; ++x) {
+    for (int x = 0; x < water.width; ++x) {
         const double out = (flow(e[x], p[x], p[x + 1]) - flow(e[x - 1], p[x - 1], p[x])) * per_x
             + (flow(n[x], p[x], above[x]) - flow(s[x], below[x], p[x])) * per_y;
         w[x] = over(w[x] - out + dt * r[x]);
@@ -143,34 +131,13 @@ _MOVE = """
 
 
 @wp.func_native(_MOVE)
-def move_row(
-    y: int,
-    width: int,
-    per_x: wp.float64,
-    per_y: wp.float64,
-    dt: wp.float64,
-    rain: wp.array(dtype=wp.float32),
-    east: wp.array(dtype=wp.float64),
-    north: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float64),
-    water: wp.array(dtype=wp.float64),
-): ...
+def move_row(water: Water, y: int): ...
 
 
 @wp.kernel
-def move(
-    offset: int,
-    width: int,
-    per: wp.vec2d,
-    dt: wp.float64,
-    rain: wp.array(dtype=wp.float32),
-    east: wp.array(dtype=wp.float64),
-    north: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float64),
-    water: wp.array(dtype=wp.float64),
-):
-    """Row `offset + tid`: what the limited fluxes bring and take, and rain of so many m/s."""
-    move_row(offset + wp.tid(), width, per[0], per[1], dt, rain, east, north, part, water)
+def move(offset: int, water: Water):
+    """Row `offset + tid`: what the limited fluxes bring and take, and the rain."""
+    move_row(water, offset + wp.tid())
 
 
 @wp.kernel

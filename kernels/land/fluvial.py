@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rivers do to a ground in a step, along the drainage of kernels/effects/routing.py: cut, creep and lay down.
+"""What rivers do to a ground in a step, along the drainage of kernels/effects/routing.py: cut and lay down.
 
 The loops are C snippets, as in kernels/effects/rows.py (tests/kernels/test_fluvial.py says in numpy what they stand
 for); no product and sum stand in one statement, which some processors would round otherwise.
@@ -7,170 +7,97 @@ for); no product and sum stand in one statement, which some processors would rou
 
 import warp as wp
 
-from ..effects.routing import Grid
+from ..effects.rows import Grid
 from ..field.noise import value_noise
 
 
+@wp.struct
+class River:
+    """A step of a level; samples in rows, and where they drain (kernels/effects/routing.py)."""
+
+    grid: Grid
+    cell: wp.float32  # m2 of a sample
+    hillslope: wp.float32  # m2 that count besides
+    strength: wp.float32  # erodibility times years
+    drop: wp.vec3f  # metres that a sample may stand above its receiver, by axis
+    lakes: wp.int32  # 1: the surface of the water is wanted
+    deposition: wp.float64
+    to: wp.array(dtype=wp.uint8)
+    order: wp.array(dtype=wp.int32)
+    area: wp.array(dtype=wp.float64)  # samples
+    soft: wp.array(dtype=wp.float32)  # times the strength, by the rock
+    part: wp.array(dtype=wp.float32)  # of the effect
+    rate: wp.array(dtype=wp.float32)  # see `find_rates`
+    before: wp.array(dtype=wp.float32)  # heights before the step, lifted
+    filled: wp.array(dtype=wp.float32)  # the surface of the water after the cut
+    load: wp.array(dtype=wp.float64)  # see `lay_down`
+    h: wp.array(dtype=wp.float32)  # metres
+
+
 @wp.func_native("""
-    const double* __restrict a = area.data + (size_t)y * width;
-    const float* __restrict p = soft.data + (size_t)y * width;
-    const unsigned char* __restrict k = to.data + (size_t)y * width;
-    float* __restrict out = rate.data + (size_t)y * width;
-    const float ew = nearness[0], ns = nearness[1], across = nearness[2];
+    const double* __restrict a = r.area.data + (size_t)y * r.grid.width;
+    const float* __restrict p = r.soft.data + (size_t)y * r.grid.width;
+    const unsigned char* __restrict k = r.to.data + (size_t)y * r.grid.width;
+    float* __restrict out = r.rate.data + (size_t)y * r.grid.width;
+    const float ew = r.grid.nearness[0], ns = r.grid.nearness[1], across = r.grid.nearness[2];
     #pragma clang loop vectorize(enable) interleave(enable)
-    for (int x = 0; x < width; ++x) {
-        float m2 = (float)a[x] * cell;
-        m2 = m2 + hillslope;
+    for (int x = 0; x < r.grid.width; ++x) {
+        float m2 = (float)a[x] * r.cell;
+        m2 = m2 + r.hillslope;
         float near = (k[x] & 1) == 0 ? across : (k[x] == 3 || k[x] == 5) ? ew : ns;
-        out[x] = __builtin_sqrtf(m2) * near * p[x] * strength;
+        out[x] = __builtin_sqrtf(m2) * near * p[x] * r.strength;
     }
 """)
-def rate_of_row(
-    y: wp.int32,
-    width: wp.int32,
-    nearness: wp.vec3f,
-    cell: wp.float32,
-    hillslope: wp.float32,
-    strength: wp.float32,
-    to: wp.array(dtype=wp.uint8),
-    area: wp.array(dtype=wp.float64),
-    soft: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-): ...
+def rate_of_row(r: River, y: int): ...
 
 
 @wp.kernel
-def find_rates(
-    offset: int,
-    grid: Grid,
-    cell: float,
-    hillslope: float,
-    strength: float,
-    to: wp.array(dtype=wp.uint8),
-    area: wp.array(dtype=wp.float64),
-    soft: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-):
-    """Row `offset + tid`: how many samples a wave of erosion runs up in the step, the factor F of Braun and Willett.
-
-    `area`: in samples of `cell` m2; `strength`: erodibility times years; `soft`: times it, by the rock.
-    """
-    rate_of_row(offset + wp.tid(), grid.width, grid.nearness, cell, hillslope, strength, to, area, soft, rate)
+def find_rates(offset: int, r: River):
+    """Row `offset + tid`: how many samples a wave of erosion runs up in the step, the factor F of Braun and Willett."""
+    rate_of_row(r, offset + wp.tid())
 
 
 @wp.func_native("""
+    const int width = r.grid.width;
     const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
-    const float ew = drop[0], ns = drop[1], across = drop[2];
+    const float ew = r.drop[0], ns = r.drop[1], across = r.drop[2];
     const float most[9] = {across, ns, across, ew, 0.0f, ew, across, ns, across};
-    float *z = h.data, *w = filled.data;
-    for (int q = n - 1; q >= 0; --q) {
-        const int i = order.data[q], k = to.data[i], j = i + away[k];
+    float *z = r.h.data, *w = r.filled.data;
+    for (int q = width * r.grid.height - 1; q >= 0; --q) {
+        const int i = r.order.data[q], k = r.to.data[i], j = i + away[k];
         const float high = z[i], low = z[j];
-        if (k != 4 && high > low && rate.data[i] > 0.0f) {
-            const float left = (high - low) / (1.0f + rate.data[i]);
+        if (k != 4 && high > low && r.rate.data[i] > 0.0f) {
+            const float left = (high - low) / (1.0f + r.rate.data[i]);
             const float v = low + left, top = low + most[k];
             float over = v - top;
             over = over > 0.0f ? over : 0.0f;
-            over = over * part.data[i];
+            over = over * r.part.data[i];
             z[i] = v - over;
         }
-        if (lakes) w[i] = k == 4 || z[i] > w[j] ? z[i] : w[j];
+        if (r.lakes) w[i] = k == 4 || z[i] > w[j] ? z[i] : w[j];
     }
 """)
-def cut_samples(
-    n: wp.int32,
-    width: wp.int32,
-    drop: wp.vec3f,
-    lakes: wp.int32,
-    to: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    part: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    h: wp.array(dtype=wp.float32),
-): ...
+def cut_samples(r: River): ...
 
 
 @wp.kernel
-def cut_down(
-    grid: Grid,
-    drop: wp.vec3f,
-    lakes: int,
-    to: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    part: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    h: wp.array(dtype=wp.float32),
-):
+def cut_down(r: River):
     """Serial, from the outlets up: the implicit step of Braun and Willett (2013), equation 20, whatever its length.
 
-    `drop`: metres that a sample may stand above its receiver, by axis. What lies below its receiver is a lake's floor
-    and rests, and so does what has no rate. `filled`, where `lakes` is 1: the surface of the
-    water after the cut.
+    What lies below its receiver is a lake's floor and rests, and so does what has no rate.
     """
-    cut_samples(grid.width * grid.height, grid.width, drop, lakes, to, order, part, rate, filled, h)
+    cut_samples(r)
 
 
 @wp.func_native("""
-    const float* __restrict m = old.data + (size_t)y * width;
-    const float* __restrict s = m - width;
-    const float* __restrict n = m + width;
-    const float* __restrict p = part.data + (size_t)y * width;
-    const float* __restrict stays = kept.data + (size_t)y * width;
-    const unsigned char* __restrict stops = base.data + (size_t)y * width;
-    float* __restrict out = h.data + (size_t)y * width;
-    #pragma clang loop vectorize(enable) interleave(enable)
-    for (int x = 1; x < width - 1; ++x) {
-        float twice = m[x] + m[x];
-        float u = (m[x - 1] + m[x + 1] - twice) * ew;
-        float v = (s[x] + n[x] - twice) * ns;
-        v = u + v;
-        const float low = stays[x] < 0.0f ? stays[x] : 0.0f, high = stays[x] > 0.0f ? stays[x] : 0.0f;
-        u = v < low ? low : v;
-        u = u > high ? high : u;
-        v = (v - u) * p[x];
-        out[x] = stops[x] ? m[x] : m[x] + v;
-    }
-""")
-def creep_of_row(
-    y: wp.int32,
-    width: wp.int32,
-    ew: wp.float32,
-    ns: wp.float32,
-    base: wp.array(dtype=wp.uint8),
-    part: wp.array(dtype=wp.float32),
-    kept: wp.array(dtype=wp.float32),
-    old: wp.array(dtype=wp.float32),
-    h: wp.array(dtype=wp.float32),
-): ...
-
-
-@wp.kernel
-def creep(
-    offset: int,
-    grid: Grid,
-    ew: float,
-    ns: float,
-    base: wp.array(dtype=wp.uint8),
-    part: wp.array(dtype=wp.float32),
-    kept: wp.array(dtype=wp.float32),
-    old: wp.array(dtype=wp.float32),
-    h: wp.array(dtype=wp.float32),
-):
-    """Row `offset + tid` + 1: an explicit step of diffusion; `ew`, `ns`: diffusivity times years over squared steps.
-    `kept`: metres of what would move that do not, where that has their sign."""
-    creep_of_row(offset + wp.tid() + 1, grid.width, ew, ns, base, part, kept, old, h)
-
-
-@wp.func_native("""
+    const int width = r.grid.width;
     const int away[9] = {-width - 1, -width, 1 - width, -1, 0, 1, width - 1, width, width + 1};
-    double* l = load.data;
-    float* z = h.data;
-    for (int q = 0; q < n; ++q) {
-        const int i = order.data[q], k = to.data[i];
+    double* l = r.load.data;
+    float* z = r.h.data;
+    for (int q = 0; q < width * r.grid.height; ++q) {
+        const int i = r.order.data[q], k = r.to.data[i];
         if (k == 4) continue;
-        const float was = before.data[i], water = filled.data[i];
+        const float was = r.before.data[i], water = r.filled.data[i];
         const double come = l[i], most = come > 0.0 ? come : 0.0, cut = (double)was - z[i];
         double laid = (double)water - z[i];
         if (laid > 0.0) {
@@ -179,61 +106,34 @@ def creep(
         }
         else {
             const double half = cut > 0.0 ? 0.5 * cut : 0.0, twentieth = 0.05 * most, limit = half + twentieth;
-            double share = deposition / area.data[i];
+            double share = r.deposition / r.area.data[i];
             share = share < 1.0 ? share : 1.0;
             laid = most * share;
             laid = laid < limit ? laid : limit;
-            laid = laid / (1.0 + rate.data[i]);
+            laid = laid / (1.0 + r.rate.data[i]);
         }
-        laid = laid * part.data[i];
+        laid = laid * r.part.data[i];
         z[i] = (float)(z[i] + laid);
         double out = (double)was - z[i];
         out = come + out;
         l[i + away[k]] += out;
     }
 """)
-def lay_down_samples(
-    n: wp.int32,
-    width: wp.int32,
-    deposition: wp.float64,
-    to: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    area: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-    before: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    load: wp.array(dtype=wp.float64),
-    h: wp.array(dtype=wp.float32),
-): ...
+def lay_down_samples(r: River): ...
 
 
 @wp.kernel
-def lay_down(
-    grid: Grid,
-    deposition: wp.float64,
-    to: wp.array(dtype=wp.uint8),
-    order: wp.array(dtype=wp.int32),
-    area: wp.array(dtype=wp.float64),
-    part: wp.array(dtype=wp.float32),
-    rate: wp.array(dtype=wp.float32),
-    before: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    load: wp.array(dtype=wp.float64),
-    h: wp.array(dtype=wp.float32),
-):
+def lay_down(r: River):
     """Serial, from the springs down: what the step has taken is carried along, and a part of it laid down.
 
-    A lake (where `filled`, the surface of the water, is above the ground) catches what comes, a quarter of its depth in
-    a step at most, so that no path through it fills first; a channel lays down `deposition` over its area in samples of
-    what it carries (Davy and Lague 2009; Yuan et al. 2019, equation 7), but no more than half of what it was just cut
-    by and a twentieth of the load; of that the cut leaves 1 / (1 + F), as of any height above its receiver.
-    `before`: heights before the step, lifted.
-    `load`: 0 before; after it metres times samples that have come to each; at roots, what has left. The differences of
-    stored heights are what is carried, so that mass is lost to no rounding of heights.
+    A lake (where `filled` is above the ground) catches what comes, a quarter of its depth in a step at most, so that no
+    path through it fills first; a channel lays down `deposition` over its area in samples of what it carries (Davy and
+    Lague 2009; Yuan et al. 2019, equation 7), but no more than half of what it was just cut by and a twentieth of the
+    load; of that the cut leaves 1 / (1 + F), as of any height above its receiver. `load`: 0 before; after it metres
+    times samples that have come to each; at roots, what has left. The differences of stored heights are what is
+    carried, so that mass is lost to no rounding of heights.
     """
-    n = grid.width * grid.height
-    lay_down_samples(n, grid.width, deposition, to, order, area, part, rate, before, filled, load, h)
+    lay_down_samples(r)
 
 
 @wp.func_native("""

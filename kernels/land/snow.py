@@ -85,12 +85,24 @@ def lay(
         stuck[i] = wp.min(fallen[i], wp.float32(CLINGS * wp.clamp(holds, wp.float64(0.0), one)))
 
 
+@wp.struct
+class Slides:
+    """Loose snow on a bed. `falls`: metres between two surfaces (east, north, diagonal) that lie at rest."""
+
+    width: wp.int32
+    height: wp.int32
+    falls: wp.vec3f
+    bed: wp.array(dtype=wp.float32)
+    snow: wp.array(dtype=wp.float32)
+
+
 # One pair after the other: what one loses the other gains. Eight at once, in C.
 _SLIDE = """
 #pragma clang fp contract(off)
-    const int at = y * width, next = at + width;
-    const float *b = ground.data;
-    float *s = snow.data, *__restrict low = s + at, *__restrict high = s + next;
+    const int width = slides.width, height = slides.height, at = y * width, next = at + width;
+    const float to_east = slides.falls[0], to_north = slides.falls[1], across = slides.falls[2];
+    const float *b = slides.bed.data;
+    float *s = slides.snow.data, *__restrict low = s + at, *__restrict high = s + next;
     auto settle = [&](float &si, float &sj, float between, float fall) __attribute__((always_inline)) {
         const float drop = between + (si - sj), size = drop < 0.0f ? -drop : drop;
         const float upper = drop < 0.0f ? sj : si, lower = drop < 0.0f ? si : sj;
@@ -120,34 +132,12 @@ _SLIDE = """
 
 
 @wp.func_native(_SLIDE)
-def slide_slab(
-    y: int,
-    width: int,
-    height: int,
-    along: int,
-    turn: int,
-    to_east: wp.float32,
-    to_north: wp.float32,
-    across: wp.float32,
-    ground: wp.array(dtype=wp.float32),
-    snow: wp.array(dtype=wp.float32),
-): ...
+def slide_slab(slides: Slides, y: int, along: int, turn: int): ...
 
 
 @wp.kernel
-def slide(
-    offset: int,
-    first: int,
-    width: int,
-    height: int,
-    along: int,
-    turn: int,
-    falls: wp.vec3f,
-    ground: wp.array(dtype=wp.float32),
-    snow: wp.array(dtype=wp.float32),
-):
-    """Slab `offset + tid`: rows `first` + 2 * that and the one above. Neighbours settle until no more than `falls`
-    metres (east, north, diagonal) are between their surfaces; along the rows only if `along`, first those pairs whose
-    western column is of the parity of `turn`. No two slabs share a row."""
-    y = first + 2 * (offset + wp.tid())
-    slide_slab(y, width, height, along, turn, falls[0], falls[1], falls[2], ground, snow)
+def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
+    """Slab `offset + tid`: rows `first` + 2 * that and the one above. Neighbours settle until no more than `falls` are
+    between their surfaces; along the rows only if `along`, first those pairs whose western column is of the parity of
+    `turn`. No two slabs share a row."""
+    slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

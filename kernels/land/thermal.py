@@ -18,12 +18,12 @@ from ..field.noise import value_noise
 
 @wp.struct
 class Slope:
-    """What decides how a slope settles; metres, and metres of fall a metre of run.
+    """A slope, and what decides how it settles; metres, and metres of fall a metre of run.
 
     `first_row`, `first_column`: of sample [0, 0] in the whole level. `repose`: of scree. `soft`, `hard`: at which the
     softest and the hardest bed break. `thick`: of a bed. `dip_x`, `dip_y`: of the beds, a sample to the east and north.
     `share`: of its excess that the upper one of a pair gives, at most `part` of its scree. `weather`: of the excess of
-    bare rock that breaks off.
+    bare rock that breaks off. `facing`: see `face_rows`.
     """
 
     width: wp.int32
@@ -42,15 +42,19 @@ class Slope:
     share: wp.float32
     weather: wp.float32
     seed: wp.uint32
+    base: wp.array(dtype=wp.float32)
+    left: wp.array(dtype=wp.float32)
+    scree: wp.array(dtype=wp.float32)
+    facing: wp.array(dtype=wp.float32)
 
 
 # Eight directions alone would make eight-sided cones: where the ground falls between two of them, the fall along either
 # is less than the fall. So a limit is multiplied by the cosine of the angle to the nearest direction.
 FACE_ROW = """
-    const float* __restrict b = base.data;
-    const float* __restrict l = left.data;
-    const float* __restrict s = scree.data;
-    float* __restrict out = facing.data;
+    const float* __restrict b = s0.base.data;
+    const float* __restrict l = s0.left.data;
+    const float* __restrict s = s0.scree.data;
+    float* __restrict out = s0.facing.data;
     const int nx = s0.width, south = y > 0 ? -nx : 0, north = y + 1 < s0.height ? nx : 0, rows = (north - south) / nx;
     const float by_x = 0.5f / s0.step_x, by_y = 1.0f / (s0.step_y * (float)(rows > 1 ? rows : 1));
     auto face = [&](int i, int west, int east, float by) __attribute__((always_inline)) {
@@ -69,36 +73,22 @@ FACE_ROW = """
 
 
 @wp.func_native(FACE_ROW)
-def face_row(
-    y: wp.int32,
-    s0: Slope,
-    base: wp.array(dtype=wp.float32),
-    left: wp.array(dtype=wp.float32),
-    scree: wp.array(dtype=wp.float32),
-    facing: wp.array(dtype=wp.float32),
-): ...
+def face_row(s0: Slope, y: int): ...
 
 
 @wp.kernel
-def face_rows(
-    offset: int,
-    slope: Slope,
-    base: wp.array(dtype=wp.float32),
-    left: wp.array(dtype=wp.float32),
-    scree: wp.array(dtype=wp.float32),
-    facing: wp.array(dtype=wp.float32),
-):
+def face_rows(offset: int, slope: Slope):
     """Row `offset + tid`: into `facing` the cosine of the angle between the fall and the nearest of eight directions,
     1 beside walls and on level ground."""
-    face_row(offset + wp.tid(), slope, base, left, scree, facing)
+    face_row(slope, offset + wp.tid())
 
 
 # One pair after the other in C, eight at once: 6 times as fast as Warp's loops.
 SETTLE_SLAB = """
-    const float* __restrict b = base.data;
-    float* __restrict l = left.data;
-    float* __restrict s = scree.data;
-    const float* __restrict facing = facing_of.data;
+    const float* __restrict b = s0.base.data;
+    float* __restrict l = s0.left.data;
+    float* __restrict s = s0.scree.data;
+    const float* __restrict facing = s0.facing.data;
     const float span = s0.hard - s0.soft, per_bed = 1.0f / s0.thick;
     auto hash = [&](unsigned n) __attribute__((always_inline)) {
         n = n * 0x9E3779B9u + s0.seed;
@@ -173,43 +163,17 @@ SETTLE_SLAB = """
 
 
 @wp.func_native(SETTLE_SLAB)
-def settle_slab(
-    y: wp.int32,
-    along: wp.int32,
-    turn: wp.int32,
-    s0: Slope,
-    base: wp.array(dtype=wp.float32),
-    left: wp.array(dtype=wp.float32),
-    scree: wp.array(dtype=wp.float32),
-    facing_of: wp.array(dtype=wp.float32),
-): ...
+def settle_slab(s0: Slope, y: int, along: int, turn: int): ...
 
 
 @wp.kernel
-def settle_slabs(
-    offset: int,
-    start: int,
-    along: int,
-    turn: int,
-    slope: Slope,
-    base: wp.array(dtype=wp.float32),
-    left: wp.array(dtype=wp.float32),
-    scree: wp.array(dtype=wp.float32),
-    facing: wp.array(dtype=wp.float32),
-):
+def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
     """Slab `offset + tid`: rows start + 2 * that and the one above."""
-    settle_slab(start + 2 * (offset + wp.tid()), along, turn, slope, base, left, scree, facing)
+    settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 
 
 @wp.kernel
-def lie_unevenly(
-    offset: int,
-    slope: Slope,
-    longest: wp.float32,
-    octaves: int,
-    tangent: wp.float32,
-    base: wp.array(dtype=wp.float32),
-):
+def lie_unevenly(offset: int, slope: Slope, longest: wp.float32, octaves: int, tangent: wp.float32):
     """Row `offset + tid`: add to `base` what scree takes for level ground, noise whose slope is about `tangent`: waves
     of `longest` metres and `octaves` - 1 shorter ones, each half as long, in the same places on every level."""
     row = offset + wp.tid()
@@ -226,4 +190,4 @@ def lie_unevenly(
             y = wp.float64(0.6) * x + wp.float64(0.8) * y
             x = turned
         i = row * slope.width + column
-        base[i] = base[i] + tangent * wp.float32(total)
+        slope.base[i] = slope.base[i] + tangent * wp.float32(total)

@@ -24,84 +24,73 @@ class Rain:
     runoff: wp.float64
     rough: wp.float64
     sea: wp.float32
+    heights: wp.array(dtype=wp.float32)
+    filled: wp.array(dtype=wp.float32)  # the surface from which all drains
+    dry: wp.array(dtype=wp.uint8)
+    area: wp.array(dtype=wp.float64)  # samples that drain through each
+    normal: wp.array(dtype=wp.float32)  # metres, depth of uniform flow
+    surface: wp.array(dtype=wp.float32)
+    speed: wp.array(dtype=wp.float32)
+    discharge: wp.array(dtype=wp.float32)
 
 
 @wp.func
-def slope(rain: Rain, filled: wp.array(dtype=wp.float32), x: wp.int32, y: wp.int32) -> wp.float64:
+def slope(rain: Rain, x: wp.int32, y: wp.int32) -> wp.float64:
     """Of the filled surface, by central differences, one-sided at the rim."""
     west = wp.max(x - 1, 0)
     east = wp.min(x + 1, rain.width - 1)
     south = wp.max(y - 1, 0)
     north = wp.min(y + 1, rain.height - 1)
-    to_east = wp.float64(filled[y * rain.width + east]) - wp.float64(filled[y * rain.width + west])
-    to_north = wp.float64(filled[north * rain.width + x]) - wp.float64(filled[south * rain.width + x])
+    to_east = wp.float64(rain.filled[y * rain.width + east]) - wp.float64(rain.filled[y * rain.width + west])
+    to_north = wp.float64(rain.filled[north * rain.width + x]) - wp.float64(rain.filled[south * rain.width + x])
     to_east /= wp.float64(east - west) * rain.step_x
     to_north /= wp.float64(north - south) * rain.step_y
     return wp.sqrt(to_east * to_east + to_north * to_north)
 
 
 @wp.kernel
-def flow_uniformly(
-    offset: int,
-    rain: Rain,
-    heights: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    area: wp.array(dtype=wp.float64),
-    normal: wp.array(dtype=wp.float32),
-    surface: wp.array(dtype=wp.float32),
-):
+def flow_uniformly(offset: int, rain: Rain):
     """Row `offset + tid`: the depth of uniform flow, and the water's surface as if nothing dammed it: that of the sea,
-    the bed of a lake, and elsewhere the flow's. `area`: in samples."""
+    the bed of a lake, and elsewhere the flow's."""
     y = offset + wp.tid()
     for x in range(rain.width):
         i = y * rain.width + x
-        discharge = area[i] * rain.runoff
+        discharge = rain.area[i] * rain.runoff
         deep = wp.float64(0.0)
         if discharge > LEAST_DISCHARGE:
-            steep = wp.sqrt(wp.max(slope(rain, filled, x, y), LEAST_SLOPE))
+            steep = wp.sqrt(wp.max(slope(rain, x, y), LEAST_SLOPE))
             # A stream has its own width, however wide samples are: its depth is the same at every level.
             sheet = rain.rough * wp.sqrt(discharge) / (WIDTH * steep)
             deep = exponential(wp.float64(0.6) * natural_log(sheet))
-        normal[i] = wp.float32(deep)
-        surface[i] = heights[i]
-        if heights[i] <= rain.sea:
-            surface[i] = rain.sea
-        elif filled[i] <= heights[i]:
-            surface[i] = wp.float32(wp.float64(heights[i]) + deep)
+        rain.normal[i] = wp.float32(deep)
+        rain.surface[i] = rain.heights[i]
+        if rain.heights[i] <= rain.sea:
+            rain.surface[i] = rain.sea
+        elif rain.filled[i] <= rain.heights[i]:
+            rain.surface[i] = wp.float32(wp.float64(rain.heights[i]) + deep)
 
 
 @wp.kernel
-def measure_water(
-    offset: int,
-    rain: Rain,
-    heights: wp.array(dtype=wp.float32),
-    filled: wp.array(dtype=wp.float32),
-    dry: wp.array(dtype=wp.uint8),
-    area: wp.array(dtype=wp.float64),
-    surface: wp.array(dtype=wp.float32),
-    normal: wp.array(dtype=wp.float32),
-    speed: wp.array(dtype=wp.float32),
-    discharge: wp.array(dtype=wp.float32),
-):
+def measure_water(offset: int, rain: Rain):
     """Sample `offset + tid`: its depth (into `surface`, whose water no longer rises downstream), its speed and its
     discharge; 0 where `dry`.
 
     Water that is dammed flows slower than uniformly by as much as it is deeper; the shallow rim of a lake, where hardly
     any of the lake's water passes, likewise."""
     i = offset + wp.tid()
-    through = area[i] * rain.runoff
-    deep = surface[i] - heights[i]
-    if heights[i] > rain.sea and filled[i] <= heights[i]:
-        if surface[i] <= wp.float32(wp.float64(heights[i]) + wp.float64(normal[i])):
-            deep = normal[i]  # without the rounding of the height
+    through = rain.area[i] * rain.runoff
+    deep = rain.surface[i] - rain.heights[i]
+    if rain.heights[i] > rain.sea and rain.filled[i] <= rain.heights[i]:
+        if rain.surface[i] <= wp.float32(wp.float64(rain.heights[i]) + wp.float64(rain.normal[i])):
+            deep = rain.normal[i]  # without the rounding of the height
     fast = wp.float64(0.0)
     if through > LEAST_DISCHARGE and deep > 0.0:
-        ratio = wp.float64(normal[i]) / wp.float64(deep)
-        fast = wp.sqrt(through) / (WIDTH * wp.float64(normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
-    if dry[i] != wp.uint8(0):
+        ratio = wp.float64(rain.normal[i]) / wp.float64(deep)
+        fast = wp.sqrt(through) / (WIDTH * wp.float64(rain.normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
+    if rain.dry[i] != wp.uint8(0):
         through = wp.float64(0.0)
         fast = wp.float64(0.0)
         deep = wp.float32(0.0)
-    surface[i] = deep
-    speed[i] = wp.float32(fast)
-    discharge[i] = wp.float32(through)
+    rain.surface[i] = deep
+    rain.speed[i] = wp.float32(fast)
+    rain.discharge[i] = wp.float32(through)

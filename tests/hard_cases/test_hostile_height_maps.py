@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.importing import answers
 from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
@@ -134,7 +133,6 @@ def test_case_63_the_process_that_reads_has_nothing_to_attack_with(tmp_path, ask
 def test_case_63_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
     """A named pipe beside a grid holds GDAL up for ever: stopped by import and `info`, in one sentence."""
     monkeypatch.setattr(stall, "STALL_SECONDS", 3.0)
-    monkeypatch.setattr(answers, "STALL_SECONDS", 3.0)
     grid = write_raster(tmp_path / "a.asc", hills(9, 9))
     (tmp_path / "a.prj").unlink(missing_ok=True)
     os.mkfifo(tmp_path / "a.prj")

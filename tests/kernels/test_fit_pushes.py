@@ -4,24 +4,25 @@
 import numpy as np
 import pytest
 import warp as wp
+from adaptive_terrain.kernels.field.domain import Domain
 from adaptive_terrain.kernels.fitting.push import pushes_of
 
 APEX_Z, RISE_LEFT, RISE_RIGHT, AIM = 501.0, 1.0, -2.0, 2.5
 
 
 @wp.kernel
-def run(h: wp.array(dtype=wp.float32), size: wp.vec2i, apex: wp.vec2i, legs: wp.vec4i, out: wp.array(dtype=wp.float32)):
-    z = wp.float64(APEX_Z)
-    x, y = apex[0], apex[1]
-    q = pushes_of(h, size[0], size[1], x, y, legs[0], legs[1], legs[2], legs[3], z, RISE_LEFT, RISE_RIGHT, AIM)
+def run(d: Domain, apex: wp.vec2i, left: wp.vec2i, right: wp.vec2i, out: wp.array(dtype=wp.float32)):
+    q = pushes_of(d, apex + left, apex, apex + right, wp.float64(APEX_Z), wp.vec2f(RISE_LEFT, RISE_RIGHT), AIM)
     for k in range(7):
         out[k] = q[k]
 
 
 def pushes(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.ndarray:
     out = wp.zeros(7, dtype=wp.float32, device="cpu")
-    h = wp.array(heights.ravel(), dtype=wp.float32, device="cpu")
-    inputs = [h, wp.vec2i(*heights.shape[::-1]), wp.vec2i(*apex), wp.vec4i(*left, *right), out]
+    d = Domain()  # a lattice unit is a cell
+    d.samples.floats = wp.array(heights.ravel(), dtype=wp.float32, device="cpu")
+    d.height, d.width = heights.shape
+    inputs = [d, wp.vec2i(*apex), wp.vec2i(*left), wp.vec2i(*right), out]
     wp.launch(run, 1, inputs=inputs, device="cpu")
     return out.numpy()
 

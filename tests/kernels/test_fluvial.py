@@ -7,7 +7,7 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.effects.routing import route
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat
-from adaptive_terrain.kernels.land import far_creep, fluvial
+from adaptive_terrain.kernels.land import creep, fluvial
 
 F, D = np.float32, np.float64
 STEPS = 12.0, 7.0
@@ -26,6 +26,25 @@ def case():
     return drainage, h.reshape(-1), found
 
 
+def river(drainage, found, **arrays):
+    r = fluvial.River()
+    r.grid, r.to, r.order = drainage.grid, flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
+    r.area = flat(drainage.catchments, wp.float64)
+    return with_arrays(r, **{"part": found["part"], "rate": found["rate"]} | arrays)
+
+
+def soil(drainage, found, **arrays):
+    s = creep.Soil()
+    s.grid, s.base = drainage.grid, flat(drainage.base, wp.uint8)
+    return with_arrays(s, part=found["part"], **arrays)
+
+
+def with_arrays(struct, **arrays):
+    for name, array in arrays.items():
+        setattr(struct, name, flat(array, wp.float32))
+    return struct
+
+
 def receivers(drainage):
     to = drainage.to.astype(int)
     return np.arange(len(to)) + (to // 3 - 1) * drainage.grid.width + to % 3 - 1
@@ -34,10 +53,9 @@ def receivers(drainage):
 def test_rates_are_those_of_numpy(case):
     drainage, h, found = case
     made, shape = np.empty_like(h), (53, 121)
-    numbers = [84.0, 5e3, 0.08]
-    arrays = [flat(drainage.to, wp.uint8), flat(drainage.catchments, wp.float64), flat(found["soft"], wp.float32)]
-    inputs = [drainage.grid, *numbers, *arrays, flat(made, wp.float32)]
-    launch.spread(fluvial.find_rates, shape[0], inputs, step="test")
+    r = river(drainage, found, soft=found["soft"], rate=made)
+    r.cell, r.hillslope, r.strength = 84.0, 5e3, 0.08
+    launch.spread(fluvial.find_rates, shape[0], [r], step="test")
     axis = np.where(drainage.to % 2 == 0, 2, np.where((drainage.to == 3) | (drainage.to == 5), 0, 1))
     near = np.array([*drainage.grid.nearness], F)[axis]
     area = drainage.catchments.astype(F) * F(84.0) + F(5e3)
@@ -47,9 +65,9 @@ def test_rates_are_those_of_numpy(case):
 def test_the_cut_is_that_of_a_loop_in_single_precision(case):
     drainage, h, found = case
     made, filled, drop = h.copy(), np.empty_like(h), np.array([8.0, 5.0, 9.0], F)
-    arrays = [flat(a, wp.float32) for a in (found["part"], found["rate"], filled, made)]
-    inputs = [drainage.grid, wp.vec3f(*drop), 1, flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), *arrays]
-    launch.once(fluvial.cut_down, inputs, step="test")
+    r = river(drainage, found, filled=filled, h=made)
+    r.drop, r.lakes = wp.vec3f(*drop), 1
+    launch.once(fluvial.cut_down, [r], step="test")
     z, water, to, other = h.copy(), h.copy(), drainage.to, receivers(drainage)
     for i in drainage.order[::-1]:
         j, rate = other[i], found["rate"][i]
@@ -61,16 +79,17 @@ def test_the_cut_is_that_of_a_loop_in_single_precision(case):
     assert np.array_equal(made, z) and (z != h).mean() > 0.3
     assert np.array_equal(filled, water) and (water > z).any()
     untouched = h.copy()
-    inputs[2], inputs[-2:] = 0, [flat(np.full_like(h, 7.0), wp.float32), flat(untouched, wp.float32)]
-    launch.once(fluvial.cut_down, inputs, step="test")
+    r.lakes, r.filled, r.h = 0, flat(np.full_like(h, 7.0), wp.float32), flat(untouched, wp.float32)
+    launch.once(fluvial.cut_down, [r], step="test")
     assert np.array_equal(untouched, z)
 
 
 def test_creep_is_that_of_numpy(case):
     drainage, h, found = case
     made, kept = h.copy(), (F(5) * np.random.default_rng(4).standard_normal(len(h))).astype(F)
-    arrays = [flat(drainage.base, wp.uint8), *(flat(a, wp.float32) for a in (found["part"], kept, h, made))]
-    launch.spread(fluvial.creep, 51, [drainage.grid, 0.2, 0.11, *arrays], step="test", threads=3)
+    s = soil(drainage, found, kept=kept, old=h, h=made)
+    s.ew, s.ns = 0.2, 0.11
+    launch.spread(creep.creep, 51, [s], step="test", threads=3)
     z, inner = h.reshape(53, 121), np.s_[1:-1, 1:-1]
     twice = z + z
     u = (z[1:-1, :-2] + z[1:-1, 2:] - twice[inner]) * F(0.2)
@@ -86,19 +105,19 @@ def test_far_creep_solves_its_equations(case):
     """Along the columns, then along the rows: what comes out, put into them, gives what went in."""
     drainage, h, found = case
     z, part, fixed = h.copy(), found["part"], drainage.base.reshape(53, 121) == 1
-    scratch, arrays = np.empty_like(h), [flat(drainage.base, wp.uint8), flat(part, wp.float32)]
+    s = soil(drainage, found, scratch=np.empty_like(h), change=np.empty_like(h), h=z)
+    s.ew, s.ns = 11.0, 7.0
 
     def residual(kernel, count, inputs, ratio, axis):
         before = z.reshape(53, 121).astype(D)
-        rest = [*arrays, *(flat(a, wp.float32) for a in (scratch, np.empty_like(h), z))]
-        launch.spread(kernel, count, [*inputs, ratio, *rest], step="test", threads=3, cost=1e9)
+        launch.spread(kernel, count, [*inputs, s], step="test", threads=3, cost=1e9)
         u = z.reshape(53, 121).astype(D)
         bend = 2 * u - np.roll(u, 1, axis) - np.roll(u, -1, axis)
         given = u + np.where(fixed, 0, part.reshape(u.shape) * D(F(ratio)) * bend)
         return np.abs(given - before).max()
 
-    assert residual(far_creep.creep_along_columns, 2, [64, drainage.grid], 7.0, 0) < 1e-3
-    assert residual(far_creep.creep_along_rows, 53, [drainage.grid], 11.0, 1) < 1e-3
+    assert residual(creep.creep_along_columns, 2, [64], 7.0, 0) < 1e-3
+    assert residual(creep.creep_along_rows, 53, [], 11.0, 1) < 1e-3
     assert np.array_equal(z[drainage.base == 1], h[drainage.base == 1]) and np.ptp(z) < np.ptp(h)
 
 
@@ -106,10 +125,9 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
     drainage, before, found = case
     h = before - F(4) * np.random.default_rng(2).random(len(before)).astype(F)
     made, load, filled = h.copy(), np.zeros(len(h)), np.maximum(drainage.filled() - F(5), h)
-    arrays = [flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32), flat(drainage.catchments, wp.float64)]
-    arrays += [flat(a, wp.float32) for a in (found["part"], found["rate"], before, filled)]
-    inputs = [drainage.grid, 1.7, *arrays, flat(load, wp.float64), flat(made, wp.float32)]
-    launch.once(fluvial.lay_down, inputs, step="test")
+    r = river(drainage, found, before=before, filled=filled, h=made)
+    r.deposition, r.load = 1.7, flat(load, wp.float64)
+    launch.once(fluvial.lay_down, [r], step="test")
     z, carried, other = h.copy(), np.zeros(len(h)), receivers(drainage)
     for i in drainage.order:
         if drainage.to[i] == 4:

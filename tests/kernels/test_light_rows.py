@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.effects.sky_layer import sweep
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat, shared
 from adaptive_terrain.kernels.effects import footprint
-from adaptive_terrain.kernels.effects.sweep import add_sky
+from adaptive_terrain.kernels.effects.sweep import Sky, add_sky
 
 F = np.float32
 
@@ -124,9 +124,11 @@ def test_the_sky_of_a_row_has_the_bits_of_its_arithmetic_in_numpy():
     heights = (rng.standard_normal((9, 37)) * 5).astype(F)
     horizon, total = rng.exponential(0.6, (9, 37)).astype(F), rng.random((9, 37)).astype(F)
     per, azimuth, out = (0.4, 0.7), (0.6, -0.8), total.copy()
-    numbers = [37, 9, wp.vec2f(*per), wp.vec2f(*azimuth), wp.float32(1 / 16)]
-    inputs = [flat(heights, wp.float32), *numbers, flat(horizon, wp.float32), flat(out, wp.float32)]
-    launch.spread(add_sky, 9, inputs, step="test", threads=2)
+    sky = Sky()
+    sky.columns, sky.rows, sky.share = 37, 9, 1 / 16
+    sky.per_cell, sky.azimuth = wp.vec2f(*per), wp.vec2f(*azimuth)
+    sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, horizon, out))
+    launch.spread(add_sky, 9, [sky], step="test", threads=2)
     wanted = open_row(heights, per, azimuth, 1 / 16, horizon, total)
     assert wanted.dtype == F and out.tobytes() == wanted.tobytes()
 

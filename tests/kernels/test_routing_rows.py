@@ -7,7 +7,7 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.effects.routing import grid_of
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat
-from adaptive_terrain.kernels.effects import routing
+from adaptive_terrain.kernels.effects import routing, rows
 
 F, U = np.float32, np.uint32
 DIRECTIONS = [k for k in range(9) if k != 4]
@@ -33,10 +33,12 @@ def noise(shape, draw):
 
 
 def found(h, base, steps, draw, threads):
-    to, grid = np.empty(h.size, np.uint8), grid_of(*h.shape, *steps)
-    inputs = [grid, draw, flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)]
+    to, d = np.empty(h.size, np.uint8), rows.Drainage()
+    d.grid = grid_of(*h.shape, *steps)
+    d.h, d.base, d.to = flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
+    inputs = [d, d.grid.nearness, draw]
     launch.spread(routing.find_receivers, h.shape[0], inputs, step="test", threads=threads, cost=1e9)
-    return to.reshape(h.shape), grid
+    return to.reshape(h.shape), d
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1.6])
@@ -46,8 +48,8 @@ def test_receivers_are_those_of_numpy(jitter, shape):
     draw.jitter, draw.seed, draw.row, draw.column = jitter, 0xDEADBEEF, 1000, 77
     h = np.round(9 * rng.standard_normal(shape), 1).astype(F)
     base = (rng.random(shape) < 0.05).astype(np.uint8)
-    to, grid = found(h, base, (10.0, 7.0), draw, 3)
-    near, factor = np.array([*grid.nearness], F), noise(shape, draw)
+    to, d = found(h, base, (10.0, 7.0), draw, 3)
+    near, factor = np.array([*d.grid.nearness], F), noise(shape, draw)
     best, expected = np.zeros(shape, F), np.full(shape, 4, np.uint8)
     inner = np.s_[1:-1, 1:-1]
     for k in DIRECTIONS:
@@ -75,42 +77,41 @@ def test_noise_has_the_mean_one_and_is_of_the_place():
 
 def test_donors_basins_and_passes_are_those_of_plain_loops():
     rng = np.random.default_rng(9)
-    shape = rows, columns = 37, 150
+    shape = height, columns = 37, 150
     h = rng.standard_normal(shape).astype(F)
     h[10:20, 20:100] = np.indices((10, 80))[1] * F(0.01)  # one large basin: blocks without a pass
     base = np.zeros(shape, np.uint8)
-    to, grid = found(h, base, (1.0, 1.0), routing.Draw(), 1)
+    to, d = found(h, base, (1.0, 1.0), routing.Draw(), 1)
     donors = np.empty(h.size, np.uint8)
-    launch.spread(routing.count_donors, rows, [grid, flat(to, wp.uint8), flat(donors, wp.uint8)], step="test")
+    d.donors = flat(donors, wp.uint8)
+    launch.spread(routing.count_donors, height, [d], step="test")
     receiver = np.arange(h.size) + ((to // 3).astype(int) - 1).ravel() * columns + (to % 3).astype(int).ravel() - 1
     flows = to.ravel() != 4
     assert np.array_equal(donors, np.bincount(receiver[flows], minlength=h.size))
     base[[0, -1]], base[:, [0, -1]] = 1, 1
     label, pits = np.zeros(h.size, np.int32), np.zeros(1, np.int32)
-    arrays = [flat(h, wp.float32), flat(base, wp.uint8), flat(np.empty_like(label), wp.int32), flat(to, wp.uint8)]
-    launch.once(routing.cross_flats, [grid, *arrays, flat(label, wp.int32), flat(pits, wp.int32)], step="test")
+    d.label, d.order = flat(label, wp.int32), flat(np.empty_like(label), wp.int32)
+    launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="test")
     receiver = np.arange(h.size) + ((to // 3).astype(int) - 1).ravel() * columns + (to % 3).astype(int).ravel() - 1
     expected = np.where((to == 4) & (base == 1), 1, 0).ravel()
     expected[(to == 4).ravel() & (base == 0).ravel()] = np.arange(2, pits[0] + 2)
-    inputs = [500, grid, flat(to, wp.uint8), flat(label, wp.int32)]
-    launch.spread(routing.label_basins, -(-h.size // 500), inputs, step="test", threads=3, cost=1e9)
+    launch.spread(routing.label_basins, -(-h.size // 500), [500, d], step="test", threads=3, cost=1e9)
     for _ in range(200):
         expected = np.where(expected > 0, expected, expected[receiver])
     assert np.array_equal(label, expected) and pits[0] > 100
     basin = label.reshape(shape)
     edges = []
-    for y in range(rows - 1):
+    for y in range(height - 1):
         for x in range(columns):
             for q, (j, i) in enumerate(((0, 1), (1, -1), (1, 0), (1, 1))):
                 if 0 <= x + i < columns and basin[y, x] != basin[y + j, x + i]:
                     edges.append((max(h[y, x], h[y + j, x + i]), (y * columns + x) * 4 + q))
-    start = np.zeros(rows + 1, np.int64)
+    start = np.zeros(height + 1, np.int64)
     key, edge = np.empty(len(edges), F), np.empty(len(edges), np.int32)
-    arrays = [grid, flat(h, wp.float32), flat(label, wp.int32), flat(start, wp.int64)]
-    arrays += [flat(key, wp.float32), flat(edge, wp.int32)]
-    launch.spread(routing.find_passes, rows - 1, [0, *arrays], step="test")
+    arrays = [d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
+    launch.spread(routing.find_passes, height - 1, [0, *arrays], step="test")
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     assert start[-1] == len(edges)
-    launch.spread(routing.find_passes, rows - 1, [1, *arrays], step="test", threads=2, cost=1e9)
+    launch.spread(routing.find_passes, height - 1, [1, *arrays], step="test", threads=2, cost=1e9)
     assert list(zip(key, edge, strict=True)) == edges

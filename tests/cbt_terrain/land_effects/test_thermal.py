@@ -5,14 +5,12 @@ import math
 
 import numpy as np
 import pytest
-import warp as wp
 from adaptive_terrain.benchmarks.rig import plain_scree
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.land_effects import thermal
 from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
 from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.run.buffers import flat
 
 REPOSE = math.tan(math.radians(34.0))
 
@@ -73,14 +71,14 @@ def test_sweeps_have_the_bits_of_plain_numpy(shape, first, threads, monkeypatch)
     monkeypatch.setattr(launch, "SLICE_ITEMS", 5)
     rng = np.random.default_rng(5)
     ground = Ground((300.0 * rng.random(shape)).astype(np.float32), 7.0, 11.0, first, (99, 99), seed=77)
-    slope, room = thermal.slope_of(ground, values()), np.full(shape, 20.0, np.float32)
+    room = np.full(shape, 20.0, np.float32)
     base = ground.heights - room
     base[shape[0] // 2, shape[1] // 2] = np.nan
     scree = (3.0 * rng.random(shape)).astype(np.float32)
     left, plain_left, plain = room.copy(), room.copy(), scree.copy()
-    arrays = [flat(array, wp.float32) for array in (base, left, scree, np.empty_like(scree))]
+    slope = thermal.slope_of(ground, values(), base, left, scree)
     for number in range(6):
-        list(thermal.sweep(slope, number, arrays, threads))
+        list(thermal.sweep(slope, number, threads))
         plain_scree.sweep(slope, number, base, plain_left, plain)
         assert scree.tobytes() == plain.tobytes() and left.tobytes() == plain_left.tobytes()
     assert (room - left).max() > 1.0

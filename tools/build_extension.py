@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PURE_WHEELS = ("affine", "attrs", "certifi", "click", "click-plugins", "cligj", "pyparsing")
 PLATFORM_WHEELS = ("warp-lang",)
 PYTHON_WHEELS = ("openexr", "rasterio")
-PYTHONS = ("3.11", "3.13")  # Blender 4.2 - 5.0 and 4.3 as packaged by Debian, 5.1 and later
+# Blender 4.2 - 5.0; 5.1 and later, and 4.3 as packaged by Debian; 5.2 as packaged by distributions with a newer Python.
+PYTHONS = ("3.11", "3.13", "3.14")
 PIP_PLATFORMS = {
     "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 24, 17)] + ["manylinux2014_x86_64"],
     "windows-x64": ["win_amd64"],

@@ -68,13 +68,14 @@ def set_up_render(scene) -> None:
     """One sample of direct sunlight on the processor: the pictures show geometry and no noise."""
     import bpy
 
+    from ..operators.demand.trees import tree_of_new
+
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.samples, scene.cycles.max_bounces = "CPU", 1, 0
     scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
     scene.view_settings.view_transform = "Standard"
     scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
+    tree_of_new(scene.world).nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle = 3.0, 0.0
     lamp = bpy.data.objects.new("Sun", sun)
@@ -153,9 +154,11 @@ def _material(tiff: str | None):
     """Grey and rough; displaced by the heights of `tiff`, in metres, if there is one."""
     import bpy
 
+    from ..operators.demand.trees import tree_of_new
+
     material = bpy.data.materials.new("Ground")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    tree = tree_of_new(material)
+    nodes, links = tree.nodes, tree.links
     nodes.clear()
     output, diffuse = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeBsdfDiffuse")
     links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])

@@ -55,10 +55,10 @@ def material(nodes: int):
     """A material of so many nodes, of which every other reads an attribute of its own."""
     import bpy
 
+    from ..operators.demand.trees import tree_of_new
+
     made = bpy.data.materials.new(f"{nodes} nodes")
-    if bpy.app.version < (5, 0):
-        made.use_nodes = True
-    tree, last = made.node_tree, None
+    tree, last = tree_of_new(made), None
     tree.nodes.clear()
     for number in range(nodes // 2 - 1):
         read, mix = tree.nodes.new("ShaderNodeAttribute"), tree.nodes.new("ShaderNodeMix")

@@ -4,6 +4,8 @@
 import re
 from dataclasses import dataclass, field
 
+import bpy
+
 # An animated property of a node: its name, and the number of the input whose value it is, if it is one.
 PATH = re.compile(r'nodes\["((?:[^"\\]|\\.)*)"\](?:\.inputs\[(\d+)\]\.default_value)?')
 
@@ -59,6 +61,14 @@ def _curves(action) -> list:
         bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
         return [curve for bag in bags for curve in bag.fcurves]
     return list(getattr(action, "fcurves", ()))
+
+
+def tree_of_new(block):
+    """The node tree of a material or world that was just made. Before Blender 5.0 there is none until one asks for it;
+    6.0 takes away what asks."""
+    if bpy.app.version < (5, 0):
+        block.use_nodes = True
+    return block.node_tree
 
 
 def nodes_inside(tree, seen: set[int] | None = None):

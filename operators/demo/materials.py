@@ -6,6 +6,7 @@ import math
 import bpy
 
 from ...cbt_terrain.mesh.attributes import LEVEL
+from ..demand.trees import tree_of_new
 from ..effects.nodes import Nodes
 
 # The sky at the horizon, away from the sun and towards it, and above.
@@ -80,9 +81,9 @@ def plain_material(name: str, colour: tuple[float, float, float, float]) -> bpy.
 
 def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    material.node_tree.nodes.clear()
-    return material, LandNodes(material.node_tree)
+    tree = tree_of_new(material)
+    tree.nodes.clear()
+    return material, LandNodes(tree)
 
 
 def put_grain(material: bpy.types.Material) -> None:

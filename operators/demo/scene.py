@@ -11,6 +11,7 @@ from mathutils import Matrix, Vector
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.run.partial_files import written_beside
+from ..demand.trees import tree_of_new
 from ..effects.material import dress
 from ..effects.terrain_material import sources_of
 from ..output.frame_sources import open_empty_file
@@ -118,10 +119,10 @@ def add_sky(scene) -> None:
     """A low sun, and a sky from the horizon's air to the zenith."""
     world = bpy.data.worlds.new("Sky")
     scene.world = world
-    world.use_nodes = True
     world.cycles.sampling_method = "NONE"  # it is smooth and needs no importance map
-    world.node_tree.nodes.clear()
-    n = LandNodes(world.node_tree)
+    tree = tree_of_new(world)
+    tree.nodes.clear()
+    n = LandNodes(tree)
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
     up = n.math("MAXIMUM", n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"], 0.0)
     sky = n.mix(n.math("POWER", up, 0.5), n.horizon(direction, sun_direction()), ZENITH)
@@ -189,8 +190,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
     for name in {"Sea", "Water"} & set(scene.objects.keys()):
         scene.objects[name].hide_render = True
     scene.world = bpy.data.worlds.new("Paper")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = PAPER
+    tree_of_new(scene.world).nodes["Background"].inputs["Color"].default_value = PAPER
     scene.cycles.use_denoising = False
     scene.cycles.samples, scene.cycles.max_bounces = 12, 0
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"

@@ -12,6 +12,7 @@ from itertools import chain, count
 import bpy
 
 from ...cbt_terrain.maps.tiling import MARGIN
+from ..demand.trees import tree_of_new
 from .nodes import Nodes
 
 GROUP = "Terrain Layers"
@@ -108,8 +109,7 @@ def _is_worn_by_others(material, obj) -> bool:
 def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
     """A new material, in the object's first slot."""
     material = bpy.data.materials.new(f"{obj.name} Material")
-    material.use_nodes = True
-    tree = material.node_tree
+    tree = tree_of_new(material)
     tree.nodes.clear()
     group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
     group[MARK] = True

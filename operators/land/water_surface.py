@@ -10,6 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.water_surface import water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
+from ..demand.trees import tree_of_new
 from ..mesh.writer import write_mesh
 from ..request.land_request import land_of, whole_raster_of
 from ..scene import session
@@ -94,8 +95,8 @@ def _added(terrain):
 def _material() -> bpy.types.Material:
     """Smooth, clear at the shore and dark where it is deep."""
     material = bpy.data.materials.new(MATERIAL)
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    tree = tree_of_new(material)
+    nodes, links = tree.nodes, tree.links
     shader = nodes["Principled BSDF"]
     shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = 0.06, 1.333
     depth = nodes.new("ShaderNodeAttribute")

@@ -3,8 +3,9 @@
 
 Blender frees a mesh's arrays and allocates the next one's, 80 MB for a million triangles. Its allocator gives what is
 freed back to the system, which then has to clear and to map every page anew: writing a mesh takes 38 ms with glibc and
-48 ms with jemalloc (what Blender's programs use on Linux) where it takes 18 ms and 20 ms in pages that were held. So
-both are told to hold what is freed, until soon after the last mesh or until a render begins.
+48 ms with jemalloc (what Blender's programs use on Linux before 5.1) where it takes 18 ms and 20 ms in pages that were
+held. So both are told to hold what is freed, until soon after the last mesh or until a render begins. TBB's allocator,
+which the programs have since 5.1, holds it by itself.
 """
 
 import ctypes

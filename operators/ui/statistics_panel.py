@@ -18,7 +18,7 @@ from .panel_parts import TerrainSubpanel, figures, message
 TERMS = {
     "geometric": "by triangles",
     "precision": "by precision",
-    "source": "by the source's rounding",
+    "source": "by the source",
 }
 STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 

@@ -9,6 +9,7 @@ from adaptive_terrain.cbt_terrain.maps import sizing, tiling
 from adaptive_terrain.cbt_terrain.maps.folder import read_index
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.cli.command_line import main
+from adaptive_terrain.operators.demand.trees import tree_of_new
 from adaptive_terrain.operators.effects import map_images, map_request
 from adaptive_terrain.operators.mesh.writer import write_mesh
 from adaptive_terrain.operators.scene import session
@@ -24,8 +25,7 @@ def small_tiles(monkeypatch):
 def wear(obj, name: str | None = "detail_normal") -> None:
     """A diffuse material, with a baked normal; what an object without one wears differs from Blender to Blender."""
     material = bpy.data.materials.new("worn")
-    material.use_nodes = True
-    tree = material.node_tree
+    tree = tree_of_new(material)
     tree.nodes.clear()
     diffuse, out = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
     tree.links.new(diffuse.outputs[0], out.inputs["Surface"])

@@ -7,6 +7,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.demand.trees import tree_of_new
 from adaptive_terrain.operators.effects import material, terrain_material
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui import effects_panel
@@ -45,10 +46,10 @@ def terrain(scene, add_terrain):
 def read_by_material(obj, name: str):
     """A material whose colour is an attribute; its node."""
     made = bpy.data.materials.new("Rock")
-    made.use_nodes = True
-    node = made.node_tree.nodes.new("ShaderNodeAttribute")
+    tree = tree_of_new(made)
+    node = tree.nodes.new("ShaderNodeAttribute")
     node.attribute_name = name
-    made.node_tree.links.new(node.outputs["Color"], made.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
+    tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
     obj.data.materials.append(made)
     return node
 

@@ -49,7 +49,7 @@ def test_the_bound_has_its_parts(scene, add_terrain):
     status.bound_px, status.terms_px, status.terms_m = 2.0, Terms(1.5, 0.25, 0.25), None
     lines = statistics_lines(status)
     at = lines.index(("Screen error", "≤ 2 px"))
-    parts = [("by triangles", "1.5 px"), ("by precision", "0.25 px"), ("by the source's rounding", "0.25 px")]
+    parts = [("by triangles", "1.5 px"), ("by precision", "0.25 px"), ("by the source", "0.25 px")]
     assert lines[at + 1 : at + 4] == [(f"    {name}", part) for name, part in parts]
     status.bound_px, status.terms_px = 0.0, Terms(0.0, 0.0, 0.0)
     assert statistics_lines(status)[at : at + 2] == [("Screen error", "≤ 0 px"), lines[at + 4]], "nothing is in view"

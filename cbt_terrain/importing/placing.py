@@ -37,9 +37,11 @@ class Placing(NamedTuple):
         return places / (self.metres_x, self.metres_y) + (self.x, self.y)
 
 
-def is_placed(field: HeightField) -> bool:
-    """Whether a field's origin and steps are those of its coordinate system."""
-    return bool(field.crs) and field.provenance.get("settings", {}).get("extent") is None
+def is_placed(field: HeightField, store: str | os.PathLike) -> bool:
+    """Whether the origin and the steps of a store's field are those of its coordinate system, be that without a
+    name."""
+    sized = field.provenance.get("settings", {}).get("extent") is not None
+    return not sized and ROTATED not in stores.read_json(Path(store))["report"].get("warnings", ())
 
 
 def unit_lengths(field: HeightField) -> tuple[float, float]:
@@ -57,8 +59,8 @@ def unit_lengths(field: HeightField) -> tuple[float, float]:
 def placing_of(store: str | os.PathLike) -> Placing:
     """Where the terrain of a store lies. Raises TerrainError."""
     store = Path(store)
-    field, report = stores.open_store(store), stores.read_json(store)["report"]
-    if not is_placed(field) or ROTATED in report.get("warnings", ()):
+    field = stores.open_store(store)
+    if not field.crs or not is_placed(field, store):
         return Placing()
     lengths = ask(MODULE, {"store": str(store.absolute())}, f"the coordinate system of the store {store}")
     return Placing(*(float(c) for c in field.origin[:2]), *lengths, field.crs)

@@ -102,20 +102,20 @@ def child_main() -> None:
 def _write_tiffs(asked: dict, *_) -> list[str]:
     child.end_with_parent()
     field = open_store(asked["store"])
+    georeference = _georeference(field, asked["store"])
     for name, path in asked["files"].items():
         try:
-            _write_tiff(field, name, Path(path))
+            _write_tiff(field, name, Path(path), georeference)
         except OSError as reason:
             raise _not_written(Path(path), reason) from reason
     return list(asked["files"].values())
 
 
-def _write_tiff(field: HeightField, name: str, path: Path) -> None:
+def _write_tiff(field: HeightField, name: str, path: Path, georeference: tuple) -> None:
     import rasterio
     from rasterio.windows import Window
 
-    lattice = field.lattice
-    transform, crs = _georeference(field)
+    lattice, (transform, crs) = field.lattice, georeference
     options = {"driver": "GTiff", "width": lattice.width, "height": lattice.height, "count": 1, "dtype": "float32"}
     options |= {"transform": transform, "crs": crs, "nodata": float("nan") if field.valid is not None else None}
     options |= {"compress": "deflate", "predictor": 3, "tiled": True, "BIGTIFF": "IF_SAFER"}
@@ -130,18 +130,19 @@ def _write_tiff(field: HeightField, name: str, path: Path) -> None:
             raise OSError(f"GDAL: {reason}") from reason
 
 
-def _georeference(field: HeightField):
-    """The transform from pixels to the coordinate system, and that system; of a terrain that has none, or whose extent
-    someone has given in metres, metres from its middle and none."""
+def _georeference(field: HeightField, store: str) -> tuple:
+    """The transform from pixels to the coordinate system, and that system, None where it has no name; of a terrain that
+    lies in none, is rotated against it, or whose extent someone has given, metres from its middle and None."""
     from rasterio.crs import CRS
     from rasterio.transform import Affine
 
     lattice, step_x, step_y = field.lattice, field.lattice.step_x, field.lattice.step_y
     x, y, crs = 0.0, 0.0, None
-    if is_placed(field):
-        crs = CRS.from_string(field.crs)
+    if is_placed(field, store):
         x, y = (float(c) for c in field.origin[:2])
-        metres_x, metres_y = unit_lengths(field)
-        step_x, step_y = step_x / metres_x, step_y / metres_y
+        if field.crs:
+            crs = CRS.from_string(field.crs)
+            metres_x, metres_y = unit_lengths(field)
+            step_x, step_y = step_x / metres_x, step_y / metres_y
     west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y
     return Affine(step_x, 0.0, west, 0.0, -step_y, north), crs

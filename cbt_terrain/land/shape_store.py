@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import store, store_folder
 from ..field.build import build
+from ..field.georeference import ROTATED
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
 from ..importing.drafts import drafted, figures, room_for
@@ -80,7 +81,7 @@ def run_shape(
         layers = _write_layers(heights, shaped, draft)
         field.key = key_with(field.key, layers)
         field.provenance = heights.provenance | {"shaped": _provenance(source, heights, stack, shaped)}
-        report = _report(field, heights, stack, shaped)
+        report = _report(field, source, heights, stack, shaped)
         report["seconds"] = round(time.monotonic() - started, 3)
         # What stopped early is not what was asked for.
         draft.publish(field, "" if shaped.finished_early else digest, report, {name: units[name] for name in layers})
@@ -176,10 +177,11 @@ def _provenance(source: str | os.PathLike, heights: HeightField, stack: Stack, s
     }
 
 
-def _report(field: HeightField, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
+def _report(field: HeightField, source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))
-    warnings = []
+    # Whoever asks where the land lies goes by it.
+    warnings = [ROTATED] if ROTATED in store.read_json(Path(source))["report"].get("warnings", ()) else []
     rms, most = shaped.left_out_m
     if most > 0.0:
         warnings.append(

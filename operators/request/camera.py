@@ -60,10 +60,11 @@ def view_from_camera(scene, camera, resolution: tuple[int, int]) -> View:
     data = camera.data
     kind = KINDS.get(data.type, PANORAMIC)
     to_camera = _world_to_camera(camera)
+    aspect = scene.render.pixel_aspect_x, scene.render.pixel_aspect_y
     if kind == PANORAMIC:
-        angle = _radians_per_pixel(data, resolution)
+        angle = _radians_per_pixel(data, resolution, aspect)
         return View(to_camera, None, resolution, kind, _clip(data), radians_per_pixel=angle)
-    projection = _projection(data, resolution, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
+    projection = _projection(data, resolution, aspect)
     if not np.isfinite(projection).all() or projection[0, 0] == 0:
         size = f"an orthographic scale of {data.ortho_scale:g} m"
         if kind == PERSPECTIVE:
@@ -81,10 +82,8 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
     `aspect`: width and height of a pixel. Depth is scaled for 0 to infinity: only the frame is of interest here.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
-    horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
-    fitted = width if horizontal else height  # the side that spans the sensor, or the orthographic scale
+    sensor, fitted = _fit(data, width, height)
     perspective = data.type == "PERSP"
-    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     with np.errstate(all="ignore"):
         zoom = 2.0 * fitted * (np.float64(data.lens) / sensor if perspective else 1.0 / np.float64(data.ortho_scale))
         shift = 2.0 * fitted * np.array([data.shift_x / width, data.shift_y / height])
@@ -154,20 +153,47 @@ def _world_to_camera(camera) -> np.ndarray:
     return inverse(matrix)
 
 
-def _radians_per_pixel(data, resolution: tuple[int, int]) -> float:
-    """The smallest angle that a pixel of a panorama spans; of an unknown lens, half of a full sphere's."""
+def _fit(data, width: float, height: float) -> tuple[float, float]:
+    """Millimetres of the sensor, or the orthographic scale, lie along one side of the picture: they, and that side."""
+    horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
+    return data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width, width if horizontal else height
+
+
+def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
+    """The smallest angle that a pixel of a panorama spans, as Cycles projects; of an unknown lens, half of a full
+    sphere's.
+
+    Along meridians: beside the poles of a panorama, and towards the rim of a fisheye, a pixel's other side spans less.
+    """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.
     lens = data if hasattr(data, "panorama_type") else getattr(data, "cycles", data)
-    panorama = getattr(lens, "panorama_type", "")
+    panorama = getattr(lens, "panorama_type", "") if data.type == "PANO" else ""
     if panorama == "EQUIRECTANGULAR":
         across = lens.longitude_max - lens.longitude_min
         up = lens.latitude_max - lens.latitude_min
         return min(abs(across) / width, abs(up) / height)
+    if panorama == "EQUIANGULAR_CUBEMAP_FACE":  # a quarter of a turn; in the corners a pixel spans two thirds of it
+        return math.pi / 3 / max(width, height)
+    if panorama == "CENTRAL_CYLINDRICAL":
+        ends = lens.central_cylindrical_range_v_min, lens.central_cylindrical_range_v_max
+        low, high = (end / lens.central_cylindrical_radius for end in ends)
+        across = lens.central_cylindrical_range_u_max - lens.central_cylindrical_range_u_min
+        steepest = 1 + max(low * low, high * high)
+        return min(abs(across) / width / math.sqrt(steepest), abs(high - low) / height / steepest)
     if panorama == "FISHEYE_EQUIDISTANT":
         return lens.fisheye_fov / max(width, height)
+    sensor, fitted = _fit(data, width * aspect[0], height * aspect[1])
+    millimetres = sensor / fitted * min(aspect)  # on the sensor, of a pixel's shorter side
     if panorama == "FISHEYE_EQUISOLID":
-        return data.sensor_width / lens.fisheye_lens / max(width, height)
+        return millimetres / lens.fisheye_lens
+    if panorama == "FISHEYE_LENS_POLYNOMIAL":
+        corner = 0.5 * sensor / fitted * math.hypot(width * aspect[0], height * aspect[1])
+        radii = np.linspace(0.0, corner, 1025)
+        factors = [getattr(lens, f"fisheye_polynomial_k{power}") for power in range(5)]
+        angles = sum(factor * radii**power for power, factor in enumerate(factors))
+        steps = np.abs(np.diff(angles))[np.abs(angles[:-1]) <= lens.fisheye_fov / 2]  # further out there is no picture
+        return float(steps.min(initial=math.inf)) / (corner / 1024) * millimetres
     return min(2 * math.pi / width, math.pi / height) / 2
 
 

@@ -7,6 +7,7 @@ import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.placing import Placing, placing_of
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.land.export import export_raster
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
@@ -95,6 +96,28 @@ def test_an_extent_in_metres_has_no_place_on_earth(tmp_path):
     export_raster(tmp_path / "in", tmp_path / "out.tif")
     with rasterio.open(tmp_path / "out.tif") as found:
         assert found.crs is None and found.bounds == (-200.0, -300.0, 200.0, 300.0)
+
+
+def test_a_rotated_raster_has_no_place_on_earth_also_when_shaped(tmp_path):
+    """The store keeps the lengths of its steps and its middle, not the angle: along its own rows it lies elsewhere."""
+    turned = Affine(8.0, 12.0, 500_000.0, 6.0, -16.0, 5_200_000.0)
+    write_raster(tmp_path / "in.tif", hills(40, 30), crs="EPSG:32632", transform=turned)
+    run_import(ImportSettings(str(tmp_path / "in.tif")), tmp_path / "in")
+    run_shape(tmp_path / "in", Stack((Entry("hill", {"radius": 1.0, "height": 3.0}),)), tmp_path / "shaped")
+    for name in ("in", "shaped"):
+        export_raster(tmp_path / name, tmp_path / "out.tif", ("heights",))
+        with rasterio.open(tmp_path / "out.tif") as found:
+            assert found.crs is None and found.bounds == (-200.0, -300.0, 200.0, 300.0)
+        assert placing_of(tmp_path / name) == Placing()
+
+
+def test_coordinates_without_a_named_system_are_kept(tmp_path):
+    """As those of an ASCII grid without a .prj."""
+    write_raster(tmp_path / "in.tif", hills(40, 30), transform=PLACES["utm"][1])
+    run_import(ImportSettings(str(tmp_path / "in.tif")), tmp_path / "in")
+    export_raster(tmp_path / "in", tmp_path / "out.tif")
+    with rasterio.open(tmp_path / "out.tif") as found:
+        assert found.crs is None and found.transform == PLACES["utm"][1]
 
 
 def test_what_cannot_be_written_is_said(shaped, tmp_path):

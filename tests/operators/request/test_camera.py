@@ -122,6 +122,73 @@ def test_panorama_has_the_angle_of_a_pixel(scene):
     assert view.radians_per_pixel <= math.pi / 2000
 
 
+PANORAMAS = {
+    "EQUIANGULAR_CUBEMAP_FACE": {},
+    "CENTRAL_CYLINDRICAL": {
+        "central_cylindrical_range_u_min": -0.2,
+        "central_cylindrical_range_u_max": 0.1,
+        "central_cylindrical_range_v_max": 0.5,
+        "central_cylindrical_radius": 2.0,
+    },
+    "FISHEYE_EQUISOLID": {"fisheye_lens": 100.0, "fisheye_fov": 0.6},
+    "FISHEYE_LENS_POLYNOMIAL": {"fisheye_fov": 0.8},
+}
+
+
+def directions(scene, folder) -> np.ndarray:
+    """float64 [rows, columns, 3]: where Cycles looks through the middle of a pixel; NaN where there is no picture."""
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=7, radius=10, location=scene.camera.location)
+    material = bpy.data.materials.new("place")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    place, emission = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeEmission")
+    move = nodes.new("ShaderNodeVectorMath")  # colours are not negative
+    move.inputs[1].default_value = [100.0] * 3
+    links.new(place.outputs["Position"], move.inputs[0])
+    links.new(move.outputs[0], emission.inputs["Color"])
+    links.new(emission.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    bpy.context.object.data.materials.append(material)
+    scene.cycles.samples, scene.cycles.filter_width, scene.cycles.pixel_filter_type = 1, 0.01, "BOX"
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Raw"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(folder / "places.exr")
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    image.colorspace_settings.name = "Non-Color"
+    places = np.array(image.pixels, np.float64).reshape(image.size[1], image.size[0], 4)[..., :3] - 100
+    bpy.data.images.remove(image)
+    places -= np.array(scene.camera.location)
+    length = np.linalg.norm(places, axis=2, keepdims=True)
+    return np.where(abs(length - 10) < 0.1, places / length, np.nan)
+
+
+@pytest.mark.parametrize("fit", ["AUTO", "VERTICAL"])
+@pytest.mark.parametrize("aspect", [1.0, 3.0])
+@pytest.mark.parametrize("panorama", PANORAMAS)
+def test_a_panorama_is_as_fine_as_cycles_draws_it(scene, tmp_path, panorama, aspect, fit):
+    """Of a lens that hardly stretches: the least angle between neighbouring pixels, by a render."""
+    scene.render.engine = "CYCLES"
+    data = scene.camera.data
+    data.type, data.sensor_fit = "PANO", fit
+    lens = data if hasattr(data, "panorama_type") else data.cycles
+    if panorama not in lens.bl_rna.properties["panorama_type"].enum_items:
+        pytest.skip(f"Blender {bpy.app.version_string} has no {panorama}")
+    lens.panorama_type = panorama
+    for name, value in PANORAMAS[panorama].items():
+        setattr(lens, name, value)
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 48, 24, 100
+    scene.render.pixel_aspect_x = aspect
+    [view] = views(scene)
+    looks = directions(scene, tmp_path)
+    across, up = looks[:-1, 1:] - looks[:-1, :-1], looks[1:, :-1] - looks[:-1, :-1]
+    seen = np.isfinite(across + up).all(axis=2)
+    assert seen.sum() > 100
+    least = np.linalg.svd(np.stack([across[seen], up[seen]], axis=1), compute_uv=False)[:, 1].min()
+    assert 0.6 * least < view.radians_per_pixel < 1.06 * least
+
+
 def test_stereo_eyes_meet_at_the_convergence_distance(scene):
     scene.render.use_multiview = True
     scene.render.views_format = "STEREO_3D"

@@ -93,6 +93,8 @@ def test_imports_point_down(path):
         if path.relative_to(ROOT).as_posix() == MAY_ASK_FOR_BENCHMARKS and module[0] == "benchmarks":
             continue
         assert module[0] in MAY_IMPORT[house]
+        file = ROOT.joinpath(*module)
+        assert file.is_dir() or file.with_suffix(".py").is_file(), f"there is no {'.'.join(module)}"
         rooms = ROOMS.get(house)
         if rooms and module[0] == house and len(module) > 1 and room != "__init__":
             assert rooms.index(module[1]) <= rooms.index(room), f"{room} may not import {'.'.join(module)}"

@@ -68,7 +68,7 @@ def set_up_render(scene) -> None:
     """One sample of direct sunlight on the processor: the pictures show geometry and no noise."""
     import bpy
 
-    from ..operators.demand.trees import tree_of_new
+    from ...operators.demand.trees import tree_of_new
 
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.samples, scene.cycles.max_bounces = "CPU", 1, 0
@@ -154,7 +154,7 @@ def _material(tiff: str | None):
     """Grey and rough; displaced by the heights of `tiff`, in metres, if there is one."""
     import bpy
 
-    from ..operators.demand.trees import tree_of_new
+    from ...operators.demand.trees import tree_of_new
 
     material = bpy.data.materials.new("Ground")
     tree = tree_of_new(material)

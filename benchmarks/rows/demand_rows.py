@@ -55,7 +55,7 @@ def material(nodes: int):
     """A material of so many nodes, of which every other reads an attribute of its own."""
     import bpy
 
-    from ..operators.demand.trees import tree_of_new
+    from ...operators.demand.trees import tree_of_new
 
     made = bpy.data.materials.new(f"{nodes} nodes")
     tree, last = tree_of_new(made), None

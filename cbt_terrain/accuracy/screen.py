@@ -27,7 +27,7 @@ from ..errors import TerrainError
 from ..field.blocks import halvings, stacked
 from ..run import launch
 from ..run.buffers import shared
-from .mesh import Ground, Progress, errors_of, ignore
+from .mesh import POINT_BITS, Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
@@ -179,19 +179,22 @@ class Sight:
         the same at the visible points.
         """
         seen, unseen, states = [self.point_errors(*there)], [], self.states()
-        height, width = before.shape
-        flat = [shared(states, wp.uint8), *(shared(a.reshape(-1), wp.float32) for a in (before, after))]
+        (height, width), bits = before.shape, self.ground.bits + POINT_BITS
         for row, rows in _row_blocks(height, width):
-            pixels, state = np.zeros(rows * width, np.float32), states[row * width :][: rows * width]
-            inputs = [row, self.ground.packed, self.eye, *flat, shared(pixels, wp.float32)]
-            self._launch(screen_kernels.sample_errors, rows, inputs, cost=2.0 * width)
-            seen.append(pixels[state == int(screen_kernels.VISIBLE)])
-            unseen.append(pixels[state == int(screen_kernels.HIDDEN)])
+            start, end = row * width, (row + rows) * width
+            at = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
+            points = np.stack([at % width, at // width], axis=1) << bits
+            pixels = self._apart(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
+            seen.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
+            unseen.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
         return errors_of(np.concatenate(seen)), errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """float32 [n]: pixels between two heights (float64 [n], metres above the reference) of the visible points."""
-        points = self.visible_points()
+        return self._apart(self.visible_points(), before, after)
+
+    def _apart(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The same of any points in the frame, int64 [n, 2]."""
         pixels = np.zeros(len(points), np.float32)
         inputs = [self.ground.packed, self.eye]
         inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]

@@ -38,7 +38,6 @@ class Drainage:
     to: np.ndarray
     order: np.ndarray
     catchments: np.ndarray
-    threads: int = 1
 
     def packed(self, filled: np.ndarray) -> kernels.Drainage:
         """As kernels read it; memory is shared. filled: float32 [n]."""
@@ -57,8 +56,8 @@ class Drainage:
         """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
         count, d = len(self.to), self.packed(filled)
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
-        inputs = [count, d, flat(key, wp.float32), flat(item, wp.int32)]
-        launch.spread(catchment.take_in_reverse, count, inputs, step="routing", threads=self.threads)
+        item[:count] = self.order[::-1]  # receivers before donors
+        np.take(filled, item[:count], out=key[:count])
         launch.sort_pairs(key, item, count, step="routing")
         area = np.ones(count)
         d.area = flat(area, wp.float64)
@@ -109,7 +108,7 @@ def route(
     area = np.ones(count) if own is None else own.astype(np.float64).reshape(-1)
     d.area = flat(area, wp.float64)
     launch.once(routing.order_downstream, [d], step="routing")
-    return Drainage(grid, h, base, to, order, area, threads)
+    return Drainage(grid, h, base, to, order, area)
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:

@@ -24,7 +24,7 @@ from ...kernels.accuracy import screen as screen_kernels
 from ..ask.linear import inverse, length, lengths, product
 from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from ..errors import TerrainError
-from ..field.blocks import halvings, stacked
+from ..field.blocks import halvings, over_cells, stacked
 from ..run import launch
 from ..run.buffers import shared
 from .mesh import POINT_BITS, Ground, Progress, errors_of, ignore
@@ -40,7 +40,7 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     at most, as that is what the samples' negative weights add up to.
     """
     around, heights = int(ground.packed.bicubic), ground.field.heights()
-    low, high = (_reduce(_reduce(heights, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum))
+    low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:
         more = ground.packed.detail_most + around * 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
@@ -53,17 +53,6 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     b.base, b.width = shared(base, wp.int32), shared(width, wp.int32)
     b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
     return b
-
-
-def _reduce(samples: np.ndarray, side: int, reduce, axis: int, around: int) -> np.ndarray:
-    """The least or greatest of the samples of every `side` cells, both ends and `around` more, along one axis."""
-    cells = samples.shape[axis] - 1
-    blocks = -(-cells // side)
-    first = np.arange(blocks) * side
-    result = np.take(samples, first, axis)
-    for k in range(-around, side + 1 + around):
-        reduce(result, np.take(samples, np.clip(first + k, 0, cells), axis), out=result)
-    return result
 
 
 def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernels.Eye:

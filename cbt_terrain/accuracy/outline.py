@@ -35,10 +35,9 @@ class _Rays:
     def __init__(self, sight: Sight, mesh: MeasuredMesh, positions: np.ndarray):
         low, high = (reduce(positions, axis=0).astype(np.float64) for reduce in (np.min, np.max))
         pad = PAD * length(high - low) + 1e-6 * float(np.abs(positions).max())
-        lows, highs = (np.zeros((mesh.triangles, 3), np.float32) for _ in range(2))
-        inputs = [mesh.packed, np.float32(pad), shared(lows, wp.vec3f), shared(highs, wp.vec3f)]
-        launch.spread(kernels.triangle_boxes, mesh.triangles, inputs, step="measure", threads=mesh.ground.threads)
-        self.bvh = wp.Bvh(shared(lows, wp.vec3f), shared(highs, wp.vec3f))
+        corners = positions[mesh.packed.corners.numpy().reshape(-1, 3)]
+        ends = corners.min(axis=1) - np.float32(pad), corners.max(axis=1) + np.float32(pad)
+        self.bvh = wp.Bvh(*(shared(end, wp.vec3f) for end in ends))
         b = kernels.Boxes()
         b.bvh, b.low, b.high = self.bvh.id, low - pad, high + pad
         self.inputs = [sight.ground.packed, mesh.packed, b, sight.eye]

@@ -24,10 +24,10 @@ from ...kernels.accuracy import screen as screen_kernels
 from ..ask.linear import inverse, length, lengths, product
 from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from ..errors import TerrainError
-from ..field.blocks import halvings, stacked
+from ..field.blocks import halvings, over_cells, stacked
 from ..run import launch
 from ..run.buffers import shared
-from .mesh import Ground, Progress, errors_of, ignore
+from .mesh import POINT_BITS, Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
@@ -40,7 +40,7 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     at most, as that is what the samples' negative weights add up to.
     """
     around, heights = int(ground.packed.bicubic), ground.field.heights()
-    low, high = (_reduce(_reduce(heights, 4, r, 1, around), 4, r, 0, around) for r in (np.minimum, np.maximum))
+    low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:
         more = ground.packed.detail_most + around * 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
@@ -53,17 +53,6 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     b.base, b.width = shared(base, wp.int32), shared(width, wp.int32)
     b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
     return b
-
-
-def _reduce(samples: np.ndarray, side: int, reduce, axis: int, around: int) -> np.ndarray:
-    """The least or greatest of the samples of every `side` cells, both ends and `around` more, along one axis."""
-    cells = samples.shape[axis] - 1
-    blocks = -(-cells // side)
-    first = np.arange(blocks) * side
-    result = np.take(samples, first, axis)
-    for k in range(-around, side + 1 + around):
-        reduce(result, np.take(samples, np.clip(first + k, 0, cells), axis), out=result)
-    return result
 
 
 def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernels.Eye:
@@ -179,19 +168,22 @@ class Sight:
         the same at the visible points.
         """
         seen, unseen, states = [self.point_errors(*there)], [], self.states()
-        height, width = before.shape
-        flat = [shared(states, wp.uint8), *(shared(a.reshape(-1), wp.float32) for a in (before, after))]
+        (height, width), bits = before.shape, self.ground.bits + POINT_BITS
         for row, rows in _row_blocks(height, width):
-            pixels, state = np.zeros(rows * width, np.float32), states[row * width :][: rows * width]
-            inputs = [row, self.ground.packed, self.eye, *flat, shared(pixels, wp.float32)]
-            self._launch(screen_kernels.sample_errors, rows, inputs, cost=2.0 * width)
-            seen.append(pixels[state == int(screen_kernels.VISIBLE)])
-            unseen.append(pixels[state == int(screen_kernels.HIDDEN)])
+            start, end = row * width, (row + rows) * width
+            at = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
+            points = np.stack([at % width, at // width], axis=1) << bits
+            pixels = self._apart(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
+            seen.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
+            unseen.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
         return errors_of(np.concatenate(seen)), errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """float32 [n]: pixels between two heights (float64 [n], metres above the reference) of the visible points."""
-        points = self.visible_points()
+        return self._apart(self.visible_points(), before, after)
+
+    def _apart(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The same of any points in the frame, int64 [n, 2]."""
         pixels = np.zeros(len(points), np.float32)
         inputs = [self.ground.packed, self.eye]
         inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]

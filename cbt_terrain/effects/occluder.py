@@ -8,13 +8,15 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import horizon as kernels
-from ..field.blocks import halvings, stacked
+from ..field.blocks import halvings, over_cells, stacked
 from ..field.codes import packed
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat, shared
 from .effect import Places
 
+# Rows of samples that are looked at together, whole blocks.
+ROWS = 256
 # Places of one launch: between two launches the work can be stopped.
 AT_ONCE = 1 << 14
 # Of the largest height: more than float64 can lose between a sample and a height of the profile.
@@ -24,11 +26,10 @@ MARGIN = 1e-9
 def occluder_of(places: Places) -> kernels.Occluder:
     """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
-    sign = -1.0 if occluder.scale < 0.0 else 1.0
-    kept = places.field.found
-    if ("tops", sign) not in kept:
-        kept["tops", sign] = find_tops(occluder, sign, places.threads)
-    tops, first, wide = kept["tops", sign]
+    reduce, kept = np.minimum if occluder.scale < 0.0 else np.maximum, places.field.found
+    if ("tops", reduce) not in kept:
+        kept["tops", reduce] = find_tops(places.field, reduce)
+    tops, first, wide = kept["tops", reduce]
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
     occluder.levels = len(wide)
     return occluder
@@ -49,14 +50,12 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
     return occluder
 
 
-def find_tops(occluder: kernels.Occluder, sign: float, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The highest samples of all blocks (with sign -1 the lowest), float32, level after level from FINEST on; the first
-    of each level and how many are in its rows, int32 [levels], with nothing for those below FINEST."""
-    wide, high = (((n - 2) >> kernels.FINEST) + 1 for n in (occluder.columns, occluder.rows))
-    finest = np.empty((high, wide), np.float32)
-    inputs = [occluder, wp.float32(sign), flat(finest, wp.float32)]
-    launch.spread(kernels.finest_tops, high, inputs, step="light", threads=threads, cost=4.0 * occluder.columns)
-    return stacked(halvings(finest, np.maximum if sign > 0 else np.minimum), int(kernels.FINEST))
+def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The highest samples of all blocks (with np.minimum the lowest), float32, level after level from FINEST on; the
+    first of each level and how many are in its rows, int32 [levels], with nothing for those below FINEST."""
+    side, rows = 1 << kernels.FINEST, range(0, field.lattice.height - 1, ROWS)
+    finest = np.concatenate([over_cells(field.heights(slice(row, row + ROWS + 1)), side, reduce) for row in rows])
+    return stacked(halvings(finest, reduce), int(kernels.FINEST))
 
 
 def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> None:

@@ -38,7 +38,6 @@ class Drainage:
     to: np.ndarray
     order: np.ndarray
     catchments: np.ndarray
-    threads: int = 1
 
     def packed(self, filled: np.ndarray) -> kernels.Drainage:
         """As kernels read it; memory is shared. filled: float32 [n]."""
@@ -57,8 +56,8 @@ class Drainage:
         """float64 [n]: how many samples drain through each, by multiple flow directions; nothing is lost."""
         count, d = len(self.to), self.packed(filled)
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
-        inputs = [count, d, flat(key, wp.float32), flat(item, wp.int32)]
-        launch.spread(catchment.take_in_reverse, count, inputs, step="routing", threads=self.threads)
+        item[:count] = self.order[::-1]  # receivers before donors
+        np.take(filled, item[:count], out=key[:count])
         launch.sort_pairs(key, item, count, step="routing")
         area = np.ones(count)
         d.area = flat(area, wp.float64)
@@ -94,13 +93,11 @@ def route(
     base = base.reshape(-1)
     h = heights.reshape(-1) + np.float32(0.0)  # a sort tells -0 from 0
     count, pits = len(h), np.zeros(1, np.int32)
-    to, donors, order, label = (np.empty(count, kind) for kind in (np.uint8, np.uint8, np.int32, np.int32))
-    label[:] = 0
-    area = np.ones(count) if own is None else own.astype(np.float64).reshape(-1)
+    to, donors, order = (np.empty(count, kind) for kind in (np.uint8, np.uint8, np.int32))
     d = kernels.Drainage()
     d.grid = grid = grid_of(rows, columns, step_x, step_y)
     d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
-    d.label, d.order, d.area = flat(label, wp.int32), flat(order, wp.int32), flat(area, wp.float64)
+    d.label, d.order = flat(np.zeros(count, np.int32), wp.int32), flat(order, wp.int32)
     work = {"step": "routing", "threads": threads}
     inputs = [d, _nearness(grid, draw), draw or routing.Draw()]
     launch.spread(routing.find_receivers, rows, inputs, cost=columns / 8, **work)
@@ -108,8 +105,10 @@ def route(
     if pits[0]:
         _link(d, int(pits[0]), threads)
     launch.spread(routing.count_donors, rows, [d], cost=columns / 16, **work)
+    area = np.ones(count) if own is None else own.astype(np.float64).reshape(-1)
+    d.area = flat(area, wp.float64)
     launch.once(routing.order_downstream, [d], step="routing")
-    return Drainage(grid, h, base, to, order, area, threads)
+    return Drainage(grid, h, base, to, order, area)
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:

@@ -4,6 +4,19 @@
 import numpy as np
 
 
+def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0) -> np.ndarray:
+    """`reduce` (np.maximum, np.minimum) of the samples [rows, columns] of every `side` x `side` cells, those on their
+    border and `around` more on each side; a last block that is cut off has what there is."""
+    for axis in (0, 1):
+        last = samples.shape[axis] - 1
+        first = np.arange(0, last, side)
+        found = np.take(samples, first, axis)
+        for k in range(-around, side + 1 + around):
+            reduce(found, np.take(samples, np.clip(first + k, 0, last), axis), out=found)
+        samples = found
+    return samples
+
+
 def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
     """`finest`, [rows, columns, ...], and level after level `reduce` (np.maximum, np.minimum) of each 2 x 2; a last odd
     row or column stands alone."""

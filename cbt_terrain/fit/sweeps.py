@@ -38,9 +38,10 @@ class Sweeps:
         self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0
         self.buffers.numpy("fit_corner_verts")[: 3 * triangles] = surface.corner_verts
         self.buffers.numpy("fit_level")[:triangles] = surface.level
-        spread = self.fitter.spread
-        spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
-        spread(binding.begin, triangles, [self.m])
+        self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)
+        self.buffers.numpy("fit_awake")[:triangles] = -1
+        self.look_again(slice(None))
+        self.fitter.spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
     def _reserve(self, triangles: int, vertices: int) -> None:
         """Make room; what was there is lost."""
@@ -70,7 +71,7 @@ class Sweeps:
         """bool [T]: whether a triangle is farther from the surface than it may be."""
         return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound
 
-    def look_again(self, which: np.ndarray) -> None:
+    def look_again(self, which: np.ndarray | slice) -> None:
         """Triangles that a sweep is to measure."""
         self.buffers.numpy("fit_worst")[: self.triangles][which] = mesh_kernels.NOT_MEASURED.value
 

@@ -32,8 +32,8 @@ class Flood:
 
     `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
     and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
-    where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: float64 [1], the sum of
-    what has left there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
+    where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: the sum of what has left
+    there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
     east and in the north; `pushed`, like them, and `part`, like one, are scratch. They have a row before and after the
     raster's.
     """
@@ -45,7 +45,7 @@ class Flood:
     rain: np.ndarray
     outlets: np.ndarray
     deep: np.ndarray
-    left: np.ndarray
+    left: float
     fluxes: np.ndarray
     pushed: np.ndarray
     part: np.ndarray
@@ -54,7 +54,7 @@ class Flood:
     @property
     def volume(self) -> float:
         """m^3 of water on the bed and of what has left."""
-        samples = math.fsum(self.water.ravel().tolist()) + float(self.left[0])
+        samples = math.fsum(self.water.ravel().tolist()) + self.left
         return samples * self.metres[0] * self.metres[1]
 
 
@@ -83,11 +83,11 @@ def still(
     rim = holes.copy()
     rim[[0, -1]] = True
     rim[:, [0, -1]] = True
-    outlets = np.flatnonzero(rim).astype(np.int32)
+    outlets = np.flatnonzero(rim)
     deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
     fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    made = depth, metres, rough, rains, outlets, deep, np.zeros(1), *fluxes, np.ones_like(fluxes[0][0])
+    made = depth, metres, rough, rains, outlets, deep, 0.0, *fluxes, np.ones_like(fluxes[0][0])
     return Flood(bed, *made, threads)
 
 
@@ -140,8 +140,10 @@ def _advance(flood: Flood, dt: float) -> None:
     s.part = flat(flood.part[1:], wp.float64)
     for phase in (kernels.push, kernels.limit, kernels.move):
         launch.spread(phase, s.height, [s], **work)
-    ends = [flat(flood.outlets, wp.int32), flat(flood.deep, wp.float64), s.depth, flat(flood.left, wp.float64)]
-    launch.once(kernels.leave, ends, step="flood")
+    # At an outlet water stands as high as beyond it: what is more has left the raster, what is less has come in.
+    water = flood.water.reshape(-1)
+    flood.left += float(np.sum(water[flood.outlets] - flood.deep))
+    water[flood.outlets] = flood.deep
 
 
 def speeds(flood: Flood) -> np.ndarray:

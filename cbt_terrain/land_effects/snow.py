@@ -53,19 +53,18 @@ def _fallen(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np
     """float32 [rows, columns] m: the snow that has fallen and stayed, and what of it clings to the ground."""
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
     found, sky, lee, fallen, stuck = (np.zeros((rows, columns), np.float32) for _ in range(5))
-    size = heights.size
 
-    def look(azimuth: np.ndarray, kernel, share: float, sums: np.ndarray) -> None:
+    def slopes(azimuth: np.ndarray) -> np.ndarray:
+        """Of the horizons over an azimuth."""
         sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, found, ground.first)
-        inputs = [share, flat(found, wp.float32), flat(sums, wp.float32)]
-        launch.spread(kernel, size, inputs, step="snow", threads=ground.threads, cost=0.2)
+        return found
 
     for azimuth in azimuths()[:AZIMUTHS]:
-        look(azimuth, kernels.add_sky, 1.0 / AZIMUTHS, sky)
-    for gust in GUSTS:
+        sky += np.float32(1.0 / AZIMUTHS) / (1 + np.square(slopes(azimuth)))  # the sky that is above them
+    for gust in GUSTS:  # sines of their heights: to windward for shelter, to leeward against it
         windward = _towards(values["wind"] + gust)
-        look(windward, kernels.add_shelter, 1.0 / len(GUSTS), lee)
-        look(-windward, kernels.add_shelter, -1.0 / len(GUSTS), lee)
+        lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(found))
+        lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(found))
     arrays = [flat(heights, wp.float32), flat(_bare(ground), wp.uint8), *(flat(a, wp.float32) for a in (sky, lee))]
     inputs = [_weather(ground, values), *arrays, flat(fallen, wp.float32), flat(stuck, wp.float32)]
     launch.spread(kernels.lay, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)

@@ -29,7 +29,7 @@ from ..evaluate.plan import plan
 from ..evaluate.scale import STEPS_PER_LEVEL
 from ..field.heightfield import HeightField
 from ..run import launch, partial_files
-from ..run.buffers import flat, shared
+from ..run.buffers import shared
 from . import exr, png
 from .coding import PNG, Coding, coding_of
 from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
@@ -166,7 +166,7 @@ def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress,
                         texels = _texel_places(place, tile, side, first, _band(side))
                         values = values_at(texels, [image.asked for image in together])
                     for image, file in zip(together, files, strict=True):
-                        file.add(_coded(values[image.asked.name], image, place.threads))
+                        file.add(_coded(values[image.asked.name], image))
                     done += _band(side) * side
                     on_progress(done / total)
                 for file in files:
@@ -200,22 +200,18 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
     return Places(place.field, positions, level, *scale, place.threads, place.image_level(side))
 
 
-def _coded(values: np.ndarray, image: _Image, threads: int) -> np.ndarray:
-    """A band as its file takes it."""
-    coding, width = image.coding, values.size // len(values)
-    rows = len(values) // image.side
-    if coding.form != PNG:
-        deep = np.zeros((len(values), coding.channels), np.float32)
-        deep[:, :width] = values.reshape(-1, width)
-        return deep.reshape(rows, image.side, coding.channels)
-    out = np.empty((rows, image.side * coding.channels * coding.depth // 8), np.uint8)
-    most = 255 if coding.depth == 8 else 65535
-    scale = most / (coding.high - coding.low)
-    values = _srgb(values) if coding.srgb else values
-    numbers = flat(np.ascontiguousarray(values), wp.float32)
-    inputs = [numbers, width, coding.channels, coding.low, scale, int(most > 255), flat(out, wp.uint8)]
-    launch.spread(kernels.encode, len(values), inputs, step="coding", threads=threads)
-    return out
+def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
+    """A band as its file takes it: steps from `low` to the nearest, or the numbers; channels without a value are 0."""
+    coding, kind = image.coding, np.dtype(np.float32)
+    if coding.form == PNG:
+        most, kind = (255, np.dtype(np.uint8)) if coding.depth == 8 else (65535, np.dtype(">u2"))
+        values = _srgb(values) if coding.srgb else values
+        steps = (values - np.float32(coding.low)) * np.float32(most / (coding.high - coding.low))
+        values = (np.clip(steps, 0, most) + np.float32(0.5)).astype(np.uint16)
+    out = np.zeros((len(values), coding.channels), kind)
+    out[:, : values.size // len(values)] = values.reshape(len(values), -1)
+    rows = out.reshape(-1, image.side, coding.channels)
+    return rows.view(np.uint8).reshape(len(rows), -1) if coding.form == PNG else rows
 
 
 def _srgb(linear: np.ndarray) -> np.ndarray:

@@ -19,19 +19,6 @@ class Boxes:
     high: wp.vec3d
 
 
-@wp.kernel
-def triangle_boxes(
-    offset: wp.int32, mesh: Mesh, pad: wp.float32, low: wp.array(dtype=wp.vec3f), high: wp.array(dtype=wp.vec3f)
-):
-    t = offset + wp.tid()
-    a = mesh.positions[mesh.corners[3 * t]]
-    b = mesh.positions[mesh.corners[3 * t + 1]]
-    c = mesh.positions[mesh.corners[3 * t + 2]]
-    more = wp.vec3f(pad, pad, pad)
-    low[t] = wp.min(a, wp.min(b, c)) - more
-    high[t] = wp.max(a, wp.max(b, c)) + more
-
-
 @wp.func
 def from_point(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
     return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2])) - origin

@@ -152,34 +152,6 @@ def visibility(
 
 
 @wp.kernel
-def sample_errors(
-    offset: wp.int32,
-    first_row: wp.int32,
-    ground: Ground,
-    eye: Eye,
-    state: wp.array(dtype=wp.uint8),
-    before: wp.array(dtype=wp.float32),
-    after: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.float32),
-):
-    """Pixels between the points `before` and `after` (metres above the reference) of a row of samples in the frame.
-
-    Rows of `pixels` count from `first_row`.
-    """
-    row = offset + wp.tid()
-    j = first_row + row
-    for i in range(ground.columns):
-        at = j * ground.columns + i
-        if state[at] != OUTSIDE:
-            u = wp.float64(i)
-            v = wp.float64(j)
-            z = reference_sample(ground, i, j)
-            a = to_camera(eye, u, v, z + wp.float64(before[at]))
-            b = to_camera(eye, u, v, z + wp.float64(after[at]))
-            pixels[row * ground.columns + i] = toward_zero(apart_px(eye, to_camera(eye, u, v, z), a, b))
-
-
-@wp.kernel
 def point_errors(
     offset: wp.int32,
     ground: Ground,
@@ -190,7 +162,10 @@ def point_errors(
     after: wp.array(dtype=wp.float64),
     pixels: wp.array(dtype=wp.float32),
 ):
-    """The same for visible points between the samples, in units of 2^-(bits + 7) cells."""
+    """Pixels between the points `before` and `after` (metres above the reference) of reference points in the frame.
+
+    Points are in units of 2^-(bits + 7) cells.
+    """
     p = offset + wp.tid()
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
     u = wp.float64(x[p]) * per_unit

@@ -18,17 +18,6 @@ def fill_lakes(d: Drainage):
             d.filled[i] = wp.max(d.h[i], d.filled[towards(i, wp.int32(d.to[i]), d.grid.width)])
 
 
-@wp.kernel
-def take_in_reverse(
-    offset: int, count: int, d: Drainage, key: wp.array(dtype=wp.float32), item: wp.array(dtype=wp.int32)
-):
-    """Receivers before donors, with the heights that they are to be sorted by."""
-    q = offset + wp.tid()
-    i = d.order[count - 1 - q]
-    item[q] = i
-    key[q] = d.filled[i]
-
-
 @wp.func
 def part(d: Drainage, i: wp.int32, k: wp.int32) -> wp.float64:
     """The weight of what flows from sample i in direction k, 0 for upwards."""

@@ -37,21 +37,6 @@ class Occluder:
     margin: wp.float64  # metres, above what rounding can add to a height of the profile
 
 
-@wp.kernel
-def finest_tops(offset: int, occluder: Occluder, sign: wp.float32, tops: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of the smallest blocks: the highest of their samples, or of sign -1 the lowest."""
-    y = offset + wp.tid()
-    wide = ((occluder.columns - 2) >> FINEST) + 1
-    side = 1 << FINEST
-    for x in range(wide):
-        top = wp.float32(-wp.inf)
-        for j in range(y * side, wp.min((y + 1) * side, occluder.rows - 1) + 1):
-            for i in range(x * side, wp.min((x + 1) * side, occluder.columns - 1) + 1):
-                at = wp.int64(j) * wp.int64(occluder.columns) + wp.int64(i)
-                top = wp.max(top, sign * sample_at(occluder.samples, at))
-        tops[y * wide + x] = sign * top
-
-
 @wp.func
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
     """Height, scaled, of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""

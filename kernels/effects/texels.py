@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Texels of maps: where on the ground they are, and their values as the bytes of an image."""
+"""Texels of maps: where on the ground they are."""
 
 import warp as wp
 
@@ -38,31 +38,3 @@ def texel_places(offset: int, first: int, ground: Ground, texels: Texels, out: w
         wp.float32(ground.south + cell_y * ground.step_y),
         wp.float32(height * ground.height_scale + ground.height_offset),
     )
-
-
-@wp.kernel
-def encode(
-    offset: int,
-    values: wp.array(dtype=wp.float32),
-    width: int,
-    channels: int,
-    low: float,
-    per_step: float,
-    deep: int,
-    out: wp.array(dtype=wp.uint8),
-):
-    """Texel `offset + tid`: each of its `width` values in steps from `low`, `per_step` of them a unit, to the nearest;
-    channels without a value are 0. A byte each or, where `deep` is 1, two, the higher one first."""
-    v = offset + wp.tid()
-    most = 255.0
-    if deep == 1:
-        most = 65535.0
-    for c in range(channels):
-        q = 0
-        if c < width:
-            q = int(wp.clamp((values[v * width + c] - low) * per_step, 0.0, most) + 0.5)
-        if deep == 1:
-            out[2 * (v * channels + c)] = wp.uint8(q >> 8)
-            out[2 * (v * channels + c) + 1] = wp.uint8(q & 255)
-        else:
-            out[v * channels + c] = wp.uint8(q)

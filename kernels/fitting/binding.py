@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .mesh import KNOWN, NOT_MEASURED, PINNED, Mesh
+from .mesh import KNOWN, PINNED, Mesh
 
 
 @wp.func
@@ -41,15 +41,6 @@ def gather(
             positions[v] = p
     m.z[v] = p[2]
     m.state[v] = state & PINNED
-
-
-@wp.kernel
-def begin(offset: int, m: Mesh):
-    """Every triangle is to be measured."""
-    t = offset + wp.tid()
-    m.active[t] = t
-    m.awake[t] = -1
-    m.worst[t] = NOT_MEASURED
 
 
 @wp.kernel

@@ -138,17 +138,3 @@ def move_row(water: Water, y: int): ...
 def move(offset: int, water: Water):
     """Row `offset + tid`: what the limited fluxes bring and take, and the rain."""
     move_row(water, offset + wp.tid())
-
-
-@wp.kernel
-def leave(
-    outlets: wp.array(dtype=wp.int32),
-    deep: wp.array(dtype=wp.float64),
-    water: wp.array(dtype=wp.float64),
-    left: wp.array(dtype=wp.float64),
-):
-    """Serial. At an outlet water stands as high as beyond it: what is more than `deep` metres has left the raster, what
-    is less has come in. left[0]: their sum."""
-    for k in range(outlets.shape[0]):
-        left[0] = left[0] + (water[outlets[k]] - deep[k])
-        water[outlets[k]] = deep[k]

@@ -32,20 +32,6 @@ class Weather:
 
 
 @wp.kernel
-def add_sky(offset: int, share: wp.float32, horizons: wp.array(dtype=wp.float32), sky: wp.array(dtype=wp.float32)):
-    """Sample `offset + tid`: the `share` of the sky over an azimuth that is above a horizon of this slope."""
-    i = offset + wp.tid()
-    sky[i] = sky[i] + share / (1.0 + horizons[i] * horizons[i])
-
-
-@wp.kernel
-def add_shelter(offset: int, share: wp.float32, horizons: wp.array(dtype=wp.float32), lee: wp.array(dtype=wp.float32)):
-    """The sine of the horizon's height, `share` times: to windward for shelter, to leeward against it."""
-    i = offset + wp.tid()
-    lee[i] = lee[i] + share * horizons[i] / wp.sqrt(1.0 + horizons[i] * horizons[i])
-
-
-@wp.kernel
 def lay(
     offset: int,
     weather: Weather,

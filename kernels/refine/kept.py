@@ -6,7 +6,7 @@ import warp as wp
 from ..unchecked import copy_codes, copy_items
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
-from .coherence import Subtree, carried, veil_in
+from .coherence import Subtree, carried
 from .diamond import larger, smaller
 from .emit import stands_alone
 from .pixels import CROSSED, Asked, coarsest, steady_stand_of
@@ -99,7 +99,7 @@ def take(asked: Asked, w: Walk, q: Square, c: Cursor, n: Written) -> wp.int32:
         while w.keeper[k].cell < at or (w.keeper[k].cell == at and w.keeper[k].depth < c.depth):
             seek(w, w.keeper[k].next)
         if w.keeper[k].cell == at and w.keeper[k].depth == c.depth:
-            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].known)
+            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].in_frame)
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = TAKEN
                 copy_taken(w, subtree, n)
@@ -139,19 +139,17 @@ def open_subtree(asked: Asked, w: Walk, q: Square, c: Cursor, m: Measured, band:
         opens = few or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
         stands = steady_stand_of(asked.view, m.diamond.low, m.diamond.high)
-        veil = veil_in(asked, m.diamond.low, m.diamond.high, stands, band.known)
-        if veil != 0 and stands_alone(w, q, c):
+        if stands_alone(w, q, c):
             w.keeper[k].end = q.base + c.cell + size_of(w, c.depth)
             w.keeper[k].before = n
             w.keeper[k].stopped_before = w.keeper[k].stopped
             w.keeper[k].stopped = 0
             entry = wp.int64(k) * w.room + w.keeper[k].count
-            coarse2, _told = coarsest(asked, m.diamond, 0)
+            coarse2, _inside = coarsest(asked, m.diamond, 0)
             span = wp.sqrt(m.pixel2)
             w.kept[entry].cell = q.base + c.cell
             w.kept[entry].depth = c.depth
             w.kept[entry].stands = stands
-            w.kept[entry].veil = veil
             w.kept[entry].low = m.diamond.low
             w.kept[entry].high = m.diamond.high
             w.kept[entry].fine = span

@@ -17,6 +17,8 @@ from .pixels import (
     PERSPECTIVE,
     Asked,
     LocalView,
+    least_of,
+    most_of,
     steady_stand_of,
 )
 
@@ -86,27 +88,9 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     most = now - before + spread
     if view.kind == PERSPECTIVE:
         cosine = wp.sqrt(view.cosine2)
-        least = least * cosine
-        most = most * cosine
-        was = motion.depth
-        will = view.depth
-        deep_before = was[3] + was[0] * centre[0] + was[1] * centre[1] + was[2] * centre[2]
-        deep_now = will[3] + will[0] * centre[0] + will[1] * centre[1] + will[2] * centre[2]
-        across_before = wp.abs(was[0]) * reach[0] + wp.abs(was[1]) * reach[1] + wp.abs(was[2]) * reach[2]
-        across_now = wp.abs(will[0]) * reach[0] + wp.abs(will[1]) * reach[1] + wp.abs(will[2]) * reach[2]
-        across = wp.abs(will[0] - was[0]) * reach[0] + wp.abs(will[1] - was[1]) * reach[1]
-        across += wp.abs(will[2] - was[2]) * reach[2]
-        deeper_least = deep_now - deep_before - across
-        deeper_most = deep_now - deep_before + across
-        # In the frame itself depths decide, far outside of it distances: only one of them counts.
-        if deep_before - across_before > cosine * (before + radius) and deep_now - across_now > cosine * (now + radius):
-            least = deeper_least
-            most = deeper_most
-        elif deep_before + across_before > cosine * (before - radius) or deep_now + across_now > cosine * (
-            now - radius
-        ):
-            least = smaller(least, deeper_least)
-            most = larger(most, deeper_most)
+        change = view.depth - motion.depth
+        least = smaller(least * cosine, least_of(change, low, high))
+        most = larger(most * cosine, most_of(change, low, high))
     return least, most, valid
 
 

@@ -7,7 +7,7 @@ from ..unchecked import copy_codes, copy_items
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried
-from .diamond import larger, smaller
+from .diamond import smaller
 from .emit import stands_alone
 from .pixels import CROSSED, Asked, coarsest, steady_stand_of
 from .steps import size_of
@@ -18,7 +18,6 @@ NOWHERE = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 # Of a flight over rough ground, 1 M leaves, 77 % are taken from the last frame at 16 times, 88 % at 8, 90 % at 6.
 ERRORS_KEPT = wp.constant(wp.float64(8.0))
 FEW_LEAVES = wp.constant(8)
-ALIKE = wp.constant(wp.float64(1.05))  # spans of a pixel of runs that are noted as one
 LAST_LEVELS = wp.constant(6)  # above the deepest leaves a subtree may begin whatever its errors are
 
 
@@ -47,21 +46,10 @@ def begin_keeping(w: Walk):
 
 @wp.func
 def note_points(w: Walk, first: wp.int64, before: wp.int64, points: wp.int64, coarse: wp.float64):
-    """Note a run of points that are taken, with the last one if it goes on and pixels span about as much.
-
-    Where there is no room for another run, what is in it counts as new.
-    """
+    """Note a run of points that are taken; where there is no room for it, they count as new."""
     count = w.keeper[w.slot].point_runs
-    entry = wp.int64(w.slot) * w.room + count
-    follows = wp.bool(False)
-    if count > wp.int64(0):
-        last = w.point_runs[entry - wp.int64(1)]
-        follows = last.first + last.count == first and last.before + last.count == before
-        follows = follows and larger(coarse, last.coarse) <= ALIKE * smaller(coarse, last.coarse)
-    if follows:
-        w.point_runs[entry - wp.int64(1)].count = w.point_runs[entry - wp.int64(1)].count + points
-        w.point_runs[entry - wp.int64(1)].coarse = larger(coarse, w.point_runs[entry - wp.int64(1)].coarse)
-    elif count < w.room:
+    if count < w.room:
+        entry = wp.int64(w.slot) * w.room + count
         w.point_runs[entry].first = first
         w.point_runs[entry].before = before
         w.point_runs[entry].count = points

@@ -32,7 +32,7 @@ class Walked:
         """By what part the lengths have changed that spans of a pixel are made of and compared with, all but those
         that `Motion` has; infinity if more than the camera has moved."""
         of_asked = "view_count", "measures_edges", "metres2"
-        of_view = "kind", "plane_count", "off_screen2", "fade", "fringe", "hidden2"
+        of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
         same = (
             self.leaves is not None
             and domain is self.domain

@@ -177,8 +177,9 @@ class Refinement:
         """The walk, again with more room if it needs more; (None, None) if there are more than `max_leaves`."""
         cuts, last, self._last = self._cuts(), self._last, None
         self._make_room(expected // (len(cuts) - 1))
-        # Of edges alone bands decide so fast that keeping them costs as much as it saves.
-        keeps = asked.view_count == 1 and asked.error_px2 < math.inf
+        # Of edges alone bands decide so fast that keeping them costs as much as it saves; what is hidden changes with
+        # each map of horizons.
+        keeps = asked.view_count == 1 and asked.error_px2 < math.inf and not asked.view.rings.count
         if keeps:
             for name in WRITTEN:
                 self.buffers.swap(name, "last_" + name)

@@ -117,13 +117,13 @@ def judge(
         looks = p.number >= 0
     # What is certain to be split is measured for what can be said below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
-        m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.known)
+        m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.in_frame)
         measured = 1
         looks = wp.bool(False)
         if too_coarse(asked, asked.limit, m):
             last = last_split(asked, limits, w, step, m)
             if p.number >= 0:
-                band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.known)
+                band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.in_frame)
                 w.stack[top].band = band
                 looks = wp.bool(True)
                 if own <= band.leaf_up_to:

@@ -9,6 +9,7 @@ flat or planar map has an error of exactly zero.
 
 import warp as wp
 
+from ..unchecked import item_at
 from .layout import Depth, child, diamond, entry, holds
 
 
@@ -21,42 +22,16 @@ def round_up(value: wp.float64):
     return single
 
 
-@wp.func_native("""
-#pragma clang fp contract(off)
-    typedef float singles __attribute__((vector_size(16)));
-    typedef double doubles __attribute__((vector_size(32)));
-    typedef long long bits __attribute__((vector_size(32)));
-    const float* row = h.data + first;
-    const bits magnitude = {0x7fffffffffffffffLL, 0x7fffffffffffffffLL, 0x7fffffffffffffffLL, 0x7fffffffffffffffLL};
-    doubles at = {0.0, 1.0, 2.0, 3.0};
-    doubles most = {0.0, 0.0, 0.0, 0.0};
-    int i = 0;
-    for (; i + 4 <= count; i += 4) {
-        singles four;
-        __builtin_memcpy(&four, row + i, sizeof(four));
-        const doubles signed_distance = __builtin_convertvector(four, doubles) - (plane + slope * at);
-        const doubles distance = (doubles)((bits)signed_distance & magnitude);
-        const bits more = distance > most;
-        most = (doubles)(((bits)distance & more) | ((bits)most & ~more));
-        at += 4.0;
-    }
-    double largest = 0.0;
-    for (int k = 0; k < 4; ++k)
-        largest = most[k] > largest ? most[k] : largest;
-    for (; i < count; ++i) {
-        const double distance = (double)row[i] - (plane + slope * (double)i);
-        largest = distance > largest ? distance : (-distance > largest ? -distance : largest);
-    }
-    return largest;
-""")
+@wp.func
 def row_error(
     h: wp.array(dtype=wp.float32), first: int, count: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
-    """Largest distance between `count` samples of a row from index `first` on and the plane along that row.
-
-    Nearly all time of the hierarchy passes here. As C with vectors it is four times faster than Warp's scalar loop.
-    """
-    ...
+    """Largest distance between `count` samples of a row from index `first` on and the plane along that row."""
+    largest = wp.float64(0.0)
+    for i in range(count):
+        distance = wp.abs(wp.float64(item_at(h, first + i)) - (plane + slope * wp.float64(i)))
+        largest = wp.where(distance > largest, distance, largest)
+    return largest
 
 
 @wp.func
@@ -141,6 +116,37 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, own: Depth, 
     return largest
 
 
+@wp.func
+def corner_error(
+    h: wp.array(dtype=wp.float32),
+    width: int,
+    height: int,
+    x: int,
+    y: int,
+    right: int,
+    up: int,
+    legs: int,
+    plane: wp.float64,
+    slope_x: wp.float64,
+    slope_y: wp.float64,
+    known: wp.float64,
+):
+    """`known`, or more where the surface over a right triangle is farther from a plane: in its rows of samples, and
+    along its diagonal.
+
+    From its corner (x, y), where the plane has the height `plane`, legs of so many samples go east (`right` 1) or west
+    (-1), and north (`up` 1) or south (-1). Slopes are those of a sample.
+    """
+    largest = known
+    for j in range(legs):  # the last row is a vertex
+        first = wp.min(right, 0) * (legs - j)
+        start = plane + slope_x * wp.float64(first) + slope_y * wp.float64(up * j)
+        largest = row_inside(h, width, height, x + first, y + up * j, legs + 1 - j, start, slope_x, largest)
+    start = plane + slope_y * wp.float64(up * legs)
+    slope = slope_x * wp.float64(right) - slope_y * wp.float64(up)
+    return diagonal_inside(h, width, height, x, y + up * legs, right, -up, legs, start, slope, largest)
+
+
 @wp.kernel
 def centre_errors(
     offset: int,
@@ -154,102 +160,24 @@ def centre_errors(
     own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the centres of cells of `side` samples (at least 2).
+    """Diamonds at the centres of cells of `side` samples (at least 2): a triangle at either end of a diagonal.
 
     `root` is 1 where these cells are the root squares. `measured`: what of `h` counts, NaN elsewhere.
     """
     p = diamond(own, offset + wp.tid())
-    x = p[0] * side
-    y = p[1] * side
-    h00 = corner(h, width, height, x, y)
-    h10 = corner(h, width, height, x + side, y)
-    h01 = corner(h, width, height, x, y + side)
-    h11 = corner(h, width, height, x + side, y + side)
+    rises = root == 1 or ((p[0] + p[1]) & 1) == 1  # the diagonal on which the triangles' corners are
     n = wp.float64(side)
-    rows = wp.min(side + 1, height - y)
     largest = wp.float64(0.0)
-    if root == 1 or ((p[0] + p[1]) & 1) == 1:
-        # Anti-diagonal: triangles at the south-west and at the north-east corner.
-        for j in range(rows):
-            v = wp.float64(j)
-            low = h00 + (h01 - h00) / n * v
-            slope = (h10 - h00) / n
-            largest = row_inside(measured, width, height, x, y + j, side + 1 - j, low, slope, largest)
-            high = h10 + (h11 - h10) / n * v
-            slope = (h11 - h01) / n
-            largest = row_inside(measured, width, height, x + side - j, y + j, j + 1, high - slope * v, slope, largest)
-        largest = diagonal_inside(measured, width, height, x, y + side, 1, -1, side, h01, (h10 - h01) / n, largest)
-    else:
-        for j in range(rows):
-            v = wp.float64(j)
-            left = h00 + (h01 - h00) / n * v
-            largest = row_inside(measured, width, height, x, y + j, j + 1, left, (h11 - h01) / n, largest)
-            slope = (h10 - h00) / n
-            middle = h00 + (h11 - h10) / n * v + slope * v
-            largest = row_inside(measured, width, height, x + j, y + j, side + 1 - j, middle, slope, largest)
-        largest = diagonal_inside(measured, width, height, x, y, 1, 1, side, h00, (h11 - h00) / n, largest)
+    for k in range(2):
+        right = 1 - 2 * k
+        up = wp.where(rises, right, -right)
+        x = (p[0] + k) * side
+        y = (p[1] + wp.where(up > 0, 0, 1)) * side
+        z = corner(h, width, height, x, y)
+        slope_x = wp.float64(right) * (corner(h, width, height, x + right * side, y) - z) / n
+        slope_y = wp.float64(up) * (corner(h, width, height, x, y + up * side) - z) / n
+        largest = corner_error(measured, width, height, x, y, right, up, side, z, slope_x, slope_y, largest)
     errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
-
-
-@wp.func
-def flat_base_error(
-    h: wp.array(dtype=wp.float32),
-    measured: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    x: int,
-    y: int,
-    half: int,
-    up: int,
-):
-    """Error of the triangle with a west-east longest edge about (x, y), apex `half` rows north (up 1) or south (-1)."""
-    west = corner(h, width, height, x - half, y)
-    east = corner(h, width, height, x + half, y)
-    apex = corner(h, width, height, x, y + up * half)
-    n = wp.float64(half)
-    slope = (east - west) / (wp.float64(2.0) * n)
-    rise = (apex - wp.float64(0.5) * (west + east)) / n
-    largest = wp.float64(0.0)
-    for i in range(half + 1):
-        plane = west + (slope + rise) * wp.float64(i)
-        largest = row_inside(
-            measured, width, height, x - half + i, y + up * i, 2 * (half - i) + 1, plane, slope, largest
-        )
-    largest = diagonal_inside(measured, width, height, x - half, y, 1, up, half, west, slope + rise, largest)
-    return diagonal_inside(measured, width, height, x + half, y, -1, up, half, east, rise - slope, largest)
-
-
-@wp.func
-def upright_base_error(
-    h: wp.array(dtype=wp.float32),
-    measured: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    x: int,
-    y: int,
-    half: int,
-    right: int,
-):
-    """Error of the triangle with a south-north longest edge about (x, y), apex `half` columns east (1) or west (-1)."""
-    south = corner(h, width, height, x, y - half)
-    north = corner(h, width, height, x, y + half)
-    apex = corner(h, width, height, x + right * half, y)
-    n = wp.float64(half)
-    middle = wp.float64(0.5) * (south + north)
-    slope = (north - south) / (wp.float64(2.0) * n)
-    rise = (apex - middle) / n
-    largest = wp.float64(0.0)
-    for i in range(2 * half + 1):
-        v = i - half
-        reach = half - wp.abs(v)
-        plane = middle + slope * wp.float64(v)
-        if right == 1:
-            largest = row_inside(measured, width, height, x, y + v, reach + 1, plane, rise, largest)
-        else:
-            west = plane + rise * wp.float64(reach)
-            largest = row_inside(measured, width, height, x - reach, y + v, reach + 1, west, -rise, largest)
-    largest = diagonal_inside(measured, width, height, x, y - half, right, 1, half, south, slope + rise, largest)
-    return diagonal_inside(measured, width, height, x, y + half, right, -1, half, north, rise - slope, largest)
 
 
 @wp.kernel
@@ -264,29 +192,39 @@ def side_errors(
     own: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the middles of cells' sides, `half` samples from the ends of the side; `measured` as before."""
+    """Diamonds at the middles of cells' sides, `half` samples from the ends of the side; `measured` as before. The
+    triangle on either side of it is two right ones with their corners in the middle."""
     p = diamond(own, offset + wp.tid())
     if not holds(own, p):
         return
     x = p[0] * half
     y = p[1] * half
     flat = p[0] & 1
+    along = wp.vec2i(flat, 1 - flat)
+    begin = corner(h, width, height, x - along[0] * half, y - along[1] * half)
+    end = corner(h, width, height, x + along[0] * half, y + along[1] * half)
+    middle = wp.float64(0.5) * (begin + end)
+    n = wp.float64(half)
     largest = wp.float64(0.0)
     if half == 1:
         # Only the sample in the middle is not a corner, and along a leg the distance is a quarter of a cell's twist,
         # which the children hold already.
-        plane = corner(h, width, height, x - flat, y - 1 + flat) + corner(h, width, height, x + flat, y + 1 - flat)
-        largest = row_inside(measured, width, height, x, y, 1, wp.float64(0.5) * plane, wp.float64(0.0), largest)
-    elif flat == 1:
-        if y > 0:
-            largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, -1))
-        if p[1] < own.rows:
-            largest = wp.max(largest, flat_base_error(h, measured, width, height, x, y, half, 1))
+        largest = row_inside(measured, width, height, x, y, 1, middle, wp.float64(0.0), largest)
     else:
-        if x > 0:
-            largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, -1))
-        if p[0] < own.columns:
-            largest = wp.max(largest, upright_base_error(h, measured, width, height, x, y, half, 1))
+        slope = (end - begin) / (wp.float64(2.0) * n)
+        for k in range(4):
+            right = 1 - 2 * (k & 1)
+            up = 1 - (k & 2)
+            across = wp.where(flat == 1, up, right)
+            apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
+            if holds(own, apex):
+                z = corner(h, width, height, apex[0] * half, apex[1] * half)
+                rise = wp.float64(across) * (z - middle) / n
+                slope_x = wp.where(flat == 1, slope, rise)
+                slope_y = wp.where(flat == 1, rise, slope)
+                largest = corner_error(
+                    measured, width, height, x, y, right, up, half, middle, slope_x, slope_y, largest
+                )
     errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
 
 

@@ -61,7 +61,7 @@ class Band:
     leaf_depth: wp.int32  # from it on they do not; both end one below the deepest leaves
     calm: wp.int32  # 1: no error below asks for a split, so that depths alone decide
     even_depth: wp.int32  # ... and all leaves are of this depth; 0: they may differ
-    known: wp.int32  # of the box, see pixels.py
+    in_frame: wp.int32  # 1: the frustums of all views hold it
 
 
 @wp.func
@@ -84,12 +84,12 @@ def limits_of(asked: Asked, slack: wp.float64) -> Limits:
 
 @wp.func
 def measured_at(
-    domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32, error: wp.float32, known: wp.int32
+    domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32, error: wp.float32, in_frame: wp.int32
 ) -> Measured:
-    """Measure the diamond split at (x, y); known: what is known of its box."""
+    """Measure the diamond split at (x, y); in_frame: 1 where it is known that the frustums hold its box."""
     m = Measured()
     m.diamond = diamond_at(domain, x, y, depth)
-    m.pixel2 = finest(asked, m.diamond, known)
+    m.pixel2 = finest(asked, m.diamond, in_frame)
     m.own = wp.float64(error) * domain.error_scale
     m.rest = rest_of(domain, m.diamond)
     m.metres2 = metres2_of(domain, error, m.rest)
@@ -164,7 +164,7 @@ def band_below(
     m: Measured,
     depth: wp.int32,
     max_depth: wp.int32,
-    known: wp.int32,
+    in_frame: wp.int32,
 ) -> Band:
     """What is certain below a diamond that is split, from `limits` up to `coarse`, the same ones but in a count."""
     band = Band()
@@ -178,9 +178,9 @@ def band_below(
     if band.calm == 1 and band.leaf_depth == depth + 1:  # whatever the coarsest pixel is
         band.split_above = wp.float64(wp.inf)
         band.split_depth = depth + 1
-        band.known = known
+        band.in_frame = in_frame
     else:
-        coarse2, told = coarsest(asked, m.diamond, known)
+        coarse2, inside = coarsest(asked, m.diamond, in_frame)
         coarse2 = coarse2 * limits.coarser
         band.split_above = wp.float64(wp.inf)
         if m.own > wp.float64(0.0):
@@ -188,7 +188,7 @@ def band_below(
             band.split_above = own_for(domain, above, domain.rounding)
         if asked.measures_edges == 1:
             band.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
-        band.known = told
+        band.in_frame = inside
     if band.calm == 1 and band.split_depth == band.leaf_depth:
         band.even_depth = wp.min(band.leaf_depth, max_depth)
     return band

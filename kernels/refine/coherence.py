@@ -11,17 +11,15 @@ import warp as wp
 
 from .diamond import larger, smaller
 from .pixels import (
-    BARE,
     CLEAR,
-    HIDDEN,
-    IN_FRAME,
     ORTHOGRAPHIC,
     OUTSIDE,
     PERSPECTIVE,
     Asked,
     LocalView,
+    least_of,
+    most_of,
     steady_stand_of,
-    veil_of,
 )
 
 NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
@@ -35,7 +33,6 @@ class Subtree:
     cell: wp.uint64  # first deepest cell, all squares in a row
     depth: wp.int32
     stands: wp.int32  # in the frustum or outside: CLEAR or OUTSIDE
-    veil: wp.int32  # BARE, or HIDDEN by nearer ground
     leaves: wp.int32
     vertices: wp.int32  # new ones
     edges: wp.int32
@@ -91,37 +88,10 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     most = now - before + spread
     if view.kind == PERSPECTIVE:
         cosine = wp.sqrt(view.cosine2)
-        least = least * cosine
-        most = most * cosine
-        was = motion.depth
-        will = view.depth
-        deep_before = was[3] + was[0] * centre[0] + was[1] * centre[1] + was[2] * centre[2]
-        deep_now = will[3] + will[0] * centre[0] + will[1] * centre[1] + will[2] * centre[2]
-        across_before = wp.abs(was[0]) * reach[0] + wp.abs(was[1]) * reach[1] + wp.abs(was[2]) * reach[2]
-        across_now = wp.abs(will[0]) * reach[0] + wp.abs(will[1]) * reach[1] + wp.abs(will[2]) * reach[2]
-        across = wp.abs(will[0] - was[0]) * reach[0] + wp.abs(will[1] - was[1]) * reach[1]
-        across += wp.abs(will[2] - was[2]) * reach[2]
-        deeper_least = deep_now - deep_before - across
-        deeper_most = deep_now - deep_before + across
-        # In the frame itself depths decide, far outside of it distances: only one of them counts.
-        if deep_before - across_before > cosine * (before + radius) and deep_now - across_now > cosine * (now + radius):
-            least = deeper_least
-            most = deeper_most
-        elif deep_before + across_before > cosine * (before - radius) or deep_now + across_now > cosine * (
-            now - radius
-        ):
-            least = smaller(least, deeper_least)
-            most = larger(most, deeper_most)
+        change = view.depth - motion.depth
+        least = smaller(least * cosine, least_of(change, low, high))
+        most = larger(most * cosine, most_of(change, low, high))
     return least, most, valid
-
-
-@wp.func
-def veil_in(asked: Asked, low: wp.vec3d, high: wp.vec3d, stands: wp.int32, known: wp.int32) -> wp.int32:
-    """As `veil_of`, of the first view; BARE also where a box is as coarse outside the frustum as if it were hidden."""
-    veil = wp.int32(BARE)
-    if stands != OUTSIDE or asked.view.off_screen2 < asked.view.hidden2:
-        veil = veil_of(asked.view, asked.slopes, low, high, known)
-    return veil
 
 
 @wp.func
@@ -135,8 +105,6 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     coarser2 = wp.float64(1.0)
     if kept.stands == OUTSIDE:
         coarser2 = view.off_screen2
-    if kept.veil == HIDDEN:
-        coarser2 = larger(coarser2, view.hidden2)
     span = wp.sqrt(view.pixel2) * wp.sqrt(coarser2)
     growth = motion.ratio - wp.float64(1.0)
     # Spans drift, and so do those at which diamonds are decided otherwise.
@@ -147,10 +115,10 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
 
 
 @wp.func
-def carried(asked: Asked, motion: Motion, kept: Subtree, known: wp.int32):
+def carried(asked: Asked, motion: Motion, kept: Subtree, in_frame: wp.int32):
     """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
 
-    known: what is known of it, see pixels.py.
+    in_frame: 1 where it is known that the frustum holds it.
     """
     least, most, holds = span_change(asked.view, motion, kept)
     kept.fall = kept.fall + least
@@ -160,11 +128,9 @@ def carried(asked: Asked, motion: Motion, kept: Subtree, known: wp.int32):
         holds = 0
     if holds == 1:
         stands = CLEAR
-        if (known & IN_FRAME) == 0:
+        if in_frame == 0:
             stands = steady_stand_of(asked.view, kept.low, kept.high)
         holds = wp.where(stands == kept.stands, 1, 0)
-    if holds == 1 and veil_in(asked, kept.low, kept.high, kept.stands, known) != kept.veil:
-        holds = 0
     if holds == 1:
         kept.fine = kept.fine + least
         kept.coarse = kept.coarse + most

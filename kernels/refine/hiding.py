@@ -39,7 +39,6 @@ ROW = wp.constant(1024)  # of all: entries of a ring
 RING_BITS = wp.constant(47)  # of a float64's 52 behind the first that tell no rings apart
 # A box that meets more is not called hidden; so those below it that are hidden are found one by one.
 MOST_BINS = wp.constant(256)
-MOST_ENTRIES = wp.constant(1024)  # ... nor bare, of all its rings
 
 
 @wp.struct
@@ -198,34 +197,3 @@ def covered(
                     k += 1
             side += 1
     return part
-
-
-@wp.func
-def is_bare(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d) -> wp.bool:
-    """Whether it is certain that no box inside this one is hidden: none is as low as the entries of any ring in it."""
-    zero = wp.float64(0.0)
-    near = nearest_of(low, high)
-    far = farthest_of(low, high)
-    last = wp.min(ring_of(far) - rings.first, rings.count - 1)
-    ring = wp.max(wp.min(ring_of(near) - rings.first, rings.count - 1), 0)
-    bare = near > zero or last < 0
-    left = wp.int32(MOST_ENTRIES)
-    while bare and ring <= last:
-        inner = wp.max(near, radius_of(rings.first + ring))
-        outer = far
-        if ring < last:
-            outer = radius_of(rings.first + ring + 1)
-        lowest = wp.where(low[2] < zero, low[2] / inner, low[2] / outer)
-        row = rings.at + (ring + 1) * ROW
-        side = wp.int32(0)
-        while bare and side < 4:
-            bins = bins_of(side, low, high, near)
-            left -= bins[1] - bins[0] + 1
-            bare = left >= 0
-            k = bins[0]
-            while bare and k <= bins[1]:
-                bare = wp.float64(slopes[row + k]) <= lowest
-                k += 1
-            side += 1
-        ring += 1
-    return bare

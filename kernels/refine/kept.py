@@ -6,8 +6,8 @@ import warp as wp
 from ..unchecked import copy_codes, copy_items
 from .band import DOUBT, TAKEN, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
-from .coherence import Subtree, carried, veil_in
-from .diamond import larger, smaller
+from .coherence import Subtree, carried
+from .diamond import smaller
 from .emit import stands_alone
 from .pixels import CROSSED, Asked, coarsest, steady_stand_of
 from .steps import size_of
@@ -18,7 +18,6 @@ NOWHERE = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 # Of a flight over rough ground, 1 M leaves, 77 % are taken from the last frame at 16 times, 88 % at 8, 90 % at 6.
 ERRORS_KEPT = wp.constant(wp.float64(8.0))
 FEW_LEAVES = wp.constant(8)
-ALIKE = wp.constant(wp.float64(1.05))  # spans of a pixel of runs that are noted as one
 LAST_LEVELS = wp.constant(6)  # above the deepest leaves a subtree may begin whatever its errors are
 
 
@@ -47,21 +46,10 @@ def begin_keeping(w: Walk):
 
 @wp.func
 def note_points(w: Walk, first: wp.int64, before: wp.int64, points: wp.int64, coarse: wp.float64):
-    """Note a run of points that are taken, with the last one if it goes on and pixels span about as much.
-
-    Where there is no room for another run, what is in it counts as new.
-    """
+    """Note a run of points that are taken; where there is no room for it, they count as new."""
     count = w.keeper[w.slot].point_runs
-    entry = wp.int64(w.slot) * w.room + count
-    follows = wp.bool(False)
-    if count > wp.int64(0):
-        last = w.point_runs[entry - wp.int64(1)]
-        follows = last.first + last.count == first and last.before + last.count == before
-        follows = follows and larger(coarse, last.coarse) <= ALIKE * smaller(coarse, last.coarse)
-    if follows:
-        w.point_runs[entry - wp.int64(1)].count = w.point_runs[entry - wp.int64(1)].count + points
-        w.point_runs[entry - wp.int64(1)].coarse = larger(coarse, w.point_runs[entry - wp.int64(1)].coarse)
-    elif count < w.room:
+    if count < w.room:
+        entry = wp.int64(w.slot) * w.room + count
         w.point_runs[entry].first = first
         w.point_runs[entry].before = before
         w.point_runs[entry].count = points
@@ -99,7 +87,7 @@ def take(asked: Asked, w: Walk, q: Square, c: Cursor, n: Written) -> wp.int32:
         while w.keeper[k].cell < at or (w.keeper[k].cell == at and w.keeper[k].depth < c.depth):
             seek(w, w.keeper[k].next)
         if w.keeper[k].cell == at and w.keeper[k].depth == c.depth:
-            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].known)
+            subtree, holds = carried(asked, w.motion, w.last_kept[w.keeper[k].next], w.bands[c.held].in_frame)
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = TAKEN
                 copy_taken(w, subtree, n)
@@ -139,19 +127,17 @@ def open_subtree(asked: Asked, w: Walk, q: Square, c: Cursor, m: Measured, band:
         opens = few or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
         stands = steady_stand_of(asked.view, m.diamond.low, m.diamond.high)
-        veil = veil_in(asked, m.diamond.low, m.diamond.high, stands, band.known)
-        if veil != 0 and stands_alone(w, q, c):
+        if stands_alone(w, q, c):
             w.keeper[k].end = q.base + c.cell + size_of(w, c.depth)
             w.keeper[k].before = n
             w.keeper[k].stopped_before = w.keeper[k].stopped
             w.keeper[k].stopped = 0
             entry = wp.int64(k) * w.room + w.keeper[k].count
-            coarse2, _told = coarsest(asked, m.diamond, 0)
+            coarse2, _inside = coarsest(asked, m.diamond, 0)
             span = wp.sqrt(m.pixel2)
             w.kept[entry].cell = q.base + c.cell
             w.kept[entry].depth = c.depth
             w.kept[entry].stands = stands
-            w.kept[entry].veil = veil
             w.kept[entry].low = m.diamond.low
             w.kept[entry].high = m.diamond.high
             w.kept[entry].fine = span

@@ -8,7 +8,7 @@ its parent's.
 import warp as wp
 
 from .diamond import Diamond, larger, smaller
-from .hiding import Rings, covered, is_bare, is_hidden
+from .hiding import Rings, covered, is_hidden
 
 PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
@@ -16,10 +16,6 @@ PANORAMIC = wp.constant(2)
 CLEAR = wp.constant(1)
 OUTSIDE = wp.constant(0)
 CROSSED = wp.constant(-1)
-# What is known of a box, and so of those inside it, by all views: bits.
-IN_FRAME = wp.constant(1)  # the frustum holds it
-BARE = wp.constant(2)  # nearer ground hides none of it
-HIDDEN = wp.constant(4)  # ... all of it, at once
 MAX_PLANES = wp.constant(6)
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
@@ -213,25 +209,6 @@ def veiled2(hidden2: wp.float64, veil: wp.float64, part: wp.float64) -> wp.float
 
 
 @wp.func
-def veil_of(
-    view: LocalView, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d, known: wp.int32
-) -> wp.int32:
-    """Whether nearer ground hides all of a box (HIDDEN), none of it (BARE), or perhaps some of it (0).
-
-    By degrees nothing is called HIDDEN: with `covered` in here, too, the compiler makes the walk four times slower.
-    """
-    veil = known & (BARE | HIDDEN)
-    if view.rings.count == 0:
-        veil = BARE
-    elif veil == 0:
-        if view.ramp == wp.float64(0.0) and is_hidden(view.rings, slopes, low - view.eye, high - view.eye):
-            veil = HIDDEN
-        elif is_bare(view.rings, slopes, low - view.eye, high - view.eye):
-            veil = BARE
-    return veil
-
-
-@wp.func
 def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
     """Squared factor by which pixels are coarser at `inner` metres, negative, inside the planes and at a depth.
 
@@ -249,68 +226,65 @@ def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
 
 
 @wp.func
-def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32) -> wp.float64:
+def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32) -> wp.float64:
     """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum and
-    where nearer ground hides it."""
+    where nearer ground hides it. in_frame: 1 where it is known that the frustum holds the box."""
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
-    if (known & IN_FRAME) == 0:
+    if in_frame == 0:
         inner = most_inside(view, d.low, d.high)
         if inner < zero:
             coarser2 = faded2(view, inner, most_of(view.depth, d.low, d.high))
-    if view.rings.count > 0 and (known & BARE) == 0 and coarser2 < view.hidden2:
-        part = wp.float64(1.0)
-        if (known & HIDDEN) == 0:
-            part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
+    if view.rings.count > 0 and coarser2 < view.hidden2:
+        part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if part > zero:
             coarser2 = larger(veiled2(view.hidden2, view.veil, part), coarser2)
     return nearest_pixel2(view, d) * coarser2
 
 
 @wp.func
-def coarsest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, known: wp.int32):
-    """Squared metres that a pixel spans at most, in whatever box inside this one; and what is known of it."""
+def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
+    """Squared metres that a pixel spans at most, in whatever box inside this one; and whether the frustum holds it."""
     coarser2 = wp.float64(1.0)
-    inside = wp.int32(IN_FRAME)
-    if (known & IN_FRAME) == 0:
+    inside = wp.int32(1)
+    if in_frame == 0:
         least = least_inside(view, d.low, d.high)
         if least < wp.float64(0.0):
             inside = 0
             coarser2 = faded2(view, least, least_of(view.depth, d.low, d.high))
-    veil = veil_of(view, slopes, d.low, d.high, known)
-    if veil != BARE:
+    if view.rings.count > 0:
         coarser2 = larger(coarser2, view.hidden2)
-    return farthest_pixel2(view, d) * coarser2, inside | veil
+    return farthest_pixel2(view, d) * coarser2, inside
 
 
 @wp.func
-def finest(asked: Asked, d: Diamond, known: wp.int32) -> wp.float64:
+def finest(asked: Asked, d: Diamond, in_frame: wp.int32) -> wp.float64:
     """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
     pixel2 = wp.float64(wp.inf)
     if asked.view_count > 0 and d.rim < 2:
-        pixel2 = finest_in(asked.view, asked.slopes, d, known)
+        pixel2 = finest_in(asked.view, asked.slopes, d, in_frame)
         for v in range(1, asked.view_count):
-            pixel2 = smaller(pixel2, finest_in(asked.views[v], asked.slopes, d, known))
+            pixel2 = smaller(pixel2, finest_in(asked.views[v], asked.slopes, d, in_frame))
     return pixel2
 
 
 @wp.func
-def coarsest(asked: Asked, d: Diamond, known: wp.int32):
-    """As `coarsest_in`, of the view that has the finest pixels there; known is what holds for all views.
+def coarsest(asked: Asked, d: Diamond, in_frame: wp.int32):
+    """As `coarsest_in`, of the view that has the finest pixels there; whether the frustums of all views hold it.
 
     Some of the boxes inside one that reaches beyond the rim are wholly beyond it: none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
-    told = wp.int32(IN_FRAME)
+    inside = wp.int32(1)
     if asked.view_count > 0:
-        pixel2, told = coarsest_in(asked.view, asked.slopes, d, known)
+        pixel2, inside = coarsest_in(asked.view, d, in_frame)
         for v in range(1, asked.view_count):
-            p2, t = coarsest_in(asked.views[v], asked.slopes, d, known)
+            p2, also = coarsest_in(asked.views[v], d, in_frame)
             pixel2 = smaller(pixel2, p2)
-            told = told & t
+            inside = wp.min(inside, also)
     if d.rim > 0:
         pixel2 = wp.float64(wp.inf)
-    return pixel2, told
+    return pixel2, inside
 
 
 @wp.func

@@ -54,12 +54,12 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: C
     elif w.keeper[w.slot].stopped == 1:
         verdict = LEAF  # and nothing more can be learnt of it
     if verdict == DOUBT:
-        m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, above.known)
+        m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, above.in_frame)
         verdict = LEAF
         if too_coarse(asked, asked.limit, m):
             verdict = SPLIT
             if c.depth < w.max_depth:
-                band = band_below(domain, asked, limits, limits, m, c.depth, w.max_depth, above.known)
+                band = band_below(domain, asked, limits, limits, m, c.depth, w.max_depth, above.in_frame)
                 held = w.slot * STACK + c.top
                 w.bands[held] = band
                 open_subtree(asked, w, q, c, m, band, n)

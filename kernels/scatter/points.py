@@ -26,7 +26,7 @@ TURNS = wp.constant(1024)  # directions that points are turned to
 class Run:
     """The candidates of a square. `tile_x`, `tile_y`: the tile's number. `first`: of its window's ranks in `order`.
     `at`: of the first candidate among those that are kept. `out`: of the first place for those that are wanted.
-    `clear`: 1 where all of the square is in the frame of the first view."""
+    `clear`: 1 where all of the square is in the frame of the one view."""
 
     tile_x: wp.int32
     tile_y: wp.int32
@@ -169,7 +169,6 @@ def choose(
     A point begins with nothing and is whole where its rank is wanted. The quarter is the same for all ranks, so that
     the last ones do not appear at once where density becomes full.
     """
-    first = views.views[0]
     for t in range(begin, end):
         run = runs[t]
         n = run.out
@@ -181,7 +180,7 @@ def choose(
             if density > r:
                 p = kept.positions[at]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-                want = density * wanted_at(views, first, p3, run.clear)
+                want = density * wanted_at(views, p3, run.clear)
                 if want > r:
                     s = wp.min((want - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
                     chosen.which[n] = at

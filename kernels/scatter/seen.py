@@ -8,7 +8,8 @@ box that nearer ground hides from all views nothing is wanted; of others no less
 import warp as wp
 
 from ..refine.diamond import larger
-from ..refine.pixels import BARE, CLEAR, HIDDEN, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside, stand_of, veil_of
+from ..refine.hiding import is_hidden
+from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside, stand_of
 
 
 @wp.struct
@@ -48,37 +49,32 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
 
 
 @wp.func
-def wanted_at(views: Views, first: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """The most of all views. The first is at hand: to read one takes longer than to ask it."""
-    want = wp.float64(1.0)
-    if views.count > 0:
-        want = wanted_by(views.full2, first, p, clear)
-        for v in range(1, views.count):
-            want = larger(want, wanted_by(views.full2, views.views[v], p, 0))
+def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
+    """The most of all views."""
+    want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
+    for v in range(views.count):
+        want = larger(want, wanted_by(views.full2, views.views[v], p, clear))
     return want
 
 
 @wp.func
 def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
-    """The most that a place of a box may have; the least, 0 where a frame ends in it, or some of it may be hidden."""
+    """The most that a place of a box may have; the least, 0 where a frame ends in it and where ground may hide some."""
     zero = wp.float64(0.0)
     most = wp.where(views.count == 0, wp.float64(1.0), zero)
     least = most
     seen = wp.bool(views.count == 0)
-    bare = wp.bool(True)
     for v in range(views.count):
         view = views.views[v]
         stand = stand_of(view, low, high, wp.float64(0.0))
         if stand != OUTSIDE:
-            veil = veil_of(view, views.slopes, low - views.reach, high + views.reach, 0)
-            seen = seen or veil != HIDDEN
-            bare = bare and veil == BARE
             a = low - view.eye
             b = high - view.eye
+            seen = seen or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
             most = larger(most, ramp(views.full2, near2))
-            if stand == CLEAR:
+            if stand == CLEAR and view.rings.count == 0:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
                 least = larger(least, ramp(views.full2, far2))
-    return wp.where(seen, most, zero), wp.where(seen and bare, least, zero)
+    return wp.where(seen, most, zero), least

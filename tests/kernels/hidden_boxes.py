@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels for test_hiding.py: which boxes are hidden, have nothing hidden in them, are covered how far."""
+"""Kernels for test_hiding.py: which boxes are hidden, and how far they are covered."""
 
 import warp as wp
 
-from .hiding import Rings, covered, is_bare, is_hidden
+from .hiding import Rings, covered, is_hidden
 
 
 @wp.kernel
-def veils_of_boxes(
-    rings: Rings, slopes: wp.array(dtype=wp.float32), boxes: wp.array(dtype=wp.vec3d), found: wp.array(dtype=wp.vec2i)
+def hidden_of_boxes(
+    rings: Rings, slopes: wp.array(dtype=wp.float32), boxes: wp.array(dtype=wp.vec3d), found: wp.array(dtype=wp.int32)
 ):
-    """boxes: lowest and highest corner in turns, metres from the eye. found: hidden, bare."""
+    """boxes: lowest and highest corner in turns, metres from the eye."""
     for k in range(found.shape[0]):
-        low = boxes[2 * k]
-        high = boxes[2 * k + 1]
-        hidden = wp.int32(is_hidden(rings, slopes, low, high))
-        bare = wp.int32(is_bare(rings, slopes, low, high))
-        found[k] = wp.vec2i(hidden, bare)
+        found[k] = wp.int32(is_hidden(rings, slopes, boxes[2 * k], boxes[2 * k + 1]))
 
 
 @wp.kernel

@@ -78,7 +78,7 @@ def a_criterion(rng) -> Criterion:
         max_depth=(13, 17, 17, None)[rng.integers(4)],
         max_triangles=rng.choice([None, None, None, 3000]),
         meshlet=int(rng.choice([0, 0, 1])),
-        hidden_factor=float(rng.choice([1.0, 8.0, 30.0])),
+        hidden_factor=float(rng.choice([1.0, 1.0, 8.0])),
     )
 
 
@@ -101,8 +101,9 @@ def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):
         for frame, view in enumerate(flight(field, rng)):
             found = result(flown, criterion, view, scale, offset)
             assert found == result(Terrain(field, 1), criterion, view, scale, offset), seed
-            leaves += found[0]
-            from_last += taken(flown)
+            if criterion.hidden_factor == 1:  # else each frame has a map of its own
+                leaves += found[0]
+                from_last += taken(flown)
             if found[0] > MANY_LEAVES and frame == 1:
                 break
     assert from_last > 0.2 * leaves, (from_last, leaves)

@@ -98,10 +98,14 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("program_ingest", 1_000_000): (
         2.3,
-        "before 4.5 Blender takes normals by corner only and encodes them one by one, and the program here is 4.3.2; "
-        "in 4.5 it is the row ingest.",
+        "before 4.5 Blender takes normals by corner only and encodes them one by one, and the program here is 4.3.2. "
+        "In the program 5.2.2 it holds the goal: 0.033 to 0.050, on a machine that was busy with other work.",
     ),
-    ("program_frame", 1_000_000): (2.4, "the same normals: 465 of its 491 ms write the mesh."),
+    ("program_frame", 1_000_000): (
+        2.4,
+        "the same normals: 465 of its 491 ms write the mesh. In the program 5.2.2 it holds the goal: 0.15 to 0.16, "
+        "beside other work.",
+    ),
     ("effects_cut", 1_000_000): (
         1.35,
         "130 ns a vertex for all attributes with twelve splat layers; what is not computed are copies of 56 bytes a "

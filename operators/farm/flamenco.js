@@ -26,7 +26,7 @@ function compileJob(job) {
         throw `The frames "${settings.frames}" go below 0, which Flamenco cannot render; expected 0 or more: move the scene's frames up.`;
     }
     if (MOVIES.includes(settings.format)) {
-        throw `The scene is rendered into a movie (${settings.format}); expected a picture a frame: choose such a File Format under Output.`;
+        throw `The scene is rendered into a movie (${settings.format}); expected a picture a frame: choose an image format under Output.`;
     }
     const prepare = author.Task("prepare", "blender");
     prepare.addCommand(author.Command("exec", {

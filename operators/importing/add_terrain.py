@@ -69,7 +69,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
             bpy.ops.adaptive_terrain.land_preset(filepath=bpy.utils.preset_find(land.preset, PRESETS, ext=".json"))
         # With a window the import runs beside it and the mesh appears when it is done; without, now.
         try:
-            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+            bpy.ops.adaptive_terrain.import_added("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
         except RuntimeError as error:  # what the nested operator reports as an error
             mesh = obj.data
             bpy.data.objects.remove(obj)

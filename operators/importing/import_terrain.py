@@ -120,12 +120,10 @@ def _size_of(obj) -> float:
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
-class ImportTerrain(bpy.types.Operator):
-    """Import the height map into a store; Blender stays usable meanwhile"""
+class _Import:
+    """What both operators below do."""
 
-    bl_idname = "adaptive_terrain.import_source"
     bl_label = "Import"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
@@ -151,15 +149,16 @@ class ImportTerrain(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         job = _jobs[self.uid]
+        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
+        if obj is None:  # undone
+            self.cancel(context)
+            return {"CANCELLED"}
         progress = job.poll()
         _progress[self.uid] = progress.fraction, progress.message
         live.redraw_panels()
         if not progress.done or warmup.preparing():  # what follows may update the mesh
             return {"PASS_THROUGH"}
         self._end(context)
-        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-        if obj is None:
-            return {"CANCELLED"}
         if job.cancelled:
             self.report({"INFO"}, progress.error)
             return {"CANCELLED"}
@@ -176,7 +175,7 @@ class ImportTerrain(bpy.types.Operator):
         return self._take(context, obj, report, folder)
 
     def cancel(self, context):
-        """Another file is loaded, or Blender quits."""
+        """The terrain is gone, another file is loaded, or Blender quits."""
         _jobs[self.uid].cancel()
         self._end(context)
 
@@ -224,6 +223,32 @@ class ImportTerrain(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class ImportTerrain(_Import, bpy.types.Operator):
+    """Import the height map into a store; Blender stays usable meanwhile"""
+
+    bl_idname = "adaptive_terrain.import_source"
+    bl_options = {"REGISTER", "UNDO"}
+
+
+class ImportAdded(_Import, bpy.types.Operator):
+    """Import the land of a terrain that was just added"""
+
+    bl_idname = "adaptive_terrain.import_added"
+    # What adds the terrain stays the last operation, for its panel is where one chooses another land or size. So this
+    # is none, and keeps its step for Undo itself.
+    bl_options = {"INTERNAL"}
+
+    def modal(self, context, event):
+        result = super().modal(context, event)
+        if result == {"FINISHED"}:  # here, the step would close that panel
+            bpy.app.timers.register(_push_undo, first_interval=0.0)
+        return result
+
+
+def _push_undo() -> None:
+    bpy.ops.ed.undo_push(message=_Import.bl_label)
+
+
 class CancelImport(bpy.types.Operator):
     """Stop the import; the store stays as it was"""
 
@@ -239,7 +264,7 @@ class CancelImport(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (ImportTerrain, CancelImport)
+CLASSES = (ImportTerrain, ImportAdded, CancelImport)
 
 
 def register() -> None:

@@ -36,7 +36,7 @@ def render_frames(
     if render.is_movie_format:
         raise TerrainError(
             f"The scene {source.scene.name!r} is rendered into a movie ({render.image_settings.file_format}); expected "
-            "a picture a frame: choose such a File Format under Output."
+            "a picture a frame: choose an image format under Output."
         )
     settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
     write_frames(lambda frame: _render(source, frame, out), settings, frames, out, resume=resume, on_frame=on_frame)

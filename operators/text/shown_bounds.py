@@ -12,7 +12,7 @@ LIMITS = {
     "max_triangles": "the triangle limit",
     "max_depth": "the depth limit",
     "precision": "float32 precision",
-    "source": "the source's rounding",
+    "source": "source rounding",
 }
 # Below this, all digits before the point are shown.
 LONG = 1e7

@@ -112,6 +112,8 @@ def flatten():
         terrain.scale.z = scale
         terrain.keyframe_insert("scale", index=2, frame=frame)
 def movie():
+    if bpy.app.version >= (5, 0):
+        scene.render.image_settings.media_type = "VIDEO"
     scene.render.image_settings.file_format = "FFMPEG"
     scene.render.ffmpeg.format = "MPEG4"
 {change}

@@ -44,7 +44,7 @@ def others(program, dem, tmp_path_factory):
 
 def test_the_panel_shows_the_rounding_of_whole_metres(others, dem):
     terrain = others[str(dem["whole"])]
-    assert "by the source's rounding" in [label.strip() for label, _ in terrain["panel"]]
+    assert "by the source" in [label.strip() for label, _ in terrain["panel"]]
 
 
 def test_an_exr_becomes_a_terrain(others, dem):
@@ -78,8 +78,12 @@ def test_height_maps_are_read_by_a_process_that_has_given_up_the_rest(program, d
 
 
 def test_freed_pages_are_held_and_given_back(program):
-    """The program's allocator is jemalloc, that of the bpy module glibc's."""
+    """The program's allocator is jemalloc before 5.1, that of the bpy module glibc's. Then it is TBB's, which gives
+    nothing back."""
     found = program.script("freed_pages.py")
+    if found.pop("version") >= [5, 1]:
+        assert max(found.values()) < 1000, (found, "of 30,720 pages")
+        return
     assert max(found["held"], found["again"]) < 0.1 * found["before"], found
     assert found["after"] > 0.5 * found["before"] > 10, found
 
@@ -150,6 +154,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert set(houses) == {f"wp_{EXTENSION}"}, "child processes use the names of the program"
     assert [name for name in modules if name.startswith("mesh.weld_")], "they have compiled what was not lent"
     assert said["triangles"] > 100
+    assert said["last_operation"] == ["MESH_OT_adaptive_terrain_add", True], "its panel outlives the import"
     assert said["live_triangles"] < said["triangles"]
     assert said["not_live_triangles"] == said["live_triangles"]
     assert said["updated_triangles"] > said["live_triangles"]

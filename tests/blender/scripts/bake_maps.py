@@ -32,7 +32,7 @@ start = time.perf_counter()
 assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
 result = {"bake_s": time.perf_counter() - start, "red": {}}
 assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
-for engine in ("CYCLES", "BLENDER_EEVEE_NEXT"):
+for engine in ("CYCLES", "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"):
     scene.render.engine, scene.render.filepath = engine, f"{folder}/{engine.lower()}.png"
     bpy.ops.render.render(write_still=True)
     picture = bpy.data.images.load(scene.render.filepath)

@@ -82,6 +82,8 @@ def steps():
     result["preparing_when_visible"] = warmup.preparing()
     result["triangles"] = len(terrain().data.polygons)
     yield 1.0
+    hud = next(region for region in parts()[1].regions if region.type == "HUD")
+    result["last_operation"] = bpy.context.window_manager.operators[-1].bl_idname, hud.y > 0  # 0: it is hidden
     # The viewport's own mesh follows the settings, without a click.
     terrain().adaptive_terrain.viewport.error_px = 8.0
     yield from until(lambda: len(terrain().data.polygons) < result["triangles"])

@@ -42,7 +42,7 @@ scene.render.resolution_x = scene.render.resolution_y = SIZE
 scene.eevee.taa_render_samples = 4
 scene.view_settings.view_transform = "Raw"
 scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "PNG", "16"
-scene.render.engine = "BLENDER_EEVEE_NEXT"
+scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
 
 
 def picture(name: str) -> np.ndarray:

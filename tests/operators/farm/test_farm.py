@@ -291,8 +291,15 @@ def test_a_frame_that_would_be_stale_is_no_picture(shot, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"frame_0006.png", "frame_0006.json"}
 
 
+def offer_movies(image_settings) -> None:
+    """Since 5.0, formats are those of a medium."""
+    if bpy.app.version >= (5, 0):
+        image_settings.media_type = "VIDEO"
+
+
 def test_a_movie_is_refused(shot, tmp_path, capsys):
     assert run("prepare", "--scene", shot, "--only", "stores") == 0
+    offer_movies(bpy.context.scene.render.image_settings)
     bpy.context.scene.render.image_settings.file_format = "FFMPEG"
     bpy.ops.wm.save_mainfile()
     assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "6") == 1
@@ -309,6 +316,7 @@ def test_parts_of_preparing_are_those_of_the_command():
 def movie_formats(image_settings) -> set[str]:
     """Those of this Blender's formats that are movies."""
     render, found = image_settings.id_data.render, set()
+    offer_movies(image_settings)
     for name in [item.identifier for item in image_settings.bl_rna.properties["file_format"].enum_items_static]:
         try:
             image_settings.file_format = name

@@ -39,5 +39,5 @@ def test_no_bound_is_said_in_words(bound):
 
 def test_limits_are_said_in_words():
     assert limit_text("max_depth, precision") == "the depth limit and float32 precision"
-    assert limit_text("source") == "the source's rounding"
+    assert limit_text("source") == "source rounding"
     assert limit_text("") == "" and limit_text("precision") == LIMITS["precision"]

@@ -18,20 +18,22 @@ def beside_cliffs(
     All float32 [rows, columns] m. before: the effect. after: it; only the coarser level's samples count. first: row and
     column of sample [0, 0] in the whole level.
     """
-    every = tuple(slice(number % 2, None, 2) for number in first)
     for sign in (np.float32(1.0), np.float32(-1.0)):
-        stood_out = np.maximum(sign * before - _most_around(sign * before, every), np.float32(0.0))
-        most = _most_around(sign * after, every) + (np.float32(drop) + stood_out)
-        heights = sign * np.minimum(sign * heights, most)
+        most = _most_around(sign * after, first) + np.float32(drop)
+        stood_out = sign * before - _most_around(sign * before, first)
+        most += np.maximum(stood_out, np.float32(0.0), out=stood_out)
+        heights = sign * np.minimum(sign * heights, most, out=most)
     return heights
 
 
-def _most_around(samples: np.ndarray, every: tuple[slice, slice]) -> np.ndarray:
+def _most_around(samples: np.ndarray, first: tuple[int, int]) -> np.ndarray:
     """The most of the coarser samples that each sample is, or lies between."""
-    most = np.full_like(samples, -np.inf)
-    most[every] = samples[every]
-    for axis in (0, 1):
-        padding = [(int(axis == other),) * 2 for other in (0, 1)]
-        along = np.moveaxis(np.pad(most, padding, constant_values=-np.inf), axis, 0)
-        most = np.moveaxis(np.maximum(np.maximum(along[:-2], along[2:]), along[1:-1]), 0, axis)
-    return most
+    for axis, number in enumerate(first):
+        odd, count = number % 2, samples.shape[axis]
+        coarser = np.moveaxis(samples, axis, 0)[odd::2]
+        between = np.pad(coarser, [(odd, 1), (0, 0)], mode="edge")
+        most = np.empty((2 * len(between) - 2, coarser.shape[1]), np.float32)
+        most[::2] = between[:-1]
+        np.maximum(between[:-1], between[1:], out=most[1::2])
+        samples = np.moveaxis(most[odd : odd + count], 0, axis)
+    return samples

@@ -142,9 +142,9 @@ def waves(power: float, seed: int, relief: float) -> np.ndarray:
     [(sinkholes, {}), (scarps, {"years": 2e6, "rise": 3e-4}), (plateaus, {"erodibility": 1e-4})],
 )
 def test_case_57_rivers_on_ground_that_no_constant_was_chosen_on(ground, parameters):
-    """Three of the 29 grounds of a blind measurement on which tiles were off by 6 to 10 %, the worst by 12 to 50: where
-    a lake at the cut leaves along it, cliffs lie between coarser samples, and rivers wind along the cut. All tiles are
-    off by 5 % of what the levels moved at most, the worst by a tenth."""
+    """All tiles are off by 5 % of what the levels moved at most, the worst by a tenth, on three grounds of a blind
+    measurement that had found 6 to 10 %, the worst 12 to 50: where a lake at the cut leaves along it, cliffs stand
+    between coarser samples, and rivers wind along the cut."""
     land, step = ground()
     field = from_array(land.astype(np.float32), step)
     off, moved = off_and_moved(field, Stack((Entry("rivers", parameters, seed=5),)))

@@ -100,22 +100,30 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
     seen = _seen(bed, ground, coarser)
     own, load = np.ones(bed.shape), np.zeros(bed.shape)
 
-    def bring(j, i, y, x) -> None:
-        fine = 2 * y + seen.odd[0], 2 * x + seen.odd[1]
-        np.add.at(own, fine, seen.flow[j, i])
-        np.add.at(load, fine, seen.load[j, i])
+    def bring(some: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
+        fine = 2 * y[some] + seen.odd[0], 2 * x[some] + seen.odd[1]
+        np.add.at(own, fine, sign * seen.flow[some])
+        np.add.at(load, fine, sign * seen.load[some])
 
     y, x = _receivers(seen)
     enters = ~seen.inside & (seen.to != 4) & seen.inside[y, x]
     enters &= ~seen.wet | (seen.flow[y, x] > seen.flow)
-    bring(*np.nonzero(enters), y[enters], x[enters])
-    ring = _ring(seen, ground, y * seen.to.shape[1] + x)
+    bring(enters, y, x)
+    # A river that winds along the cut does not leave: what comes back is in the tile already. Catchments grow along a
+    # way: from where they do not, that of a lake's water is not seen.
+    grows = seen.flow[y, x] > seen.flow
+    y, x = (np.where(grows, n, at) for n, at in zip((y, x), np.indices(y.shape), strict=True))
+    back = _ends(seen, y, x)
+    again, into = tuple(n[y, x] for n in back), seen.inside[back]
+    bring(seen.inside & ~seen.inside[y, x] & seen.inside[again], *again, sign=-1.0)
+    ring = _ring(seen, ground, into)
     for lake in _lakes(seen, ring):
         most = lake[np.argmax(ring.flow[lake])]
         j, i = (n[most] for n in ring.at)
         ring.flow[lake] = ring.flow[most]
-        ring.shut[lake] = enters[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
-    bed.own, bed.brought = own.reshape(-1), load.reshape(-1)
+        ring.shut[lake] = into[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
+    # A stream that comes back may have less sediment, and of a coarser level's tiles where they meet less water.
+    bed.own, bed.brought = np.maximum(own, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
     bed.rim, bed.spill = _spills(bed, ground, seen, ring)
 
 
@@ -130,8 +138,22 @@ def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
     inside = np.zeros(floor.shape, bool)
     south, north, west, east = (0 if rim else 2 for rim in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
-    sums = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.kept[LOAD]))
-    return _Seen(odd, surface, *sums, wet, inside, np.where(wet, *reversed([*ways])).astype(int))
+    flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.kept[LOAD]))
+    to = np.where(wet, *reversed([*ways])).astype(int)
+    at, cut = _around(to.shape, ground.rims, 0)
+    for j, i in zip(*(n[cut & ~fixed[at]] for n in at), strict=True):
+        to[j, i] = _way_back(j, i, surface, flow)
+    return _Seen(odd, surface, flow, load, wet, inside, to)
+
+
+def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
+    """Where the water of one of the outermost samples may run that is seen: to what is no higher, and has but a little
+    more of it; 4 if there is none."""
+    south, west = max(j - 1, 0), max(i - 1, 0)
+    near = np.s_[south : j + 2, west : i + 2]
+    more = np.where((flow[near] > flow[j, i]) & (surface[near] <= surface[j, i] + LEVEL), flow[near], np.inf)
+    y, x = np.unravel_index(more.argmin(), more.shape)
+    return 3 * (south + y - j + 1) + (west + x - i + 1) if np.isfinite(more[y, x]) else 4
 
 
 def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int):
@@ -162,15 +184,20 @@ def _receivers(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
     return y, x
 
 
-def _ring(seen: _Seen, ground: Ground, to: np.ndarray) -> _Ring:
+def _ring(seen: _Seen, ground: Ground, into: np.ndarray) -> _Ring:
     """Shut where the water of the sample flows into the tile, but for lakes."""
     at, cut = _around(seen.to.shape, ground.rims, 1)
-    stays = np.arange(seen.to.size).reshape(seen.to.shape)
-    down = np.where(seen.inside, stays, to).reshape(-1)
-    for _ in range(4):  # 16 samples along the ring
+    return _Ring(at, cut, (into & ~seen.wet)[at] & cut, seen.flow[at])
+
+
+def _ends(seen: _Seen, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns at which the water of each sample runs into the tile, given where it runs next; where that is
+    not within 16 samples, how far it comes."""
+    shape, stays = y.shape, np.arange(y.size).reshape(y.shape)
+    down = np.where(seen.inside, stays, y * shape[1] + x).reshape(-1)
+    for _ in range(4):
         down = down[down]
-    into = seen.inside.reshape(-1)[down].reshape(seen.to.shape) & ~seen.wet
-    return _Ring(at, cut, into[at] & cut, seen.flow[at])
+    return np.unravel_index(down.reshape(shape), shape)
 
 
 def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..effects.effect import Parameter
+from .cliffs import beside_cliffs
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
 from .lake_outlets import keep_outlets
 from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
@@ -103,6 +104,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
         change, sediment = _spread(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + less * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), less * sediment)
+        _keep_cliffs(bed, ground, values, origin, less * coarser.heights)
         take_over(bed, ground, coarser)
         keep_outlets(bed, ground, coarser)
     if values["variety"] > 0.0:
@@ -133,6 +135,17 @@ def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
         still[side] = 1
     numbers = SPREAD * bed.step_x * bed.step_y, still.reshape(-1), np.ones(len(bed.part), np.float32)
     return tuple(diffuse(bed, a.reshape(-1).copy(), *numbers) for a in (coarser.heights, coarser.layers["sediment"]))
+
+
+def _keep_cliffs(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray) -> None:
+    """change: float32 [rows, columns] m, of the coarser level at the time that the bed starts at."""
+    before = origin.reshape(bed.shape)
+    after = np.maximum(before + change, np.float32(values["sea"]))
+    drop = math.tan(math.radians(values["steepest"])) * max(bed.step_x, bed.step_y)
+    heights = beside_cliffs(bed.heights.reshape(bed.shape), before, after, ground.first, drop).reshape(-1)
+    heights = np.where(bed.fixed | (bed.part == 0.0), bed.heights, heights)
+    bed.sediment = bed.sediment + np.maximum(heights - bed.heights, np.float32(0.0))  # has slid into the trench
+    bed.heights = heights
 
 
 def grow(
@@ -198,5 +211,5 @@ RIVERS = LandEffect(
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=8,
+    version=9,
 )

@@ -39,24 +39,25 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     return surface
 
 
-def boundary_triangles(boundary, terrain_from_world) -> np.ndarray:
-    """float64 [n, 3, 2]: the triangles of the evaluated mesh object `boundary` in plan, in the terrain's space.
+def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
+    """float64 [n, 3, 2]: the triangles of the evaluated mesh object `obj` in plan, in the terrain's space.
 
-    Raises TerrainError for another object, as a script may choose one, and where one is not finite.
+    matrix: from its space to the world. Raises TerrainError for another object, as a script may choose one, and where
+    one is not finite, that names `what` it is.
     """
-    if boundary.type != "MESH":
-        raise TerrainError(f"The boundary {boundary.name!r} is of type {boundary.type}; expected a mesh object.")
-    mesh = boundary.data
+    if obj.type != "MESH":
+        raise TerrainError(f"The {what} {obj.name!r} is of type {obj.type}; expected a mesh object.")
+    mesh = obj.data
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", vertices)
     indices = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", indices)
-    placed = _moved(_moved(vertices.reshape(-1, 3), boundary.matrix_world), terrain_from_world)
+    placed = _moved(_moved(vertices.reshape(-1, 3), matrix), terrain_from_world)
     triangles = placed[indices].reshape(-1, 3, 3)[:, :, :2]
     if not np.isfinite(triangles).all():
         raise TerrainError(
-            f"The boundary {boundary.name!r} has a vertex or a matrix that is not finite; check its mesh and parents."
+            f"The {what} {obj.name!r} has a vertex or a matrix that is not finite; check its mesh and parents."
         )
     return triangles
 

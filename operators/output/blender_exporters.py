@@ -12,6 +12,8 @@ from ...cbt_terrain.errors import TerrainError
 # Blender's types of attributes that glTF knows, and those of such a type that are no attributes of ours.
 GLTF_TYPES = ("FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR")
 OWN_NAMES = ("position", "custom_normal")
+# Cosine between axes of an object; float32 rounds those of one that is not sheared to less.
+SHEARED = 1e-5
 
 
 @contextmanager
@@ -42,6 +44,16 @@ def _enable_gltf() -> None:
 
     if not addon_utils.check("io_scene_gltf2")[1]:
         addon_utils.enable("io_scene_gltf2")
+
+
+def need_no_shear(obj) -> None:
+    """Raise TerrainError where an object has no place in glTF: a node there has a rotation and a scale, no shear."""
+    axes = [axis.normalized() for axis in obj.matrix_world.to_3x3().col]
+    if max(abs(axes[k].dot(axes[k - 1])) for k in range(3)) > SHEARED:
+        raise TerrainError(
+            f"The terrain {obj.name!r} is sheared by its parent's scale, which a glb cannot hold; apply that scale, or "
+            "choose another format."
+        )
 
 
 def turn_faces_over(path: Path, faces: int) -> None:

@@ -21,7 +21,7 @@ from ...cbt_terrain.run.partial_files import (
 )
 from ..scene.pauses import paused
 from ..text.console import quiet
-from .blender_exporters import export_selected, only_selected, turn_faces_over
+from .blender_exporters import export_selected, need_no_shear, only_selected, turn_faces_over
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 
@@ -266,6 +266,8 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
     The file holds the terrain's own mesh, whose bound is known: modifiers are left out. It is read back before it gets
     its name.
     """
+    if form == "glb":
+        need_no_shear(piece.obj)
     with _written(path), _written_by_blender(path) as partial:
         with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
             export_selected(str(partial.resolve()), form)

@@ -8,6 +8,7 @@ import numpy as np
 from ...cbt_terrain.ask.linear import determinant, inverse, lengths, product
 from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
+from .evaluated import found_in
 
 KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}
 
@@ -46,20 +47,20 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
             f"{camera.type}; choose a camera for the scene, or on the terrain's panel."
         )
     resolution = resolution or render_resolution(scene)
-    evaluated = camera.evaluated_get(depsgraph)
-    if not scene.render.use_multiview:
-        return [view_from_camera(scene, evaluated, resolution)]
-    if scene.render.views_format == "MULTIVIEW":
-        cameras = [eye.evaluated_get(depsgraph) for eye in _multiview_cameras(scene, camera)]
-        return [view_from_camera(scene, eye, resolution) for eye in cameras]
-    return _stereo(view_from_camera(scene, evaluated, resolution), evaluated.data.stereo)
+    several = scene.render.use_multiview and scene.render.views_format == "MULTIVIEW"
+    eyes = _multiview_cameras(scene, camera) if several else [camera]
+    views = [view_from_camera(scene, *found_in(depsgraph, eye, "camera"), resolution) for eye in eyes]
+    if several or not scene.render.use_multiview:
+        return views
+    return _stereo(views[0], camera.evaluated_get(depsgraph).data.stereo)
 
 
-def view_from_camera(scene, camera, resolution: tuple[int, int]) -> View:
-    """One view from the evaluated camera object `camera`, at `resolution` pixels across and up."""
+def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View:
+    """One view from the evaluated camera object `camera`, at `resolution` pixels across and up; `matrix`: to the
+    world."""
     data = camera.data
     kind = KINDS.get(data.type, PANORAMIC)
-    to_camera = _world_to_camera(camera)
+    to_camera = _world_to_camera(camera.name, matrix)
     aspect = scene.render.pixel_aspect_x, scene.render.pixel_aspect_y
     if kind == PANORAMIC:
         angle = _radians_per_pixel(data, resolution, aspect)
@@ -137,19 +138,19 @@ def _clip(data) -> tuple[float, float]:
     return (start, end) if start < end else (0.0, 0.0)
 
 
-def _world_to_camera(camera) -> np.ndarray:
+def _world_to_camera(name: str, matrix) -> np.ndarray:
     """float64 [4, 4]. As in a render, the camera's scale has no effect; a shear has."""
-    matrix = np.array(camera.matrix_world, np.float64)
+    matrix = np.array(matrix, np.float64)
     if not np.isfinite(matrix).all():
         raise TerrainError(
-            f"The camera {camera.name!r} has a matrix with values that are not finite; check its location and parents."
+            f"The camera {name!r} has a matrix with values that are not finite; check its location and parents."
         )
     scales = lengths(matrix[:3, :3])
     if not (scales > 0).all():
-        raise TerrainError(f"The camera {camera.name!r} has a scale of 0; expected another scale on each axis.")
+        raise TerrainError(f"The camera {name!r} has a scale of 0; expected another scale on each axis.")
     matrix[:3, :3] /= scales
     if abs(determinant(matrix[:3, :3])) < 1e-6:
-        raise TerrainError(f"The camera {camera.name!r} is sheared flat; expected three different axes.")
+        raise TerrainError(f"The camera {name!r} is sheared flat; expected three different axes.")
     return inverse(matrix)
 
 

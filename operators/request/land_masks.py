@@ -10,8 +10,9 @@ from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.partial_files import written_beside
-from ..mesh.cleanup import boundary_triangles
+from ..mesh.cleanup import plan_triangles
 from ..properties.layer_images import painted_of
+from .evaluated import found_in
 
 SHADOW_SIDE = 512  # samples of a shadow along the terrain's longer side
 FINE = 4  # points along a side of each of them, which count alike: its rim is soft
@@ -28,8 +29,8 @@ def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Pa
 
     extent_m: metres from west to east and from south to north.
     """
-    found = obj.original.evaluated_get(depsgraph)
-    triangles = boundary_triangles(found, Matrix(terrain.matrix_world).inverted_safe())
+    found, matrix = found_in(depsgraph, obj, "mask")
+    triangles = plan_triangles(found, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
     content = repr(extent_m).encode() + triangles.tobytes()
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
     return _written(folder, digest, lambda: shadow(triangles, extent_m)[::-1])

@@ -20,11 +20,12 @@ from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-from ..mesh.cleanup import Cleanup, boundary_triangles
+from ..mesh.cleanup import Cleanup, plan_triangles
 from ..properties.land_properties import SEEN
 from ..properties.properties import CHOSEN_CAMERA, VIEWPORT_VIEW
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
+from .evaluated import found_in
 from .land_request import Land, land_of
 from .land_tiles import Seen
 from .layered_ground import ground_of
@@ -240,8 +241,8 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
     boundary = None
     if settings.boundary is not None:
-        shape = settings.boundary.original.evaluated_get(depsgraph)
-        boundary = boundary_triangles(shape, Matrix(terrain.matrix_world).inverted())
+        shape, matrix = found_in(depsgraph, settings.boundary, "boundary")
+        boundary = plan_triangles(shape, matrix, Matrix(terrain.matrix_world).inverted(), "boundary")
     if settings.use_below and not math.isfinite(settings.below):
         raise TerrainError(
             f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below; expected a number."

@@ -114,7 +114,7 @@ def camera_of(obj, scene):
 
 def view_of_camera(scene, camera) -> View:
     """What a camera shows now. Raises TerrainError for one that makes no picture."""
-    return cameras.view_from_camera(scene, camera, cameras.render_resolution(scene))
+    return cameras.view_from_camera(scene, camera, camera.matrix_world, cameras.render_resolution(scene))
 
 
 def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float]) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL, Attribute
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.operators.mesh import memory as mesh_memory
-from adaptive_terrain.operators.mesh.cleanup import Cleanup, boundary_triangles, clean_up
+from adaptive_terrain.operators.mesh.cleanup import Cleanup, clean_up, plan_triangles
 from adaptive_terrain.operators.mesh.writer import UV_LAYER, write_mesh
 
 
@@ -123,7 +123,7 @@ def test_what_is_outside_of_a_boundary_object_is_cut_away(mesh, grid_surface):
     bpy.context.view_layer.update()
     terrain_from_world = np.eye(4)
     terrain_from_world[0, 3] = -100.0
-    triangles = boundary_triangles(boundary, terrain_from_world)
+    triangles = plan_triangles(boundary, boundary.matrix_world, terrain_from_world, "boundary")
     assert triangles.shape == (2, 3, 2)
     write_mesh(mesh, clean_up(grid_surface(6, 4), Cleanup(boundary=triangles)))
     positions = read(mesh.vertices, "co", 3)

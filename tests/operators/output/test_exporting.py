@@ -10,6 +10,7 @@ from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.output.read_back import BLOCK, count_triangles
 from adaptive_terrain.operators.scene import session
 from blender_meshes import digest_alone
+from mathutils import Vector
 from mesh_files import read_mesh, read_ply_fields
 
 FORMATS = ("ply", "obj", "stl", "glb")
@@ -51,6 +52,24 @@ def test_faces_of_a_mirrored_terrain_are_counter_clockwise_from_above(terrain, t
     assert np.cross(b - a, c - a)[:, 2].min() > 0
     if form == "ply":
         assert read_ply_fields(path)["nz"].min() > 0
+
+
+def test_a_sheared_terrain_is_in_its_place_or_not_written(terrain, tmp_path):
+    """Turned, below a parent of uneven scale: a node of glTF has no such place, and Blender would write another."""
+    parent = bpy.data.objects.new("Parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    parent.scale, terrain.rotation_euler, terrain.parent = (3.0, 0.5, 1.0), (0.0, 0.0, 0.7), parent
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="'Hills' is sheared by its parent's scale, which a glb cannot hold"):
+        export(tmp_path / "hills.glb")
+    assert not list(tmp_path.glob("*.glb"))
+    assert export(tmp_path / "hills.ply") == {"FINISHED"}
+    far = np.abs(read_mesh(tmp_path / "hills.ply")[0][:, :2]).max(axis=0)
+    corners = [terrain.matrix_world @ Vector(corner) for corner in terrain.bound_box]
+    assert far == pytest.approx(np.abs(np.array(corners)[:, :2]).max(axis=0), rel=1e-5)
+    parent.scale, terrain.scale = (2.0, 2.0, 2.0), (-1.0, 3.0, 0.01)  # neither is shear
+    bpy.context.view_layer.update()
+    assert export(tmp_path / "hills.glb") == {"FINISHED"}
 
 
 def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An object that a setting names, as it is in the frame that is refined.
+
+A setting gives Blender no reason to evaluate an object. One that is hidden in renders, disabled in viewports or in an
+excluded collection is not evaluated there: it has its place of another moment, after loading none, and no modifiers.
+"""
+
+from mathutils import Matrix
+
+from ...cbt_terrain.errors import TerrainError
+
+RENDER = "RENDER"
+
+
+def found_in(depsgraph, obj, what: str) -> tuple:
+    """The object `obj` with its data as `depsgraph` has them, and its matrix to the world; `what` it is, for errors.
+
+    Where Blender has not evaluated it, it is as it was made, if nothing can have moved or changed it since. Raises
+    TerrainError where something can.
+    """
+    obj = obj.original
+    if _is_in(obj, depsgraph):
+        found = obj.evaluated_get(depsgraph)
+        return found, found.matrix_world
+    if _is_made_of_others(obj.data) or any(_acts(modifier, depsgraph.mode) for modifier in obj.modifiers):
+        raise _not_there(obj, depsgraph, what, obj)
+    return obj, _still_matrix(obj, depsgraph, what, obj)
+
+
+def _is_in(obj, depsgraph) -> bool:
+    return any(found.original == obj for found in depsgraph.ids)
+
+
+def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
+    if _is_in(obj, depsgraph):
+        return obj.evaluated_get(depsgraph).matrix_world
+    moving = _is_animated(obj) or obj.rigid_body or any(not constraint.mute for constraint in obj.constraints)
+    if moving or (obj.parent and obj.parent_type != "OBJECT"):
+        raise _not_there(obj, depsgraph, what, named)
+    if obj.parent is None:
+        return obj.matrix_basis
+    return _still_matrix(obj.parent, depsgraph, what, named) @ obj.matrix_parent_inverse @ obj.matrix_basis
+
+
+def _is_animated(block) -> bool:
+    animation = block.animation_data
+    return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
+
+
+def _is_made_of_others(data) -> bool:
+    return data is not None and (_is_animated(data) or getattr(data, "shape_keys", None) is not None)
+
+
+def _acts(modifier, mode: str) -> bool:
+    return modifier.show_render if mode == RENDER else modifier.show_viewport
+
+
+def _not_there(obj, depsgraph, what: str, named) -> TerrainError:
+    whose = "it" if obj == named else f"its parent {obj.name!r}"
+    where = "renders" if depsgraph.mode == RENDER else "viewports"
+    return TerrainError(
+        f"The {what} {named.name!r} is hidden in {where}. There Blender evaluates no animation, constraints or "
+        f"modifiers of it, and {whose} has some: show it, or apply them."
+    )

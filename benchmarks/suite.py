@@ -120,7 +120,7 @@ def everything(
     roam: RoamRebuild | None,
     note: Callable[[str], None],
 ) -> Iterator[Measure]:
-    """Every row, in the order of the table; a quick run leaves out files, an empty cache and the largest sizes."""
+    """Every row, in the order of the table; a quick run leaves out what has no goal, files and the largest sizes."""
     flat, rough = scenes.flat(), scenes.rough()
     for threads, sizes in engine.REFINE_SIZES.items():
         for size in sizes:
@@ -130,7 +130,8 @@ def everything(
     yield effects.fused_row
     yield effects.frames_rows
     yield partial(engine.depth_row, flat)
-    yield partial(engine.depth_reached_row, flat)
+    if not quick:
+        yield partial(engine.depth_reached_row, flat)
     yield partial(engine.budget_rows, rough)
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
@@ -145,8 +146,8 @@ def everything(
     yield detail_rows.detail_rows
     yield query_rows.query_rows
     store = in_blender.keep(rough, folder / "rough")
-    yield partial(start.warm_row, rough, store)
     if not quick:
+        yield partial(start.warm_row, rough, store)
         yield partial(shading_row.shading_rows, folder)
         yield partial(land_rows.stack_rows)
         yield partial(fit_row.fit_rows, note)
@@ -157,10 +158,11 @@ def everything(
     blender = _has_blender(note)
     if blender:
         yield partial(in_blender.ingest_row, rough)
-        for size in in_blender.FRAME_SIZES:
+        for size in [in_blender.MILLION] if quick else in_blender.FRAME_SIZES:
             yield partial(in_blender.frame_row, rough, store, size)
-        yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
-        yield partial(in_blender.still_frame_row, rough, store)
+        if not quick:
+            yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
+            yield partial(in_blender.still_frame_row, rough, store)
         yield partial(demand_rows.demand_rows, rough)
         yield effects.ingest_row
     if program:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.benchmarks import suite
+from adaptive_terrain.benchmarks.pages import goals
 from adaptive_terrain.benchmarks.pages.report import MEANING
 from adaptive_terrain.benchmarks.rig import baselines, measure, scenes
 from adaptive_terrain.benchmarks.rows import (
@@ -222,12 +223,12 @@ def small_suite(monkeypatch):
 
 STACK_EFFECTS = ("rivers", "thermal", "relief", "snow", "water")
 ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "meshlets"]
-ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth", "depth_reached"]
+ENGINE_ROWS += ["effects_fused", "effects_cut", "effects_flight", "depth"]
 ENGINE_ROWS += ["budget_first", "budget_flight", "budget_level", "splats", "flow", "light_rays", "light_preview"]
 ENGINE_ROWS += ["land_relief", "land_routing", "land_rivers", "land_sediment"]
 ENGINE_ROWS += ["land_demanded", "land_scree", "land_droplets", "land_water", "land_snow"]
 ENGINE_ROWS += ["scatter", "scatter_flight", "hidden", "morph_flight", "morph_cut", "maps_normal", "detail_from_air"]
-ENGINE_ROWS += ["detail_from_ground", "detail_displace", "query_heights", "query_rays", "query_sight", "cold_start"]
+ENGINE_ROWS += ["detail_from_ground", "detail_displace", "query_heights", "query_rays", "query_sight"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
@@ -237,16 +238,27 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     scales = ["scale_refine", "scale_surface", "scale_ingest", "scale_frame"]
     assert [row.name for row in rows] == [
         *ENGINE_ROWS,
-        "ingest",
-        "frame",
-        "frame",
-        "frame_meshlets",
-        "still_frame",
+        *("ingest", "frame"),
         *("demand", "demand_large", "demand_kept", "effects_ingest"),
         *scales,
     ]
     assert all(row.ms > 0 for row in rows) and {row.name for row in rows} <= set(MEANING)
     assert notes[-1] == "The rows cycles are measured with --with-cycles only."
+
+
+def test_rows_without_a_goal_are_of_a_whole_run(small_suite, tmp_path):
+    pytest.importorskip("bpy")
+    rough, flat = scenes.rough(), scenes.flat()
+    store = in_blender.keep(rough, tmp_path / "rough")
+    rows = [
+        engine.depth_reached_row(flat),
+        start.warm_row(rough, store),
+        in_blender.frame_row(rough, store, in_blender.MILLION, engine.MESHLET),
+        in_blender.still_frame_row(rough, store),
+    ]
+    assert [row.name for row in rows] == ["depth_reached", "cold_start", "frame_meshlets", "still_frame"]
+    assert all(row.ms > 0 and goals.goal_of(row.name, row.size) is None for row in rows)
+    assert {row.name for row in rows} <= set(MEANING)
 
 
 def test_the_demos_stack_is_measured_by_effect_and_level(monkeypatch):

@@ -248,6 +248,9 @@ def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
 
 def test_rows_without_a_goal_are_of_a_whole_run(small_suite, tmp_path):
     pytest.importorskip("bpy")
+    from adaptive_terrain.operators.blender import need_bpy
+
+    need_bpy("A test")
     rough, flat = scenes.rough(), scenes.flat()
     store = in_blender.keep(rough, tmp_path / "rough")
     rows = [

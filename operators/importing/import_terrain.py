@@ -15,6 +15,7 @@ from ...cbt_terrain.run import warmup
 from ..properties.properties import land_of
 from ..request import imported
 from ..scene import session
+from ..scene.polls import on_terrain
 from ..text.numbers import SMALLEST, plain
 from ..viewport import frame_terrain, live
 
@@ -129,8 +130,7 @@ class _Import:
 
     @classmethod
     def poll(cls, context):
-        obj = context.object
-        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+        return on_terrain(cls, context) and context.object.session_uid not in _jobs
 
     def invoke(self, context, event):
         obj = context.object

@@ -16,6 +16,7 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
 from .demand import kept
 from .ground import keep_ground
+from .importing import import_terrain
 from .mesh import freed_memory
 from .report import accuracy_report, measuring
 from .request.request import RENDER, VIEWPORT
@@ -178,6 +179,7 @@ def on_undo(_scene, _unused=None) -> None:
     session.forget_shown()
     measuring.stop()
     accuracy_report.ingest_end()
+    import_terrain.begin_again()
     live.mark_dirty()
 
 

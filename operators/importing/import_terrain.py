@@ -2,6 +2,7 @@
 """Import a height map into a store, in a child process that can neither block nor hurt Blender."""
 
 import math
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -14,6 +15,7 @@ from ...cbt_terrain.run import warmup
 from ..properties.properties import land_of
 from ..request import imported
 from ..scene import session
+from ..scene.polls import on_terrain
 from ..text.numbers import SMALLEST, plain
 from ..viewport import frame_terrain, live
 
@@ -21,6 +23,7 @@ POLL_S = 0.1
 RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
 _jobs: dict[int, ImportJob] = {}  # by the object's session_uid
 _progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
+_gone: set[int] = set()  # terrains that were undone or deleted while they were imported
 
 
 def progress_of(obj) -> tuple[float, str] | None:
@@ -127,8 +130,7 @@ class _Import:
 
     @classmethod
     def poll(cls, context):
-        obj = context.object
-        return obj is not None and session.is_terrain(obj) and obj.session_uid not in _jobs
+        return on_terrain(cls, context) and context.object.session_uid not in _jobs
 
     def invoke(self, context, event):
         obj = context.object
@@ -150,8 +152,9 @@ class _Import:
             return {"PASS_THROUGH"}
         job = _jobs[self.uid]
         obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-        if obj is None:  # undone
+        if obj is None:  # undone, or deleted
             self.cancel(context)
+            _gone.add(self.uid)
             return {"CANCELLED"}
         progress = job.poll()
         _progress[self.uid] = progress.fraction, progress.message
@@ -249,6 +252,21 @@ def _push_undo() -> None:
     bpy.ops.ed.undo_push(message=_Import.bl_label)
 
 
+def begin_again() -> None:
+    """After Undo or Redo: a terrain that is back, and went while it was imported, is imported anew."""
+    if _gone:
+        bpy.app.timers.register(_begin_again, first_interval=0.0)  # a handler may begin nothing that runs on
+
+
+def _begin_again() -> None:
+    for obj in session.all_terrains():
+        if obj.session_uid in _gone:
+            _gone.remove(obj.session_uid)
+            window = bpy.context.window_manager.windows[0]
+            with suppress(RuntimeError), bpy.context.temp_override(window=window, object=obj):  # the panel says why
+                bpy.ops.adaptive_terrain.import_added("INVOKE_DEFAULT")
+
+
 class CancelImport(bpy.types.Operator):
     """Stop the import; the store stays as it was"""
 
@@ -275,7 +293,7 @@ def register() -> None:
 def unregister() -> None:
     for job in _jobs.values():
         job.cancel()
-    _jobs.clear()
-    _progress.clear()
+    for known in (_jobs, _progress, _gone):
+        known.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

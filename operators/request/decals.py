@@ -9,6 +9,7 @@ import numpy as np
 from ...cbt_terrain.ask.linear import inverse, length, product
 from ...cbt_terrain.effects.decals import Decal, Picture, picture
 from ..properties.layer_images import kept_of
+from .evaluated import found_in
 
 # IEC 61966-2-1, of each byte.
 LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (k / 255 for k in range(256))])
@@ -18,14 +19,15 @@ def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict
     """The parameter "decals" of effects, if there are any: normal maps where `tilts`, else colours. `placement`: of the
     terrain, float64 [4, 4].
 
-    Raises TerrainError for an empty that stands upright, and for an image without pixels.
+    Raises TerrainError for an empty that stands upright, for an image without pixels, and for one that is hidden where
+    Blender would have to move it.
     """
     found = []
     for child in terrain.original.children_recursive:
         if child.type == "EMPTY" and child.empty_display_type == "IMAGE" and _tilts(child.data) == tilts:
-            empty = child.evaluated_get(depsgraph)
+            empty, matrix = found_in(depsgraph, child, "decal")
             if not empty.hide_render:
-                matrix = product(inverse(placement), np.array(empty.matrix_world, np.float64))
+                matrix = product(inverse(placement), np.array(matrix, np.float64))
                 found.append((float(matrix[2, 3]), child.name_full, _decal(child.name, empty, matrix)))
     return {"decals": tuple(decal for *_, decal in sorted(found, key=lambda item: item[:2]))} if found else {}
 

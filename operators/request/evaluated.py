@@ -44,7 +44,7 @@ def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
 
 
 def _is_animated(block) -> bool:
-    animation = block.animation_data
+    animation = getattr(block, "animation_data", None)  # images have none
     return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 

@@ -149,8 +149,14 @@ def _next_job() -> Job | None:
 
 
 def _shown() -> list[tuple]:
-    """Dependency graph and object of the terrains in windows."""
-    return [(window.view_layer.depsgraph, obj) for window in _windows() for obj in session.terrains_of(window.scene)]
+    """Dependency graph and object of the terrains in windows. One that windows show in several scenes follows the first
+    of them: its mesh is one, and would go to and fro between their cameras for ever."""
+    found = {}
+    for window in _windows():
+        for obj in session.terrains_of(window.scene):
+            if found.get(obj.session_uid, (None,))[0] is None:
+                found[obj.session_uid] = window.view_layer.depsgraph, obj
+    return list(found.values())
 
 
 def _is_prepared(record: session.Record, request: Request) -> bool:

@@ -199,9 +199,10 @@ def keep_to_a_time():
     curve = json.loads(detail.curve)
     # A measured point, so that the budget's mesh is known. The curve rises steeply after it: where it is nearly level,
     # as noise may make it, the property's rounding (float32) alone would buy a mesh that is some percent finer.
-    points = [i for i, error in enumerate(curve["error"][:-1]) if error != detail.error_px]
-    point = max(points, key=lambda i: curve["ms"][i + 1] / curve["ms"][i])
+    point = max(range(len(curve["ms"]) - 1), key=lambda i: curve["ms"][i + 1] / curve["ms"][i])
     detail.max_ms = curve["ms"][point] * 1.0001
+    detail.error_px = 3.0  # that of no point, so that the budget's mesh is another, whichever point it is
+    yield from until(lambda: len(terrain().data.polygons) != result["small_triangles"])
     before = len(terrain().data.polygons)
     detail.limit_time = True
     yield from until(lambda: len(terrain().data.polygons) != before)

@@ -102,7 +102,7 @@ def test_an_effect_of_another_version_is_told_of(terrain):
     session.update_object(terrain)
 
 
-def test_a_linked_terrain_says_why_its_land_cannot_be_changed(terrain, tmp_path):
+def test_a_linked_terrain_says_why_it_cannot_be_changed(terrain, tmp_path):
     path = str(tmp_path / "library.blend")
     bpy.data.libraries.write(path, {terrain})
     with bpy.data.libraries.load(path, link=True) as (there, here):
@@ -110,7 +110,7 @@ def test_a_linked_terrain_says_why_its_land_cannot_be_changed(terrain, tmp_path)
     [linked] = here.objects
     bpy.context.scene.collection.objects.link(linked)
     bpy.context.view_layer.objects.active = linked
-    for name in ("land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
+    for name in ("import_source", "land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
         with pytest.raises(RuntimeError, match="is linked from a library, or overrides one, and is left alone: make"):
             getattr(bpy.ops.adaptive_terrain, name)()
 

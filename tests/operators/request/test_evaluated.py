@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.request import land_masks, request
+from adaptive_terrain.operators.request.decals import decals_given
 from adaptive_terrain.operators.request.evaluated import found_in
 from adaptive_terrain.operators.scene import session
 
@@ -69,6 +70,29 @@ def test_masks_and_boundaries_do_not_care_who_sees_them(patch, terrain, tmp_path
     shown, shadow = taken()
     assert boundary == pytest.approx(shown, abs=1e-3) and abs(mask - shadow).mean() < 1e-4
     assert shown[..., 0].mean() == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize("how", HIDDEN)
+def test_a_decal_that_is_not_evaluated_lies_where_it_was_put(scene, terrain, how):
+    """Moved by a script while Blender does not evaluate it, it is not taken from its old place."""
+    decal = bpy.data.objects.new("Decal", None)
+    decal.empty_display_type, decal.empty_display_size, decal.parent = "IMAGE", 40.0, terrain
+    decal.data = bpy.data.images.new("Sign", 8, 4)
+    helpers = bpy.data.collections.new("Helpers")
+    helpers.objects.link(decal)
+    scene.collection.children.link(helpers)
+    depsgraph()
+    hide(decal, how)
+    decal.location = (300.0, 150.0, 9.0)
+    placement = np.array(terrain.evaluated_get(depsgraph()).matrix_world)
+    [given] = decals_given(terrain, placement, depsgraph(), tilts=False)["decals"]
+    assert given.corner == pytest.approx((280.0, 140.0)), "half of 40 x 20 m from its middle"
+    decal.hide_render = True
+    assert decals_given(terrain, placement, depsgraph(), tilts=False) == {}
+    decal.hide_render = False
+    key(decal)
+    with pytest.raises(session.TerrainError, match="decal 'Decal' is hidden in viewports.*show it, or apply them"):
+        decals_given(terrain, placement, depsgraph(), tilts=False)
 
 
 def key(obj):

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Undo and Redo, by keys, while the height map of a terrain is imported; write down what came of it: FOLDER.
+
+Run with a window and --enable-event-simulate: Blender handles keys between the turns of a timer.
+"""
+
+import json
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
+
+[folder] = sys.argv[sys.argv.index("--") + 1 :]
+folder = Path(folder)
+WAIT_S = 900.0  # only so that a hang ends
+result = {}
+
+
+def terrain():
+    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.05
+
+
+def run(operator, *how, **asked):
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        return operator(*how, **asked)
+
+
+def press_z(**keys):
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    place = {"x": area.x + area.width // 3, "y": area.y + area.height // 2}
+    window.event_simulate(type="MOUSEMOVE", value="NOTHING", **place)
+    for value in ("PRESS", "RELEASE"):
+        window.event_simulate(type="Z", value=value, ctrl=True, **place, **keys)
+
+
+def gone_and_back(name: str, go, come_back):
+    """The terrain goes while it is imported, and comes back when the import has ended for that."""
+    yield from until(lambda: import_terrain.progress_of(terrain()) is not None)
+    go()
+    yield from until(lambda: terrain() is None and not import_terrain.all_progress())
+    come_back()
+    yield from until(lambda: terrain() is not None)
+    yield from until(lambda: import_terrain.progress_of(terrain()) is not None)
+    result[name] = [terrain().adaptive_terrain.store, len(import_terrain.all_progress())]
+
+
+def steps():
+    yield 2.0
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.ops.ed.undo_push(message="Empty")
+    run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", True)
+    yield from gone_and_back("undone", press_z, lambda: press_z(shift=True))
+    yield from gone_and_back("deleted", lambda: run(bpy.ops.object.delete, "EXEC_DEFAULT", True), press_z)
+    yield from until(lambda: len(terrain().data.polygons) > 0)
+    result["imported"] = Path(bpy.path.abspath(terrain().adaptive_terrain.store)).is_dir()
+    result["left"] = [len(import_terrain.all_progress()), len(import_terrain._gone)]
+
+
+_steps = steps()
+
+
+def turn():
+    try:
+        return next(_steps)
+    except StopIteration:
+        pass
+    except Exception:
+        result["error"] = traceback.format_exc()
+    (folder / "done.json").write_text(json.dumps(result))
+    return None
+
+
+bpy.app.timers.register(turn, first_interval=0.5)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which window a terrain follows where there are several."""
+
+import time
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.viewport import live
+
+
+def in_window(scene, depsgraph=True):
+    layer = scene.view_layers[0]
+    layer.update()
+    shown = layer if depsgraph else SimpleNamespace(depsgraph=None)
+    return SimpleNamespace(scene=scene, view_layer=shown, screen=SimpleNamespace(areas=()))
+
+
+def turns() -> int:
+    """Run the timer until it rests; returns how many updates were carried out."""
+    updates = 0
+    live.mark_dirty()
+    for _ in range(3000):
+        before, wait = live._job, live.tick()
+        updates += live._job is not None and live._job is not before
+        if wait == live.IDLE_S:
+            return updates
+        assert updates < 10, "it goes to and fro"
+        time.sleep(0.002)
+    raise AssertionError("the live update never ended")
+
+
+def test_a_terrain_of_two_scenes_follows_the_first_window(scene, add_terrain, monkeypatch):
+    """Its mesh is one: refined for both cameras in turn, it would flicker, and a core be busy for ever."""
+    terrain = add_terrain()
+    other = bpy.data.scenes.new("Other")
+    other.collection.objects.link(terrain)
+    other.camera = scene.camera.copy()
+    other.camera.location.y = -300.0
+    other.collection.objects.link(other.camera)
+    first, second = in_window(scene), in_window(other)
+    for windows, eye in (
+        ([first, second], -900.0),
+        ([second, first], -300.0),
+        ([in_window(other, False), first], -900.0),
+    ):
+        monkeypatch.setattr(live, "_windows", lambda windows=windows: windows)
+        assert turns() == 1
+        [view] = session.record_of(terrain).status.request.views
+        assert np.linalg.inv(view.world_to_camera)[1, 3] == pytest.approx(eye)

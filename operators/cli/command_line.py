@@ -78,12 +78,19 @@ def _run(argv: list[str] | None) -> int:
         print(f"{PROGRAM} {arguments.verb}: error: {shown(error, verbs.LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        said = unwritten(error) or shown(error, verbs.LONGEST_LINE)
+        said = unwritten(error) or shown(_sentence(error), verbs.LONGEST_LINE)
         print(f"{PROGRAM}: error: {said}", file=sys.stderr)
         if arguments.progress == OPENJD:
             print(f"openjd_fail: {said}", flush=True)
         return 1
     return 0
+
+
+def _sentence(error: TerrainError | OSError) -> object:
+    """Of what the system refuses, and nobody has told better, what and where."""
+    if isinstance(error, TerrainError) or error.filename is None:
+        return error
+    return f"{error.filename} cannot be read or written ({error.strerror}); check the disk, or choose another place."
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -221,3 +221,13 @@ def test_no_pipe_is_replaced_by_an_output(store, tmp_path, capfd):
         (said,) = capfd.readouterr().err.splitlines()
         assert "a device or a pipe" in said, said
     assert all(path.is_fifo() for path in made.values()) and not (tmp_path / "new.store").exists()
+
+
+def test_what_the_system_refuses_is_one_sentence(store, tmp_path, capsys):
+    taken, path = tmp_path / "out" / "frame_0001.json", tmp_path / "path.json"
+    taken.mkdir(parents=True)
+    path.write_text('{"keyframes": [{"frame": 1, "eye": [0, -900, 400], "target": [0, 0, 0]}]}')
+    where = ["--path", str(path), "--frames", "1", "--format", "npz", "--out", str(taken.parent)]
+    assert command_line.main(["export", "--store", store, *where]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"adaptive-terrain: error: {taken} cannot be read or written (") and "choose another" in said

@@ -155,7 +155,11 @@ def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
         os.mkfifo(shot.parent / "pipe.zip")
         assert run("submit", *where, shot.parent / "pipe.zip") == 1, "it is not waited for"
     said = capsys.readouterr().err.splitlines()
-    assert "is no zip" in said[0] and "not installed from a zip" in said[1] and all("is no zip" in line for line in said[2:])
+    assert (
+        "is no zip" in said[0]
+        and "not installed from a zip" in said[1]
+        and all("is no zip" in line for line in said[2:])
+    )
     with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
         archive.writestr("blender_manifest.toml", "")
     assert run("submit", *where, shot.parent / "ext.zip") == 0

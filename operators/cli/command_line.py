@@ -71,7 +71,7 @@ def _run(argv: list[str] | None) -> int:
     try:
         arguments = _parser().parse_args(_with_frames_joined(sys.argv[1:] if argv is None else argv))
         arguments.run(arguments)
-        sys.stdout.flush()
+        print(end="", flush=True)
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:

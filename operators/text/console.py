@@ -107,7 +107,7 @@ def unwritten(error: Exception) -> str:
     """Why stdout has not taken what was printed, or "" if `error` came from elsewhere. Python tries again when it ends,
     and reports that in its own words; so what is left goes nowhere."""
     try:
-        sys.stdout.flush()
+        print(end="", flush=True)
     except OSError as reason:
         error = reason
         nowhere = os.open(os.devnull, os.O_WRONLY)

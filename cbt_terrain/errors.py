@@ -21,6 +21,16 @@ def check_seed(name: str, seed: int) -> None:
         raise TerrainError(f"{name} is {seed!r}; expected a whole number, 0 .. {2**32 - 1}.")
 
 
+def named_once(pairs: list[tuple[str, object]]) -> dict:
+    """An object of JSON; ValueError where a name stands in it twice, of which Python would take the last."""
+    content = {}
+    for name, value in pairs:
+        if name in content:
+            raise ValueError(f"{shown(name)!r} stands twice in one object")
+        content[name] = value
+    return content
+
+
 def shown(text: object, most: int = 200) -> str:
     """A text from outside as it is shown: one line of at most `most` characters, none of which a terminal obeys."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))

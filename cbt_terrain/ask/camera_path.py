@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, named_once
 from .view import View
 
 TOP_KEYS = {"fov", "lens", "sensor", "clip", "keyframes"}
@@ -75,7 +75,7 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
 def read_camera_path(path: Path) -> CameraPath:
     """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        data = json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=named_once)
     except (OSError, ValueError, RecursionError) as error:
         raise TerrainError(
             f"The camera path {path} cannot be read ({error}); expected a JSON file of keyframes."

@@ -56,8 +56,8 @@ def check_export(file: str | os.PathLike) -> Path:
         raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
     if not file.parent.is_dir():
         raise TerrainError(f"{file} cannot be written: there is no folder {file.parent}; make it, or choose another.")
-    if file.is_dir():
-        raise TerrainError(f"{file} is a folder; expected the name of a file.")
+    if os.path.exists(file) and not os.path.isfile(file):
+        raise TerrainError(f"{file} is a folder, a device or a pipe; expected the name of a file: choose another.")
     return file
 
 

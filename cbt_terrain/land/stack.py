@@ -22,7 +22,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ..errors import TerrainError, shown
+from ..errors import TerrainError, named_once, shown
 from ..field.store_arrays import open_regular
 from ..land_effects.catalogue import LAND_EFFECTS
 from ..land_effects.land_effect import LandEffect
@@ -148,7 +148,7 @@ def read_stack(path: str | os.PathLike) -> Stack:
             text = handle.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ValueError(f"it is larger than {MOST_BYTES} bytes")
-        content = json.loads(text.decode("utf-8-sig"))
+        content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
     except (OSError, ValueError, RecursionError) as reason:
         said = getattr(reason, "strerror", None) or shown(reason)
         raise TerrainError(

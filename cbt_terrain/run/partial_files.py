@@ -11,6 +11,7 @@ that is free is trusted on that machine only; of others a folder goes when it is
     .partial-MARK...-NAME    the same of a file that names others as seen from its own folder
 """
 
+import errno
 import functools
 import hashlib
 import os
@@ -47,6 +48,7 @@ def written_beside(path: Path) -> Iterator[Path]:
     user may write: exporters choose a format by it, and nobody can put a link in its place.
     """
     path = Path(path)
+    check_replaceable(path)
     with private_folder(path.parent) as folder:
         yield folder / path.name
         os.replace(folder / path.name, path)
@@ -56,6 +58,7 @@ def written_beside(path: Path) -> Iterator[Path]:
 def written_among(path: Path) -> Iterator[Path]:
     """As `written_beside`, but in the folder of `path` itself, since the file will name others relative to it. Nobody
     can foresee the name, so there is no link in its place."""
+    check_replaceable(path)
     with private_folder(path.parent) as folder:
         partial = folder.with_name(f"{folder.name}-{path.name}")
         try:
@@ -63,6 +66,15 @@ def written_among(path: Path) -> Iterator[Path]:
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise OSError where something other than a file stands: a rename would put a file in the place of a device or a
+    pipe, as root of /dev/null for the whole machine."""
+    if os.path.isdir(path):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise FileExistsError(errno.EEXIST, "a device or a pipe is there", str(path))
 
 
 @contextmanager

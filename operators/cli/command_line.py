@@ -14,9 +14,9 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
-from ..text.console import BAR, OPENJD
+from ..text.console import BAR, OPENJD, open_streams, unwritten
 from . import farm_verbs, verbs
 from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive
 
@@ -63,6 +63,7 @@ def program() -> NoReturn:
     """`main` for a process of its own: before and after the work Ctrl-C just ends it, without Python's traceback."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    open_streams()
     sys.exit(main())
 
 
@@ -70,17 +71,26 @@ def _run(argv: list[str] | None) -> int:
     try:
         arguments = _parser().parse_args(_with_frames_joined(sys.argv[1:] if argv is None else argv))
         arguments.run(arguments)
+        print(end="", flush=True)
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:
-        print(f"{PROGRAM} {arguments.verb}: error: {error}", file=sys.stderr)
+        print(f"{PROGRAM} {arguments.verb}: error: {shown(error, verbs.LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        said = unwritten(error) or shown(_sentence(error), verbs.LONGEST_LINE)
+        print(f"{PROGRAM}: error: {said}", file=sys.stderr)
         if arguments.progress == OPENJD:
-            print(f"openjd_fail: {' '.join(str(error).split())}", flush=True)
+            print(f"openjd_fail: {said}", flush=True)
         return 1
     return 0
+
+
+def _sentence(error: TerrainError | OSError) -> object:
+    """Of what the system refuses, and nobody has told better, what and where."""
+    if isinstance(error, TerrainError) or error.filename is None:
+        return error
+    return f"{error.filename} cannot be read or written ({error.strerror}); check the disk, or choose another place."
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -15,6 +15,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.placing import placing_of
 from ...cbt_terrain.query.ground import ground_at, profile
 from ...cbt_terrain.run.partial_files import written_beside
+from ..output.exporting import check_target
 
 X, Y = "x", "y"
 FOUND = ("height_m", "slope_deg", "normal_x", "normal_y", "normal_z")
@@ -23,6 +24,8 @@ ALONG = ("along_m", X, Y, FOUND[0])
 
 def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     """Write what there is at the points as CSV, into `out` or on stdout; a line about it goes where that does not."""
+    if out is not None:
+        check_target(out)
     names, rows, coordinates = read_points(points, () if as_line else FOUND)
     field, placing = open_store(store), placing_of(store)
     places = placing.to_terrain(coordinates)

@@ -102,7 +102,7 @@ def _add_terrain(obj, files: list[Path], folders: list[Path], made: list[Path]) 
 def _zip_path(extension: str, out: Path) -> Path:
     """The zip that goes with the job."""
     if extension != INSTALLED:
-        if not zipfile.is_zipfile(extension):
+        if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # a pipe would be waited for
             raise TerrainError(f"{extension} is no zip; expected the extension's, or {INSTALLED!r}.")
         return Path(extension).resolve()
     if not (PACKAGE / "wheels").is_dir():

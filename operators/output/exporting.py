@@ -108,6 +108,8 @@ def check_target(path: Path) -> None:
         raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
     if os.path.isdir(path):  # which raises for no name
         raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise TerrainError(f"{path} is a device or a pipe; expected a file to write: choose another name.")
 
 
 @contextmanager

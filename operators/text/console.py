@@ -93,6 +93,32 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02d} h"
 
 
+def open_streams() -> None:
+    """Before anything else: standard streams that whoever started the process has closed lead nowhere. Else the next
+    file gets their number, and what is printed. A name that a stream's encoding lacks is shown in escapes."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))
+    sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def unwritten(error: Exception) -> str:
+    """Why stdout has not taken what was printed, or "" if `error` came from elsewhere. Python tries again when it ends,
+    and reports that in its own words; so what is left goes nowhere."""
+    try:
+        print(end="", flush=True)
+    except OSError as reason:
+        error = reason
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+    else:
+        if not isinstance(error, BrokenPipeError):  # which drops what is left
+            return ""
+    return f"stdout takes no more ({error.strerror}): expected a file or a pipe that does; make room, or read on."
+
+
 @contextmanager
 def quiet(*streams: int):
     """Send what native code prints nowhere: Blender reports every file that it reads and writes. `streams`: file

@@ -95,7 +95,12 @@ def test_what_cannot_be_is_one_sentence_with_the_file_and_the_entry(tmp_path, co
     assert said in text and "\n" not in text and len(text) < 700 and str(file) in text
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"{" * 100_000, b"[" * 2_000_000, b'{"version": 1e', None])
+TWICE = b'{"version": 1, "entries": [{"effect": "hill", "effect": "level"}]}'
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff\xfe", b"{" * 100_000, b"[" * 2_000_000, b'{"version": 1e', TWICE, None]
+)
 def test_a_file_that_is_no_stack(tmp_path, content):
     file = tmp_path / "stack.json"
     if content is None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is half-written has a private folder, which goes when its writer is no more, however it ended."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -104,6 +105,20 @@ def test_a_failed_or_empty_write_leaves_the_old_file(tmp_path):
     with pytest.raises(FileNotFoundError), written_beside(tmp_path / "a.txt"):
         pass  # wrote nothing
     assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+@posix
+@pytest.mark.parametrize("written", [written_beside, partial_files.written_among])
+def test_no_device_and_no_folder_is_replaced(tmp_path, written):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "to_pipe").symlink_to(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    before = {path.name: path.lstat().st_ino for path in tmp_path.iterdir()}
+    for name, kind in (("pipe", FileExistsError), ("to_pipe", FileExistsError), ("folder", IsADirectoryError)):
+        with pytest.raises(kind) as refused, written(tmp_path / name) as partial:
+            partial.touch()
+        assert refused.value.strerror in ("a device or a pipe is there", os.strerror(errno.EISDIR))
+    assert {path.name: path.lstat().st_ino for path in tmp_path.iterdir()} == before
 
 
 def test_users_read_final_names(tmp_path):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line on bad input and in bad circumstances: one clear sentence, and nothing half-done."""
 
+import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +12,11 @@ import pytest
 from adaptive_terrain.operators.cli import command_line
 
 BAKE = ["bake", "--store", "x", "--out", "a.npz"]
+PROGRAM = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line"]
 EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
+
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells, pipes and descriptors")
 
 
 @pytest.mark.parametrize(
@@ -156,3 +162,72 @@ def test_a_signal_after_the_last_step_changes_nothing(number):
     command = [sys.executable, "-c", LATE, str(number)]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def printed(store: str, redirected: str, **environment) -> subprocess.CompletedProcess:
+    """What the shell's `redirected` leaves of `query` in a process of its own, which buffers as Python does."""
+    points = Path(store).parent / "two_points.csv"
+    points.write_text("x,y\n0,0\n5,5\n")
+    query = shlex.join([*PROGRAM, "query", "--store", store, "--points", str(points)])
+    known = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.run(f"{query} {redirected}", shell=True, capture_output=True, text=True, env=known | environment)
+
+
+@posix
+def test_stdout_that_takes_no_more_is_one_sentence(store):
+    for redirected, why in (("> /dev/full", "No space left on device"), ("| exit", "Broken pipe")):
+        told = printed(store, redirected).stderr.splitlines()
+        assert len(told) == 2 and told[0].startswith("2 places"), told
+        assert told[1].startswith(f"adaptive-terrain: error: stdout takes no more ({why})"), told
+    assert printed(store, "> /dev/full").returncode == 1
+
+
+@posix
+def test_closed_streams_lead_nowhere(store):
+    heard = printed(store, ">&-")
+    assert heard.returncode == 0 and len(heard.stderr.splitlines()) == 1, heard.stderr
+    table = printed(store, "2>&-")
+    assert table.returncode == 0 and len(table.stdout.splitlines()) == 3, "the line about it is not in the table"
+    assert printed(store, ">&- 2>&- <&-").returncode == 0
+
+
+@posix
+def test_a_name_that_the_terminal_lacks_is_shown_in_escapes(tmp_path):
+    command = [*PROGRAM, "import", "island", "--size", "65", "--store", str(tmp_path / "река")]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0 and "\\u0440" in done.stdout.splitlines()[-1], done.stderr
+
+
+def test_an_error_is_one_line_whatever_a_name_holds(tmp_path, capsys):
+    assert command_line.main(["info", str(tmp_path / "a\nb\x1b[2Jc.store")]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "\x1b" not in said and "a b?[2Jc.store" in said
+
+
+@posix
+def test_no_pipe_is_replaced_by_an_output(store, tmp_path, capfd):
+    points, stack = tmp_path / "points.csv", tmp_path / "stack.json"
+    points.write_text("x,y\n0,0\n")
+    stack.write_text('{"version": 1, "entries": []}')
+    made = {name: tmp_path / name for name in ("a.npz", "a.csv", "a.tif")}
+    for path in made.values():
+        os.mkfifo(path)
+    for argv in (
+        ["bake", "--store", store, "--max-error", "9", "--out", made["a.npz"]],
+        ["query", "--store", store, "--points", points, "--out", made["a.csv"]],
+        ["shape", "--store", store, "--stack", stack, "--out", tmp_path / "new.store", "--export", made["a.tif"]],
+    ):
+        assert command_line.main(list(map(str, argv))) == 1
+        (said,) = capfd.readouterr().err.splitlines()
+        assert "a device or a pipe" in said, said
+    assert all(path.is_fifo() for path in made.values()) and not (tmp_path / "new.store").exists()
+
+
+def test_what_the_system_refuses_is_one_sentence(store, tmp_path, capsys):
+    taken, path = tmp_path / "out" / "frame_0001.json", tmp_path / "path.json"
+    taken.mkdir(parents=True)
+    path.write_text('{"keyframes": [{"frame": 1, "eye": [0, -900, 400], "target": [0, 0, 0]}]}')
+    where = ["--path", str(path), "--frames", "1", "--format", "npz", "--out", str(taken.parent)]
+    assert command_line.main(["export", "--store", store, *where]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"adaptive-terrain: error: {taken} cannot be read or written (") and "choose another" in said

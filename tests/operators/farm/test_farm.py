@@ -3,6 +3,7 @@
 tests/blender/test_farm.py runs one."""
 
 import json
+import os
 import runpy
 import shutil
 import subprocess
@@ -150,8 +151,15 @@ def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
     where = "--scene", shot, "--out", tmp_path / "out", "--render", "--extension"
     assert run("submit", *where, shot.parent / "ext.zip") == 1
     assert run("submit", *where, "installed") == 1
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(shot.parent / "pipe.zip")
+        assert run("submit", *where, shot.parent / "pipe.zip") == 1, "it is not waited for"
     said = capsys.readouterr().err.splitlines()
-    assert "is no zip" in said[0] and "not installed from a zip" in said[1] and len(said) == 2
+    assert (
+        "is no zip" in said[0]
+        and "not installed from a zip" in said[1]
+        and all("is no zip" in line for line in said[2:])
+    )
     with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
         archive.writestr("blender_manifest.toml", "")
     assert run("submit", *where, shot.parent / "ext.zip") == 0

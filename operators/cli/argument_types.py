@@ -59,6 +59,14 @@ def count(text: str) -> int:
     return value
 
 
+def some(text: str) -> int:
+    """A number of things of which there has to be one."""
+    value = count(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return value
+
+
 def path(text: str) -> Path:
     """A path; an empty text would be the current folder."""
     if not text.strip():

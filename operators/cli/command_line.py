@@ -18,7 +18,7 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
 from ..text.console import BAR, OPENJD, open_streams, unwritten
 from . import farm_verbs, verbs
-from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive
+from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive, some
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
@@ -306,7 +306,7 @@ def _add_farm(subparsers) -> None:
     verb.add_argument(
         "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
     )
-    verb.add_argument("--chunk", type=count, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
+    verb.add_argument("--chunk", type=some, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
     what = verb.add_mutually_exclusive_group()
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
     what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")

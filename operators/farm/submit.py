@@ -55,7 +55,7 @@ def submit(
         name=f"{blend.stem} {'meshes' if formats else 'pictures'}",
         blend=blend,
         frames=frames or frames_of(scene),
-        chunk=max(1, chunk),
+        chunk=chunk,
         formats=formats,
         out=out / FRAMES,
         version=versions()["adaptive-terrain"],

@@ -38,6 +38,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells, pipes 
         (["import", "island", "--store", ""], "the name is empty"),
         (["import", "island", "--store", "x", "--extent", "infx1"], "has a number above"),
         (["import", "dem.tif", "--store", "x", "--size", "100"], "error: --size and --seed are of built-in lands"),
+        (["submit", "--scene", "s.blend", "--out", "job", "--frames", "1", "--chunk", "0"], "0 is not 1 or more"),
         ([*BAKE, "--max-error", "2m"], "'2m' is not a number"),
         ([*BAKE, "--max-error", "1", "--budget", "1.5"], "'1.5' is not a whole number"),
     ],

@@ -105,17 +105,16 @@ def write_triangle(
 ):
     """Front and far vertex are counter-clockwise; the passage says which of them is stored first."""
     shape = code & SHAPE
-    o = wp.int64(3) * wp.int64(t)
-    o0 = o + wp.int64((FIRST_CORNER >> shape) & 3)
-    o1 = o + wp.int64((SECOND_CORNER >> shape) & 3)
-    o2 = o + wp.int64((THIRD_CORNER >> shape) & 3)
+    o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
+    o1 = 3 * t + ((SECOND_CORNER >> shape) & 3)
+    o2 = 3 * t + ((THIRD_CORNER >> shape) & 3)
     put(w.corner_verts, o0, front0)
     put(w.corner_verts, o1, front1)
     put(w.corner_verts, o2, far)
     put(w.corner_edges, o0, entry)
     put(w.corner_edges, o1, wp.where(side == 0, leave, third))
     put(w.corner_edges, o2, wp.where(side == 0, third, leave))
-    put(w.level, wp.int64(t), (code >> DEPTH_SHIFT) & 63)
+    put(w.level, t, (code >> DEPTH_SHIFT) & 63)
 
 
 @wp.func

@@ -123,7 +123,15 @@ def test_the_page_shows_what_was_profiled(tmp_path):
 
 
 # What these take is in their reasons: kernels of their own, Python that asks Blender, or another program.
-NOT_PROFILED = {"demand_large", "query_heights", "light_rays", "effects_cut", "effects_flight", "morph_flight", "morph_cut"}
+NOT_PROFILED = {
+    "demand_large",
+    "query_heights",
+    "light_rays",
+    "effects_cut",
+    "effects_flight",
+    "morph_flight",
+    "morph_cut",
+}
 NOT_PROFILED |= {
     "frame",
     "splats",

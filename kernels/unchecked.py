@@ -30,17 +30,6 @@ for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.float32, wp.vec2i, wp.v
         ): ...
 
 
-# The front's and the stack's two numbers as one.
-
-
-@wp.func_native("return *(wp::int64*)(a.data + i);")
-def packed_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.int64: ...
-
-
-@wp.func_native("*(wp::int64*)(a.data + i) = pair;")
-def put_packed(a: wp.array(dtype=wp.vec2i), i: wp.int64, pair: wp.int64): ...
-
-
 # Rows. Warp's loops are not vectorised or unrolled: 11.9 ms for the meshlets of 1 M triangles even with the loads and
 # stores above, 7.0 ms with these.
 

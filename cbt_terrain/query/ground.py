@@ -59,7 +59,8 @@ def ground_at(
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
     outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
     inputs = [count, surface, shared(places, wp.vec2d), *outputs]
-    launch.spread(kernels.ground_at, count, inputs, step="query", threads=threads, cost=COST)
+    blocks = -(-count // int(kernels.BLOCK))
+    launch.spread(kernels.ground_at, blocks, inputs, step="query", threads=threads, cost=COST * int(kernels.BLOCK))
     return found
 
 

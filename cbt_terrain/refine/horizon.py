@@ -39,7 +39,7 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
 
 def has_rings(asked: Asked) -> bool:
     """Whether something may be hidden from a view."""
-    return bool(asked.view_count and asked.views.numpy()["rings"]["count"].any())
+    return bool(asked.view.rings.count or (asked.view_count > 1 and asked.views.numpy()["rings"]["count"].any()))
 
 
 def fill(

@@ -3,6 +3,8 @@
 
 import warp as wp
 
+from ..unchecked import item_at, put
+
 
 @wp.kernel
 def corner_uv(
@@ -12,10 +14,10 @@ def corner_uv(
     out: wp.array(dtype=wp.vec2f),
 ):
     c = wp.tid() + offset
-    out[c] = uv[corner_verts[c]]
+    put(out, c, item_at(uv, item_at(corner_verts, c)))
 
 
 @wp.kernel
 def face_offsets(offset: wp.int32, out: wp.array(dtype=wp.int32)):
     f = wp.tid() + offset
-    out[f] = 3 * f
+    put(out, f, 3 * f)

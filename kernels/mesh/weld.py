@@ -27,7 +27,7 @@ from ..refine.curve import (
     TAKE_LEFT,
     TO_CORNER,
 )
-from ..unchecked import item_at, packed_at, put, put_packed
+from ..unchecked import item_at, put
 from .weld_border import corner_below, enter, give_above, give_right, take_side
 from .weld_state import (
     END_FRONT,
@@ -76,25 +76,6 @@ THIRD_CORNER = wp.constant(by_shape(lambda passage, odd: (first_corner(passage, 
 ENTRY_LEGS = wp.constant(1 << LEG_LEG | 1 << LEG_HYP)
 LEAVE_LEGS = wp.constant(1 << LEG_LEG | 1 << HYP_LEG)
 THIRD_LEGS = wp.constant(1 << HYP_LEG | 1 << LEG_HYP)
-# Two int32 in an int64: the low and the high one.
-LOW = wp.constant(wp.int64(0xFFFFFFFF))
-SIGNS = wp.constant(wp.int64(-(1 << 63) | 1 << 31))
-ONE_EACH = wp.constant(wp.int64(1 << 32 | 1))
-
-
-@wp.func
-def packed(low: wp.int32, high: wp.int32) -> wp.int64:
-    return (wp.int64(low) & LOW) | (wp.int64(high) << wp.int64(32))
-
-
-@wp.func
-def low_of(pair: wp.int64) -> wp.int32:
-    return wp.int32(pair)
-
-
-@wp.func
-def high_of(pair: wp.int64) -> wp.int32:
-    return wp.int32(pair >> wp.int64(32))
 
 
 @wp.func
@@ -124,17 +105,16 @@ def write_triangle(
 ):
     """Front and far vertex are counter-clockwise; the passage says which of them is stored first."""
     shape = code & SHAPE
-    o = wp.int64(3) * wp.int64(t)
-    o0 = o + wp.int64((FIRST_CORNER >> shape) & 3)
-    o1 = o + wp.int64((SECOND_CORNER >> shape) & 3)
-    o2 = o + wp.int64((THIRD_CORNER >> shape) & 3)
+    o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
+    o1 = 3 * t + ((SECOND_CORNER >> shape) & 3)
+    o2 = 3 * t + ((THIRD_CORNER >> shape) & 3)
     put(w.corner_verts, o0, front0)
     put(w.corner_verts, o1, front1)
     put(w.corner_verts, o2, far)
     put(w.corner_edges, o0, entry)
     put(w.corner_edges, o1, wp.where(side == 0, leave, third))
     put(w.corner_edges, o2, wp.where(side == 0, third, leave))
-    put(w.level, wp.int64(t), (code >> DEPTH_SHIFT) & 63)
+    put(w.level, t, (code >> DEPTH_SHIFT) & 63)
 
 
 @wp.func
@@ -153,76 +133,16 @@ def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     # what is below looks like an import, so that no leaf closes it unseen
     w.stack[s.next0 - 1] = wp.vec2i(-1, -1)
     w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
-    starts = wp.int32(w.code[w.leaf_base[slot]]) >> FIRST & 1
+    code = wp.int32(w.code[w.leaf_base[slot]])
+    starts = code >> FIRST & 1
     w.state[e + SQUARE] = w.squares[slot] - starts
     w.state[e + FIRST_OWN] = w.squares[slot] + 1 - starts
     if starts == 0:
         s.front0 = ask(w, b, e, FRONT, 0)
         s.front1 = ask(w, b, e, FRONT, 1)
         s.entry = ask(w, b, e, FRONT, 2)
-    return s
-
-
-@wp.func
-def weld_ordinary(w: Weld, b: Base, leaf_base: wp.int64, leaves: wp.int32, s: Strip) -> Strip:
-    """Weld leaves up to the first that is rare or meets an import. Pairs share a register each: the front's vertices,
-    the stacks' next places, the next edge and vertex."""
-    front = packed(s.front0, s.front1)
-    open = packed(s.next0, s.next1)
-    made = packed(s.edge, s.vertex)
-    level = s.level
-    torn = wp.int32(0)
-    k = s.leaf
-    while k < leaves:
-        code = wp.int32(item_at(w.code, leaf_base + wp.int64(k)))
-        side = side_of(code)
-        shift = wp.int64(side << 5)
-        new = wp.int64(1 - (code & 1))
-        at = (open >> shift) & LOW
-        closed = packed_at(w.stack, at - wp.int64(1))
-        # Third edge and far vertex: without a branch, as none could be foreseen. What is in vain is overwritten.
-        across = closed ^ ((closed ^ made) & -new)
-        if (code & RARE) != 0 or ((front | across) & SIGNS) != wp.int64(0):
-            break
-        far64 = across >> wp.int64(32)
-        moved64 = (front >> shift) & LOW
-        edge64 = made & LOW
-        leave64 = edge64 + new
-        put_packed(w.edges, edge64, moved64 | (far64 << wp.int64(32)))
-        put_packed(w.stack, at, (across & LOW) | (moved64 << wp.int64(32)))
-        # Where an edge that is closed, or the front, has another level, leaves do not fit together.
-        third_level = level_of(code, THIRD_LEGS)
-        torn = torn | (level ^ level_of(code, ENTRY_LEGS))
-        torn = torn | ((item_at(w.stack_level, wp.int32(at) - 1) ^ third_level) & -(code & 1))
-        put(w.stack_level, at, third_level)
-        level = level_of(code, LEAVE_LEGS)
-        write_triangle(
-            w,
-            b.triangle + k,
-            code,
-            side,
-            low_of(front),
-            high_of(front),
-            high_of(across),
-            low_of(made) - 1,
-            low_of(across),
-            wp.int32(leave64),
-        )
-        front = (front & ~(LOW << shift)) | (far64 << shift)
-        put_packed(w.edges, leave64, front)
-        open += (new + new - wp.int64(1)) << shift
-        made += new * ONE_EACH + wp.int64(1)
-        k += 1
-    s.front0 = low_of(front)
-    s.front1 = high_of(front)
-    s.next0 = low_of(open)
-    s.next1 = high_of(open)
-    s.edge = low_of(made)
-    s.vertex = high_of(made)
-    s.entry = wp.where(k > 0, s.edge - 1, s.entry)
-    s.level = level
-    s.torn = s.torn | torn
-    s.leaf = k
+        s.level = level_of(code, ENTRY_LEGS)
+    w.state[e + FIRST_LEVEL] = s.level
     return s
 
 
@@ -234,9 +154,11 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
         w.state[e + LEFT + i] = 0
     w.state[e + SQUARE] = w.state[e + SQUARE] + 1
     w.state[e + RESTARTED] = 1
+    meet(w, e, 0, s.level)
+    s.level = level_of(code, ENTRY_LEGS)
     s.next0 = stack_base(b.room, leaves, 0)
     s.next1 = stack_base(b.room, leaves, 1)
-    corner, end, entry, vertex, edge = enter(w, b, e, slot, code, level_of(code, ENTRY_LEGS), s.vertex, s.edge)
+    corner, end, entry, vertex, edge = enter(w, b, e, slot, code, s.level, s.vertex, s.edge)
     s.entry = entry
     s.vertex = vertex
     s.edge = edge
@@ -258,7 +180,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     moved = wp.where(side == 0, s.front0, s.front1)
     third = s.edge
     far = s.vertex
-    step = wp.int32(0)
+    grow = wp.int32(0)
     if (code & 1) == 1:
         if top == stack_base(b.room, leaves, side):
             third = ask_stack(w, b, e, side, level)
@@ -266,67 +188,35 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
         else:
             third = w.stack[top - 1][0]
             far = w.stack[top - 1][1]
-            step = -1
-            meet(w, e, level, w.stack_level[top - 1])
+            grow = -1
     elif role == TAKE_LEFT or role == TAKE_BELOW:
         taken = take_side(w, b, e, slot, role, level)
         third = taken[0]
         far = taken[1]
+    elif role == GIVE_RIGHT:
+        give_right(w, e, third, level, moved, far)
+    elif role == GIVE_ABOVE:
+        give_above(w, e, third, level, moved)
     else:
         if role == TO_CORNER:
             far = corner_below(w, b, e, w.state[e + SQUARE])
-        w.edges[third] = wp.vec2i(moved, far)
-        if role == GIVE_RIGHT:
-            give_right(w, e, third, level, moved, far)
-        elif role == GIVE_ABOVE:
-            give_above(w, e, third, level, moved)
-        else:
-            w.stack[top] = wp.vec2i(third, moved)
-            w.stack_level[top] = level
-            step = 1
-    return third, far, step
+        grow = 1
+    return third, far, grow
 
 
 @wp.func
-def weld_rare(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
-    """Weld one leaf: the first or last of a square, on a side that squares share, or with an import."""
+def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
+    """Note a triangle with an import, and give the edge by which the curve leaves a square to the square above."""
     e = STATE_SIZE * slot
-    code = wp.int32(item_at(w.code, w.leaf_base[slot] + wp.int64(s.leaf)))
-    side = side_of(code)
-    last = ((code >> LAST) & 1) == 1
-    level = level_of(code, ENTRY_LEGS)
-    if ((code >> FIRST) & 1) == 1:
-        s = begin_square(w, b, slot, code, leaves, s)
-        level = 0
-    if s.leaf == 0:
-        w.state[e + FIRST_LEVEL] = level
-    else:
-        meet(w, e, level, s.level)
-    third, far, step = third_edge(w, b, slot, code, leaves, s)
-    leave = s.edge + wp.where(third == s.edge, 1, 0)
-    t = b.triangle + s.leaf
-    write_triangle(w, t, code, side, s.front0, s.front1, far, s.entry, third, leave)
     if (s.front0 | s.front1 | far | s.entry | third) < 0:
         n = w.state[e + FIXES]
         w.fixes[b.room + n] = t
         w.state[e + FIXES] = n + 1
-    level = level_of(code, LEAVE_LEGS)
-    if last and w.state[e + SQUARE] < w.columns * (w.rows - 1):
-        pivot = wp.where(side == 0, s.front1, s.front0)
-        give_above(w, e, leave, level, wp.where((code & PASSAGE) == HYP_LEG, far, pivot))
-    s.vertex = s.vertex + wp.where(far == s.vertex, 1, 0)
-    s.edge = leave + 1
-    s.entry = leave
-    s.level = wp.where(last, 0, level)
-    if side == 0:
-        s.front0 = far
-        s.next0 = s.next0 + step
-    else:
-        s.front1 = far
-        s.next1 = s.next1 + step
-    w.edges[leave] = wp.vec2i(s.front0, s.front1)
-    s.leaf = s.leaf + 1
-    return s
+    if code >> LAST == 1 and w.state[e + SQUARE] < w.columns * (w.rows - 1):
+        leave = s.edge + wp.where(third == s.edge, 1, 0)
+        pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
+        begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
+        give_above(w, e, leave, level_of(code, LEAVE_LEGS), begun)
 
 
 @wp.func
@@ -345,11 +235,55 @@ def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
 
 @wp.kernel
 def weld(slot: wp.int32, w: Weld):
+    """The inner loop takes a leaf with its third edge, and finds the next one's without a branch, as none could be
+    foreseen. It ends before a leaf that is rare: the first or last of a square, on a side that squares share, or with
+    an import."""
     b = base_of(w.counts, slot)
     leaves = wp.int32(w.counts[3 * slot])
+    first = w.leaf_base[slot]
     s = begin(w, b, slot, leaves)
-    while s.leaf < leaves:
-        s = weld_ordinary(w, b, w.leaf_base[slot], leaves, s)
-        if s.leaf < leaves:
-            s = weld_rare(w, b, slot, leaves, s)
+    k = wp.int32(0)
+    while k < leaves:
+        code = wp.int32(item_at(w.code, first + wp.int64(k)))
+        if ((code >> FIRST) & 1) == 1:
+            s = begin_square(w, b, slot, code, leaves, s)
+        side = side_of(code)
+        top = wp.where(side == 0, s.next0, s.next1)
+        moved = wp.where(side == 0, s.front0, s.front1)
+        third, far, grow = third_edge(w, b, slot, code, leaves, s)
+        note_rare(w, b, slot, code, s, b.triangle + k, third, far)
+        ordinary = wp.bool(True)
+        while ordinary:
+            # Where an edge that is closed, or the front, has another level, leaves do not fit together.
+            level = level_of(code, THIRD_LEGS)
+            met = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)
+            s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | met
+            leave = s.edge + wp.where(third == s.edge, 1, 0)
+            # What is in vain of these three is overwritten.
+            put(w.edges, s.edge, wp.vec2i(moved, far))
+            put(w.stack, top, wp.vec2i(third, moved))
+            put(w.stack_level, top, level)
+            write_triangle(w, b.triangle + k, code, side, s.front0, s.front1, far, s.entry, third, leave)
+            s.level = level_of(code, LEAVE_LEGS)
+            last = code >> LAST
+            s.vertex = s.vertex + wp.where(far == s.vertex, 1, 0)
+            s.edge = leave + 1
+            s.entry = leave
+            s.next0 = s.next0 + wp.where(side == 0, grow, 0)
+            s.next1 = s.next1 + wp.where(side == 0, 0, grow)
+            s.front0 = wp.where(side == 0, far, s.front0)
+            s.front1 = wp.where(side == 0, s.front1, far)
+            put(w.edges, leave, wp.vec2i(s.front0, s.front1))
+            k += 1
+            code = wp.int32(item_at(w.code, first + wp.int64(k)))
+            side = side_of(code)
+            old = code & 1
+            top = wp.where(side == 0, s.next0, s.next1)
+            moved = wp.where(side == 0, s.front0, s.front1)
+            closed = item_at(w.stack, top - 1)
+            third = wp.where(old == 1, closed[0], s.edge)
+            far = wp.where(old == 1, closed[1], s.vertex)
+            grow = 1 - 2 * old
+            ordinary = k < leaves and (code & RARE) == 0 and (s.front0 | s.front1 | third | far) >= 0
+        s.level = wp.where(last == 1, 0, s.level)
     end(w, b, slot, leaves, s)

@@ -26,7 +26,7 @@ from .weld_state import (
 
 
 @wp.func
-def own_side(w: Weld, e: wp.int32, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
+def own_side(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
     """Has this slice made the edge that is number `passed` of a side (2: right, 3: above) of square `owner`?"""
     first = w.squares[slot]
     return owner > first or (owner == first and passed >= w.before[4 * slot + before])
@@ -60,7 +60,7 @@ def enter(
         owner = square - 1
         at = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
         w.state[e + LEFT] = 1
-        if own_side(w, e, slot, owner, at - w.side_base[owner], 2):
+        if own_side(w, slot, owner, at - w.side_base[owner], 2):
             corner = w.corners[2 * owner + 1]
             entry = w.side[at][0]
             end = w.side[at][1]
@@ -91,14 +91,14 @@ def take_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
         n = w.state[e + LEFT]
         w.state[e + LEFT] = n + 1
         at = w.side_base[square] - 1 - n
-        own = own_side(w, e, slot, square - 1, at - w.side_base[square - 1], 2)
+        own = own_side(w, slot, square - 1, at - w.side_base[square - 1], 2)
     else:
         owner = square - w.columns
         n = w.state[e + BELOW]
         w.state[e + BELOW] = n + 1
         above = w.columns * w.rows + owner
         at = w.side_base[above + 1] - 1 - n
-        own = own_side(w, e, slot, owner, at - w.side_base[above], 3)
+        own = own_side(w, slot, owner, at - w.side_base[above], 3)
     taken = wp.vec2i(0, 0)
     if own:
         taken = w.side[at]

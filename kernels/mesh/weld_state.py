@@ -69,7 +69,6 @@ class Base:
 class Strip:
     """Where a slice stands on its way along the curve."""
 
-    leaf: wp.int32  # the next leaf, from 0
     front0: wp.int32  # the front's vertices
     front1: wp.int32
     entry: wp.int32  # ... and its edge
@@ -78,7 +77,7 @@ class Strip:
     next1: wp.int32
     edge: wp.int32  # the next new edge
     vertex: wp.int32
-    torn: wp.int32  # not 0: an ordinary leaf has met an edge of another level
+    torn: wp.int32  # not 0: a leaf has met an edge of another level
 
 
 @wp.func

@@ -28,16 +28,6 @@ def copy_items(source: wp.array(dtype=Any), first: wp.int64, count: wp.int32, ou
 
 
 @wp.func
-def packed_at(a: wp.array(dtype=wp.vec2i), i: wp.int64) -> wp.int64:
-    return (wp.int64(a[i][0]) & wp.int64(0xFFFFFFFF)) | (wp.int64(a[i][1]) << wp.int64(32))
-
-
-@wp.func
-def put_packed(a: wp.array(dtype=wp.vec2i), i: wp.int64, pair: wp.int64):
-    a[i] = wp.vec2i(wp.int32(pair), wp.int32(pair >> wp.int64(32)))
-
-
-@wp.func
 def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32):
     for k in range(count):
         out[at + k] = first + step * k

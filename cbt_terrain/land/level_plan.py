@@ -18,27 +18,43 @@ MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 
 class LevelPlan:
-    """`total`: of the costs, in nanoseconds on one thread, as far as declarations know."""
+    """`total`: of the costs, in nanoseconds on one thread, as far as declarations know. `doubted`: numbers of entries
+    and of levels at which their tiles are not to be trusted: unless too large, these are made in one piece."""
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
         self.levels, self.entries = levels, entries
         self.asked_whole = [tiles is None for tiles in wanted]
-        wanted = [every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)]
-        self.needed = closed(levels, wanted, [self._widest(level) for level in levels])
-        self.total = sum(self._cost(level) for level in levels)
+        every = zip(levels, wanted, strict=True)
+        self.wanted = [every_tile(level) if tiles is None else tiles for level, tiles in every]
+        self.doubted: set[tuple[int, int]] = set()
+        self._count()
+
+    def _count(self) -> None:
+        self.needed = closed(self.levels, self.wanted, [self._widest(level) for level in self.levels])
+        self.total = sum(self._cost(level) for level in self.levels)
+
+    def doubt(self, number: int, level: Level, doubtful: bool) -> None:
+        """What a level that was made in one piece says of an entry at finer ones (LandEffect.doubts)."""
+        finer = {(number, n) for n in range(level.number)}
+        after = self.doubted | finer if doubtful else self.doubted - finer
+        if after != self.doubted:
+            self.doubted = after
+            self._count()
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
         """Rows and columns that an effect looks beyond a tile of a level; None where only all of it will do."""
         metres = entry.declaration.halo(entry.values, max(level.step_x, level.step_y))
         return None if math.isinf(metres) else (math.ceil(metres / level.step_y), math.ceil(metres / level.step_x))
 
-    def how(self, entry: Entry, level: Level) -> str:
-        """How an effect is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
+    def how(self, number: int, level: Level) -> str:
+        """How an entry is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
         be: so that tiles of a shot do not change when it sees all of them."""
+        entry = self.entries[number]
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
-        if level.is_whole or (self.asked_whole[level.number] and longer <= MOST_WHOLE):
+        at_once = self.asked_whole[level.number] or (number, level.number) in self.doubted
+        if level.is_whole or (at_once and longer <= MOST_WHOLE):
             return WHOLE  # for all tiles together their halos would be several times the work
         if self.halo(entry, level) is not None:
             return TILES
@@ -50,9 +66,9 @@ class LevelPlan:
         has to see the whole begins a new run."""
         found = []
         for number, entry in enumerate(self.entries):
-            alone = self.how(entry, level) == WHOLE
+            alone = self.how(number, level) == WHOLE
             apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
-            if alone or apart or not found or self.how(self.entries[found[-1][-1]], level) == WHOLE:
+            if alone or apart or not found or self.how(found[-1][-1], level) == WHOLE:
                 found.append([])
             found[-1].append(number)
         return found
@@ -62,8 +78,7 @@ class LevelPlan:
         and at the end what is asked for. Each makes what those after it look at."""
         found = [(BAND, BAND)]
         for number in reversed(numbers):
-            entry = self.entries[number]
-            more = self.halo(entry, level) if self.how(entry, level) == TILES else (0, 0)
+            more = self.halo(self.entries[number], level) if self.how(number, level) == TILES else (0, 0)
             found.append((found[-1][0] + more[0], found[-1][1] + more[1]))
         return found[::-1]
 
@@ -82,8 +97,7 @@ class LevelPlan:
         tiles, total = self.made_with(level, self.needed[level.number]), 0.0
         for numbers in self.runs(level) if level.is_whole or tiles else ():
             for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
-                entry = self.entries[number]
-                how = self.how(entry, level)
+                entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:
                     total += self.cost(entry, level.whole)
                 elif how == TILES:

@@ -19,27 +19,24 @@ MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 class LevelPlan:
     """`total`: of the costs, in nanoseconds on one thread, as far as declarations know. `doubted`: numbers of entries
-    and of levels at which their tiles are not to be trusted: unless too large, these are made in one piece."""
+    whose tiles are not to be trusted: unless they are too large, their finer levels are made in one piece."""
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
         self.levels, self.entries = levels, entries
         self.asked_whole = [tiles is None for tiles in wanted]
         every = zip(levels, wanted, strict=True)
         self.wanted = [every_tile(level) if tiles is None else tiles for level, tiles in every]
-        self.doubted: set[tuple[int, int]] = set()
+        self.doubted: set[int] = set()
         self._count()
 
     def _count(self) -> None:
         self.needed = closed(self.levels, self.wanted, [self._widest(level) for level in self.levels])
         self.total = sum(self._cost(level) for level in self.levels)
 
-    def doubt(self, number: int, level: Level, doubtful: bool) -> None:
-        """What a level that was made in one piece says of an entry at finer ones (LandEffect.doubts)."""
-        finer = {(number, n) for n in range(level.number)}
-        after = self.doubted | finer if doubtful else self.doubted - finer
-        if after != self.doubted:
-            self.doubted = after
-            self._count()
+    def doubt(self, number: int) -> None:
+        """From the next finer level on: one that was made in one piece says so of an entry."""
+        self.doubted.add(number)
+        self._count()
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
         """Rows and columns that an effect looks beyond a tile of a level; None where only all of it will do."""
@@ -53,7 +50,7 @@ class LevelPlan:
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
-        at_once = self.asked_whole[level.number] or (number, level.number) in self.doubted
+        at_once = self.asked_whole[level.number] or number in self.doubted
         if level.is_whole or (at_once and longer <= MOST_WHOLE):
             return WHOLE  # for all tiles together their halos would be several times the work
         if self.halo(entry, level) is not None:

@@ -212,7 +212,7 @@ def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int
     rms = float(np.sqrt(sums.squares[made].mean())) if made else 0.0
     spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
     figures = rms, float(sums.most.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
-    doubtful = not whole and bool(tiles) and (number, level.number) in run.plan.doubted
+    doubtful = not whole and bool(tiles) and number in run.plan.doubted
     return Added(level.number, spacing, number, effect, *figures, doubtful)
 
 
@@ -237,9 +237,10 @@ def _run_of(
     with _counted(run, entry, sums):
         change = apply_whole(work, entry, land, mask, None if up is None else np.stack(up), told)
     run.done += cost
-    if up is not None:
-        both = (unpacked(entry.declaration, parts_of) for parts_of in (up, change))
-        run.plan.doubt(numbers[0], level, entry.declaration.doubts(*both, level.step_x * level.step_y))
+    if up is not None and level.number and numbers[0] not in run.plan.doubted:
+        both = (unpacked(entry.declaration, of) for of in (up, change))
+        if entry.declaration.doubts(*both, level.step_x * level.step_y):
+            run.plan.doubt(numbers[0])
     delta = change[0] if up is None else change[0] - up[0]
     for tile in range(level.tile_count):
         sums.add(level, tile, delta, mask, level.whole)

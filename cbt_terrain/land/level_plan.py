@@ -12,8 +12,8 @@ from .tiles import BAND, Level, Wanted, Window, closed, every_tile
 
 # How an effect is applied at a level: to all of it, to tiles, or not at all: then its coarser change is taken.
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
-# Samples along the longer side of the finest level that is worked on as a whole: where the whole is asked for; and, by
-# effects that look at all of it, where tiles are.
+# Samples along the longer side of the finest level that is worked on as a whole: where the whole is asked for, or tiles
+# are doubted; and, by effects that look at all of it, where tiles are asked for.
 MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 

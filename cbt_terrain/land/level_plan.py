@@ -12,33 +12,46 @@ from .tiles import BAND, Level, Wanted, Window, closed, every_tile
 
 # How an effect is applied at a level: to all of it, to tiles, or not at all: then its coarser change is taken.
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
-# Samples along the longer side of the finest level that is worked on as a whole: where the whole is asked for; and, by
-# effects that look at all of it, where tiles are.
+# Samples along the longer side of the finest level that is worked on as a whole: where the whole is asked for, or tiles
+# are doubted; and, by effects that look at all of it, where tiles are asked for.
 MOST_WHOLE, MOST_WHOLE_FOR_SOME = 4097, 2049
 
 
 class LevelPlan:
-    """`total`: of the costs, in nanoseconds on one thread, as far as declarations know."""
+    """`total`: of the costs, in nanoseconds on one thread, as far as declarations know. `doubted`: numbers of entries
+    whose tiles are not to be trusted: unless they are too large, their finer levels are made in one piece."""
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
         self.levels, self.entries = levels, entries
         self.asked_whole = [tiles is None for tiles in wanted]
-        wanted = [every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)]
-        self.needed = closed(levels, wanted, [self._widest(level) for level in levels])
-        self.total = sum(self._cost(level) for level in levels)
+        every = zip(levels, wanted, strict=True)
+        self.wanted = [every_tile(level) if tiles is None else tiles for level, tiles in every]
+        self.doubted: set[int] = set()
+        self._count()
+
+    def _count(self) -> None:
+        self.needed = closed(self.levels, self.wanted, [self._widest(level) for level in self.levels])
+        self.total = sum(self._cost(level) for level in self.levels)
+
+    def doubt(self, number: int) -> None:
+        """From the next finer level on: one that was made in one piece says so of an entry."""
+        self.doubted.add(number)
+        self._count()
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
         """Rows and columns that an effect looks beyond a tile of a level; None where only all of it will do."""
         metres = entry.declaration.halo(entry.values, max(level.step_x, level.step_y))
         return None if math.isinf(metres) else (math.ceil(metres / level.step_y), math.ceil(metres / level.step_x))
 
-    def how(self, entry: Entry, level: Level) -> str:
-        """How an effect is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
+    def how(self, number: int, level: Level) -> str:
+        """How an entry is applied at a level. Whether in tiles is said by who asks, not by how many that happens to
         be: so that tiles of a shot do not change when it sees all of them."""
+        entry = self.entries[number]
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
-        if level.is_whole or (self.asked_whole[level.number] and longer <= MOST_WHOLE):
+        at_once = self.asked_whole[level.number] or number in self.doubted
+        if level.is_whole or (at_once and longer <= MOST_WHOLE):
             return WHOLE  # for all tiles together their halos would be several times the work
         if self.halo(entry, level) is not None:
             return TILES
@@ -50,9 +63,9 @@ class LevelPlan:
         has to see the whole begins a new run."""
         found = []
         for number, entry in enumerate(self.entries):
-            alone = self.how(entry, level) == WHOLE
+            alone = self.how(number, level) == WHOLE
             apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
-            if alone or apart or not found or self.how(self.entries[found[-1][-1]], level) == WHOLE:
+            if alone or apart or not found or self.how(found[-1][-1], level) == WHOLE:
                 found.append([])
             found[-1].append(number)
         return found
@@ -62,8 +75,7 @@ class LevelPlan:
         and at the end what is asked for. Each makes what those after it look at."""
         found = [(BAND, BAND)]
         for number in reversed(numbers):
-            entry = self.entries[number]
-            more = self.halo(entry, level) if self.how(entry, level) == TILES else (0, 0)
+            more = self.halo(self.entries[number], level) if self.how(number, level) == TILES else (0, 0)
             found.append((found[-1][0] + more[0], found[-1][1] + more[1]))
         return found[::-1]
 
@@ -82,8 +94,7 @@ class LevelPlan:
         tiles, total = self.made_with(level, self.needed[level.number]), 0.0
         for numbers in self.runs(level) if level.is_whole or tiles else ():
             for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
-                entry = self.entries[number]
-                how = self.how(entry, level)
+                entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:
                     total += self.cost(entry, level.whole)
                 elif how == TILES:

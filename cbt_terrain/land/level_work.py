@@ -18,7 +18,7 @@ from .tile_cache import TileCache, content_key
 from .tiles import Level, Window
 
 # Changed when the same content would give other numbers though no effect's version has changed.
-METHOD = 5
+METHOD = 6
 Tell = Callable[[float], None]
 
 

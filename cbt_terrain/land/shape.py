@@ -16,7 +16,7 @@ import numpy as np
 from ..field.heightfield import HeightField
 from ..land_effects.levels import finer, finer_window
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import Land, LevelGround, Work, apply_tile, apply_whole, parts, within, without
+from .level_work import Land, LevelGround, Work, apply_tile, apply_whole, parts, unpacked, within, without
 from .stack import Entry, Stack
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
@@ -29,8 +29,8 @@ class Finished(Exception):
 @dataclass(frozen=True)
 class Added:
     """What one effect has added at one level to what the coarser one said: metres, over the tiles that were made.
-    `whole`: whether the level was worked on as one piece. `made`: its pieces, of which `computed` were not known
-    before. `ms`: what that took."""
+    `whole`: whether the level was worked on as one piece; `doubtful`: not, though tiles of it are not to be trusted.
+    `made`: its pieces, of which `computed` were not known before. `ms`: what that took."""
 
     level: int
     spacing_m: float
@@ -42,6 +42,7 @@ class Added:
     made: int
     computed: int
     ms: float
+    doubtful: bool = False
 
 
 @dataclass(eq=False)
@@ -185,7 +186,7 @@ def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -
         coarse = [None if below is None else below.changes[number] for number in numbers]
         made, sums = _run_of(run, work, numbers, tiles, coarse, land)
         for number, entry_sums in zip(numbers, sums, strict=True):
-            how = run.plan.how(run.entries[number], level)
+            how = run.plan.how(number, level)
             most += entry_sums.most
             squares += entry_sums.squares
             if how != UPSAMPLED:
@@ -211,7 +212,8 @@ def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int
     rms = float(np.sqrt(sums.squares[made].mean())) if made else 0.0
     spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
     figures = rms, float(sums.most.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
-    return Added(level.number, spacing, number, effect, *figures)
+    doubtful = not whole and bool(tiles) and number in run.plan.doubted
+    return Added(level.number, spacing, number, effect, *figures, doubtful)
 
 
 def _run_of(
@@ -225,7 +227,7 @@ def _run_of(
     """Apply a run of entries (LevelPlan.runs) to a level: their changes, of which each is its parts, each [rows,
     columns]; and what they add. coarse: their changes at the coarser level, or None. The land becomes theirs."""
     entry = run.entries[numbers[0]]
-    if run.plan.how(entry, work.level) != WHOLE:
+    if run.plan.how(numbers[0], work.level) != WHOLE:
         return _put_tiles(run, work, numbers, tiles, coarse, land)
     sums, level, below = Sums.none(work.level), work.level, coarse[0]
     mask, cost = work.mask(entry, land), run.plan.cost(entry, level.whole)
@@ -235,6 +237,10 @@ def _run_of(
     with _counted(run, entry, sums):
         change = apply_whole(work, entry, land, mask, None if up is None else np.stack(up), told)
     run.done += cost
+    if up is not None and level.number and numbers[0] not in run.plan.doubted:
+        both = (unpacked(entry.declaration, of) for of in (up, change))
+        if entry.declaration.doubts(*both, level.step_x * level.step_y):
+            run.plan.doubt(numbers[0])
     delta = change[0] if up is None else change[0] - up[0]
     for tile in range(level.tile_count):
         sums.add(level, tile, delta, mask, level.whole)
@@ -267,7 +273,7 @@ def _put_tiles(
         land.total = land.total + work.put_on(entry, change, mask, land)
         changes += [change] if level.number else []
     sums = [Sums.none(level) for _ in numbers]
-    if all(run.plan.how(run.entries[number], level) == UPSAMPLED for number in numbers):
+    if all(run.plan.how(number, level) == UPSAMPLED for number in numbers):
         return changes, sums
     rest = np.ones(level.shape, np.float32)
     for tile in tiles:
@@ -309,7 +315,7 @@ def _tile(
         here = within(asked, window)
         coarser = np.stack([finer_window(array, *window) for array in below])
         change = coarser[(slice(parts(entry.declaration, level)), *here)]
-        if run.plan.how(entry, level) == TILES:
+        if run.plan.how(number, level) == TILES:
             cost = run.plan.cost(entry, window)
             told = run.progress(cost, level, entry)
             told(0.0)

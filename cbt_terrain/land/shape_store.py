@@ -19,6 +19,7 @@ from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
 from ..importing.drafts import drafted, figures, room_for
 from ..run import launch
+from .level_plan import MOST_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
@@ -31,6 +32,10 @@ from .tiles import Wanted, levels_of, whole_land
 SHAPING = 0.8
 ROWS = 256
 BUILDING = "Measuring errors"
+DOUBTFUL = (
+    "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
+    f"beyond {MOST_WHOLE} x {MOST_WHOLE} samples a level is not made in one piece."
+)
 ROOM_ELSEWHERE = "choose another folder (in Blender: Pack Store Beside File)"
 
 
@@ -188,6 +193,7 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
             f"Finer levels are left out in places; the last that was made there has changed heights by {rms:.3g} m "
             f"(root mean square), {most:.3g} m at most: what is missing is of that size."
         )
+    warnings += [DOUBTFUL.format(name) for name in sorted({a.effect for a in shaped.added if a.doubtful})]
     return {
         "format": "shaped",
         "raster": [lattice.width, lattice.height],

@@ -95,7 +95,9 @@ class LandEffect:
     `name`: in stacks and files. `label`: in menus. `about`: one line of meaning. `layers`: its by-products, those of
     others that it `reads`. `kept`: names of what its changes keep for its finer levels. `parameters`: in metres, years,
     degrees. `halo`: metres around a tile that its finer levels look at, given the parameters and the spacing; inf where
-    only the whole raster will do. `finest`: the most samples along the longer side that it is worth or able to be
+    only the whole raster will do. `doubts`: whether tiles of finer levels are not to be trusted, so that they have to
+    be in one piece: asked of a level that is, given the coarser change brought to it, its own change, and the square
+    metres of a sample. `finest`: the most samples along the longer side that it is worth or able to be
     applied to, 0 for no limit. `limit`: its stability, in words. `conserves`: what stays, and how exactly. `converges`:
     what a finer level changes, measured. `cost_ns`: nanoseconds a sample of a level on one thread, measured. `source`:
     paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
@@ -112,6 +114,7 @@ class LandEffect:
     reads: tuple[str, ...] = ()
     kept: tuple[str, ...] = ()
     halo: Callable[[Mapping[str, float], float], float] = lambda _values, _step: 0.0
+    doubts: Callable[[Change, Change, float], bool] = lambda _coarser, _own, _cell: False
     finest: int = 0
     masks: bool = False
     limit: str = ""

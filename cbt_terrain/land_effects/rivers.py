@@ -31,6 +31,11 @@ SPREAD = 1.5
 # Samples of halo around a tile: over all tiles of a level they are off by less than 5 % of what it moved, also on young
 # land full of pits (river_rims.py).
 HALO = 176
+# What comes into a tile is known from the coarser level. So its big rivers, of catchments of more than BIG samples (as
+# wide as the halo at the next finer level), have to run where its own do: at most REACH samples beside them, and
+# at most ALIKE times as large or as small. Where more than a part ELSEWHERE of all water does not, tiles are off: on
+# plains, whose rivers lie anew at each level.
+BIG, REACH, ALIKE, ELSEWHERE = (HALO // 2) ** 2, 4, 1.3, 0.25
 # Where no map of uplift is given it fades towards the rim, which stays, over this part of the shorter side: else the
 # land would end in a cliff.
 FADE = 0.15
@@ -67,6 +72,23 @@ def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.nd
         kept = {LAKE: drainage.filled() - drainage.heights, LOAD: load * cell}
     shaped = ({k: a.reshape(bed.shape).astype(np.float32) for k, a in some.items()} for some in (layers, kept))
     return Change(change.reshape(bed.shape), *shaped)
+
+
+def doubts(coarser: Change, own: Change, cell: float) -> bool:
+    """See LandEffect."""
+    coarse, fine = (change.layers["flow"] / np.float32(cell) for change in (coarser, own))
+    return max(_elsewhere(coarse, fine), _elsewhere(fine, coarse)) > ELSEWHERE
+
+
+def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
+    """The part of all water that is in big rivers which the other level does not have. Both: float32 [rows, columns],
+    samples that drain through each."""
+    j, i = np.nonzero(flow > BIG)
+    water, near, most = flow[j, i], np.pad(other, REACH), np.zeros(len(j), np.float32)
+    for north, east in np.ndindex(2 * REACH + 1, 2 * REACH + 1):
+        np.maximum(most, near[j + north, i + east], out=most)
+    lost = water[most * np.float32(ALIKE) <= water].sum(dtype=np.float64)
+    return float(lost / max(flow.sum(dtype=np.float64), 1.0))
 
 
 def _years_again(ground: Ground, values: Mapping[str, float]) -> float:
@@ -203,6 +225,7 @@ RIVERS = LandEffect(
     kept=(LAKE, LOAD),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,
+    doubts=doubts,
     masks=True,
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years; ground above "
     "`steepest` becomes walls of that slope",

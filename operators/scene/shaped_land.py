@@ -101,6 +101,8 @@ def _as_updated(obj, numbers: list[int]) -> State:
         note = (
             f"Finer levels are left out: about {plain(made.left_out_rms_m)} m, {plain(made.left_out_most_m)} m at most"
         )
+    elif made.doubtful:
+        note = "Tiles may differ by more than 5 % from the land in one piece, which is too large (see the manual)"
     return State(True, SHAPED, made.step_m, tiles, _by_number(numbers, made.ms), note, made.finished_early)
 
 
@@ -119,6 +121,7 @@ class _Made:
     left_out_rms_m: float
     left_out_most_m: float
     finished_early: bool
+    doubtful: bool
 
 
 def _made_of(store: str) -> _Made | None:
@@ -138,7 +141,8 @@ def _read(store: str, _changed_ns: int) -> _Made | None:
             ms[added["entry"]] += added["ms"]
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in said["added"]), default=0.0)
-        return _Made(step_m, tuple(ms), **{name: said[name] for name in names})
+        doubtful = any(added.get("doubtful", False) for added in said["added"])
+        return _Made(step_m, tuple(ms), **{name: said[name] for name in names}, doubtful=doubtful)
     except (TerrainError, KeyError, TypeError, AttributeError):  # a provenance may hold anything
         return None
 

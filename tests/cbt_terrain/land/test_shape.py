@@ -311,6 +311,34 @@ def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_
     assert abs(made.change - exact)[::2, ::2].max() < 1.0
 
 
+def test_where_tiles_are_doubted_all_finer_levels_are_made_in_one_piece(monkeypatch):
+    """Of 1300 samples, two levels of which are else made in tiles. Asked is the whole one, of 20 m, and that is all."""
+    asked = []
+
+    def doubts(_coarser, own, cell):
+        asked.append((own.heights.shape, cell))
+        return True
+
+    field, plain = from_array(bumpy(300, 1300), 5.0), Stack((Entry("smooth"),))
+    expected = shape(field, plain, whole_land(field.lattice))
+    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=doubts))
+    made = shape(field, Stack((Entry("smooth"),)), some_tiles(field, 3))
+    assert all(added.whole and not added.doubtful for added in made.added) and len(made.added) == 4
+    assert asked == [((76, 326), 400.0)] and made.tiles[0] == [3]
+    assert made.change.tobytes() == expected.change.tobytes()
+
+
+@pytest.mark.parametrize("asked", [whole_land, all_tiles])
+def test_doubted_levels_that_are_too_large_are_made_in_tiles_and_say_so(asked, monkeypatch):
+    monkeypatch.setattr(level_plan, "MOST_WHOLE", 900)
+    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
+    field = from_array(bumpy(300, 1300), 5.0)
+    made = shape(field, Stack((Entry("smooth"), Entry("hill"))), asked(field.lattice))
+    finer = {(added.effect, added.level): (added.whole, added.doubtful) for added in made.added if added.level < 2}
+    assert finer["smooth", 1] == (True, False) and finer["smooth", 0] == (False, True)
+    assert not finer["hill", 0][1]
+
+
 def test_a_raster_of_one_row_less_takes_nothing_from_the_cache_that_depends_on_its_size(tmp_path):
     """At level 1 both have the same samples; but land that rises fades to the rim of the raster's own metres."""
     heights = bumpy(131, 601)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Derived stores: ordinary ones, with layers beside the heights, made again only where something has changed."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json, verify
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.land import level_plan
 from adaptive_terrain.cbt_terrain.land.mask import Mask
 from adaptive_terrain.cbt_terrain.land.shape_process import ShapeJob, shape_store
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
@@ -26,7 +28,7 @@ from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tiles import levels_of
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from land_effects import bumpy
+from land_effects import SMOOTH, bumpy
 
 HILL = Entry("hill", {"east": 2000.0, "north": 1500.0, "radius": 800.0})
 STACK = Stack((Entry("smooth"), HILL))
@@ -260,3 +262,12 @@ def test_splat_rules_are_about_layers_too(source, tmp_path):
         east = surface.positions[:, 0] > 0.01 * 699 * 9
         west = surface.positions[:, 0] < -0.01 * 699 * 9
         assert not white[west].any() and (white[east] == (0.0 if depth is None else 1.0)).all()
+
+
+def test_a_report_warns_of_tiles_that_are_not_to_be_trusted(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(level_plan, "MOST_WHOLE", 600)
+    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
+    doubted = run_shape(source, STACK, tmp_path / "doubted")
+    assert ["smooth may differ" in text for text in doubted["warnings"]] == [True]
+    monkeypatch.setattr(level_plan, "MOST_WHOLE", 700)
+    assert run_shape(source, STACK, tmp_path / "whole")["warnings"] == []

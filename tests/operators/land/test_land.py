@@ -71,6 +71,24 @@ def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
     assert land_request.made == {"previews": 1, "stores": 1}, "what is there is not made again"
 
 
+def test_the_panel_says_that_tiles_are_not_to_be_trusted(terrain, monkeypatch):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    assert shaped_land.state_of(terrain).note == ""
+    read = shaped_land.stores.read_json
+
+    def doubtful(path):
+        found = read(path)
+        assert found["provenance"]["shaped"]["added"][-1]["doubtful"] is False
+        found["provenance"]["shaped"]["added"][-1]["doubtful"] = True
+        return found
+
+    monkeypatch.setattr(shaped_land.stores, "read_json", doubtful)
+    shaped_land._read.cache_clear()
+    assert "may differ by more than 5 %" in shaped_land.state_of(terrain).note
+    shaped_land._read.cache_clear()
+
+
 def test_the_land_is_what_the_command_makes(terrain, tmp_path):
     add("thermal", depth=60.0)
     bpy.ops.adaptive_terrain.shape()

@@ -112,13 +112,22 @@ def build(
 
 
 def from_array(
-    samples: np.ndarray, step_x: float = 1.0, step_y: float | None = None, *, source_max: float = 0.0, **details
+    samples: np.ndarray,
+    step_x: float = 1.0,
+    step_y: float | None = None,
+    *,
+    source_max: float = 0.0,
+    holes: bool = False,
+    threads: int | None = None,
+    origin: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+    crs: str = "",
+    provenance: dict | None = None,
 ) -> HeightField:
     """A height field in memory from a 2-D array of heights in metres, row 0 south.
 
     Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled, or
-    with `holes` cut out. `source_max`: metres by which they may be rounded. `details` are further fields of
-    HeightField: origin, crs, provenance; `threads` limits the threads used.
+    with `holes` cut out. `source_max`: metres by which they may be rounded. `threads` limits the threads used.
+    `origin`, `crs`, `provenance`: see HeightField.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)
@@ -127,8 +136,7 @@ def from_array(
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
     raster, missing = cleaning.clean_rows(cleaning.widen(samples))
-    asked = {"threads": details.pop("threads", None), "holes": details.pop("holes", False)}
-    built = build(np.ascontiguousarray(raster), step_x, step_y, missing=missing, source_max=source_max, **asked)
-    for name, value in details.items():
-        setattr(built, name, value)
+    asked = {"missing": missing, "source_max": source_max, "threads": threads, "holes": holes}
+    built = build(np.ascontiguousarray(raster), step_x, step_y, **asked)
+    built.origin, built.crs, built.provenance = np.asarray(origin, np.float64), crs, provenance or {}
     return built

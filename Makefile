@@ -4,8 +4,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 VENV ?= .venv
 TESTS ?= tests
-SMOKE := tests/faults/test_import_faults.py \
-	$(addprefix tests/cbt_terrain/,field/test_store.py importing/test_importing.py mesh/test_surface.py) \
+SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_importing.py mesh/test_surface.py) \
 	$(addprefix tests/cbt_terrain/,refine/test_refinement.py test_terrain.py tree/test_tree.py) \
 	$(addprefix tests/operators/,mesh/test_mesh_writer.py output/test_exporting.py scene/test_session.py) \
 	$(addprefix tests/operators/,test_handlers.py test_registration.py ui/test_panel.py) \

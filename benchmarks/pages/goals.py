@@ -117,8 +117,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "from run to run 0.010 to 0.012: one copy of 2 MB in 0.12 to 0.14 ms, 15 GB/s.",
     ),
     ("land_relief", ANY_SIZE): (
-        0.29,
-        "75 ns a sample for three octaves, on every machine; numpy takes 276 to 356 ms, so 0.20 to 0.29.",
+        0.3,
+        "75 to 80 ns a sample for three octaves, on every machine; numpy takes 260 to 356 ms, so 0.20 to 0.30.",
     ),
     ("land_sediment", ANY_SIZE): (
         2.4,
@@ -159,11 +159,10 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "with every frame.",
     ),
     ("query_heights", ANY_SIZE): (
-        0.66,
-        "from machine to machine 0.49 to 0.66 of the same code: ours waits for memory, 42 to 61 ns a place, and numpy "
-        "computes.",
+        0.57,
+        "from run to run 0.44 to 0.57: 42 to 54 ns a place, of which an arc tangent takes 16.",
     ),
-    ("refine_error", 1_000_000): (0.31, "from machine to machine 0.25 to 0.31: 14 ms on each, beside 47 to 55."),
+    ("refine_error", 1_000_000): (0.33, "from run to run 0.24 to 0.33: 14 to 21 ms, beside 47 to 79."),
     ("morph_cut", ANY_SIZE): (
         3.0,
         "1.45 of it are triangles; each point's diamond is measured once more than by the walk.",

@@ -105,7 +105,9 @@ def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkey
     views = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in (0.0, 30.0)]
     updates = [terrain.update(criterion, [views[n % 2]]) for n in range(6)]
     assert all(update.changed for update in updates) and len(peaks) == 6
-    assert updates[-1].surface.positions.nbytes > 80_000 and min(peaks[2:]) < 20_000 < peaks[0]
+    assert updates[-1].surface.positions.nbytes > 80_000 and peaks[0] > 20_000
+    # Of each view's warm builds the least: what grows is in every one, what Python itself happens to keep is not.
+    assert max(min(peaks[2::2]), min(peaks[3::2])) < 20_000
 
 
 def flown(field, meshlet=0, threads=2):

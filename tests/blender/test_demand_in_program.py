@@ -5,7 +5,7 @@ import json
 import os
 from pathlib import Path
 
-from program_window import SCREEN, read_screen, wait_for, window
+from program_window import read_screen, wait_for, window
 
 HERE = Path(__file__).resolve().parent
 SUPPORT = HERE.parent / "support"
@@ -21,8 +21,7 @@ def test_a_click_that_unlinks_a_node_skips_its_effect(program, tmp_path):
     """The stroke that cuts a link in the Shader Editor; no triangle changes."""
     pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
     pictures.mkdir(parents=True, exist_ok=True)
-    arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(HERE / "scripts" / "click_unlink.py"), "--", str(tmp_path)]
+    arguments = ["--python", str(HERE / "scripts" / "click_unlink.py"), "--", str(tmp_path)]
     with window(program, arguments, tmp_path) as blender:
         try:
             for moment in ("linked", "unlinked"):

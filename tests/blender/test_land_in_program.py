@@ -5,7 +5,7 @@ import json
 import os
 from pathlib import Path
 
-from program_window import SCREEN, read_screen, wait_for, window
+from program_window import read_screen, wait_for, window
 from real_program import SCRIPTS
 
 MOMENTS = ("preview", "shaping", "shaped", "finer")
@@ -14,8 +14,7 @@ MOMENTS = ("preview", "shaping", "shaped", "finer")
 def test_land_is_shaped_beside_the_window(program, tmp_path):
     pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
     pictures.mkdir(parents=True, exist_ok=True)
-    arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(SCRIPTS / "click_land.py"), "--", str(tmp_path)]
+    arguments = ["--python", str(SCRIPTS / "click_land.py"), "--", str(tmp_path)]
     with window(program, arguments, tmp_path) as blender:
         try:
             for moment in MOMENTS:

@@ -109,8 +109,8 @@ def test_what_leaks_is_found(what, leaks):
 def in_a_window(program, shot, counts: dict[str, int]) -> int:
     """Do that often what the script can; returns its exit code if it quits."""
     folder = shot.parent
-    arguments = [shot, "--enable-event-simulate", "--window-geometry", *map(str, SIZE), "--python", SCRIPT]
-    with window(program, [*map(str, arguments), "--", str(folder), json.dumps(counts)], folder) as blender:
+    arguments = [shot, "--python", SCRIPT, "--", folder, json.dumps(counts)]
+    with window(program, arguments, folder, place=SIZE) as blender:
         while blender.poll() is None and not (folder / "done.json").exists():
             time.sleep(0.1)
         return blender.poll()

@@ -12,7 +12,7 @@ import pytest
 from adaptive_terrain.benchmarks.rows import in_program
 from hostile_files import source, vrt
 from PIL import Image
-from program_window import SCREEN, read_screen, wait_for, window
+from program_window import read_screen, wait_for, window
 from real_program import EXTENSION, SCRIPTS, lend_kernels
 
 
@@ -132,8 +132,7 @@ def test_motion_blur_keeps_one_topology_over_the_shutter(program, scene, tmp_pat
 def test_clicks_on_the_panel(program, tmp_path):
     pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
     pictures.mkdir(parents=True, exist_ok=True)
-    arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
+    arguments = ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
     # As in a fresh install: what every frame needs is not compiled yet.
     kernels = tmp_path / "kernels"
     lend_kernels(kernels)

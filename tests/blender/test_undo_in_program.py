@@ -3,14 +3,13 @@
 
 import json
 
-from program_window import SCREEN, wait_for, window
+from program_window import wait_for, window
 from real_program import SCRIPTS
 
 
 def test_a_terrain_that_comes_back_is_imported_anew(program, tmp_path):
     """Undone and redone, or deleted and undone, before its height map is there: it is never left without."""
-    arguments = ["--enable-event-simulate", "--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(SCRIPTS / "undo_import.py"), "--", str(tmp_path)]
+    arguments = ["--python", str(SCRIPTS / "undo_import.py"), "--", str(tmp_path)]
     with window(program, arguments, tmp_path) as blender:
         wait_for(tmp_path / "done.json", blender)
     said = json.loads((tmp_path / "done.json").read_text())

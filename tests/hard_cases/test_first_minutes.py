@@ -23,8 +23,7 @@ def lit_part(picture, viewport: list[int]) -> float:
 def pictures(program, dem, tmp_path_factory):
     """The screen after the import, the same with a factory scene's view, and what the script wrote down."""
     folder = tmp_path_factory.mktemp("first_import")
-    arguments = ["--window-geometry", "0", "0", *map(str, SCREEN)]
-    arguments += ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
+    arguments = ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
     with window(program, arguments, folder) as blender:
         wait_for(folder / "imported.json", blender)
         after = read_screen(folder)

@@ -14,12 +14,15 @@ from PIL import Image
 SCREEN = 1600, 1000
 # Only so that a hang ends.
 GUARD_S = 1200
+# Where events are simulated Blender does not sleep between them, and takes a core for as long as it is open: this gives
+# back the 5 ms that it sleeps else.
+RESTS = "import bpy, time; bpy.app.timers.register(lambda: time.sleep(0.005) or 0.0, persistent=True)"
 
 
 @contextmanager
-def window(program, arguments: list[str], framebuffer: Path, kernels: Path | None = None):
-    """The program with a window on a screen that is a file; ends both. `kernels`: where compiled kernels are, if not
-    where the program has its own."""
+def window(program, arguments: list, framebuffer: Path, kernels: Path | None = None, place: tuple = (0, 0, *SCREEN)):
+    """The program with a window on a screen that is a file, for scripts that simulate events; ends both. `kernels`:
+    where compiled kernels are, if not where the program has its own. `place`: x, y, width and height of the window."""
     display = f":{os.getpid() % 40000 + 200}"
     environment = {**program.environment(), "DISPLAY": display}
     environment |= {"WARP_CACHE_PATH": str(kernels)} if kernels else {}
@@ -30,7 +33,9 @@ def window(program, arguments: list[str], framebuffer: Path, kernels: Path | Non
         socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
         wait_for(socket, xvfb)
         log = open(framebuffer / "blender.log", "w")
-        blender = subprocess.Popen(program.command(*arguments), env=environment, stdout=log, stderr=subprocess.STDOUT)
+        opened = ["--enable-event-simulate", "--window-geometry", *place, "--python-expr", RESTS]
+        command = program.command(*opened, *arguments)
+        blender = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
         yield blender
     finally:
         for process in (blender, xvfb):

@@ -56,15 +56,15 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
     low = wp.float64(wp.inf)
     high = wp.float64(-wp.inf)
-    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.height - 2) + 1):
+    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.samples.rows - 2) + 1):
         y = j << bits
         south = wp.float64(wp.max(y0, y) - y) * part
         north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * part
-        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.width - 2) + 1):
+        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.samples.columns - 2) + 1):
             x = i << bits
             west = wp.float64(wp.max(x0, x) - x) * part
             east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * part
-            corners = corners_of(domain.samples, domain.width, i, j)
+            corners = corners_of(domain.samples, i, j)
             a = bilinear(corners, west, south)
             b = bilinear(corners, east, south)
             c = bilinear(corners, west, north)

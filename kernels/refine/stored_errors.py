@@ -104,8 +104,8 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
-    columns = (domain.width - 2) >> level
-    rows = (domain.height - 2) >> level
+    columns = (domain.samples.columns - 2) >> level
+    rows = (domain.samples.rows - 2) >> level
     first = wp.int64(mask) * item_at(domain.mask_first, domain.mask_top + 1) + item_at(domain.mask_first, level)
     shift = bits + level
     i1 = wp.min((x + reach - 1) >> shift, columns)

@@ -16,7 +16,7 @@ from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, rest_of, smaller
 from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
-from .stored_errors import detail_missed, is_beyond, raster_error_at
+from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
 
 # What is looked for.
 FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
@@ -154,13 +154,6 @@ def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle) -> wp.flo
         for v in range(asked.view_count):
             pixel2 = smaller(finest_seen_in(asked.views[v], box), pixel2)
     return pixel2
-
-
-@wp.func
-def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
-    """How often the error of a raster cell is halved at a depth inside it, see `error_at`."""
-    finer = depth - 2 * domain.levels - 1
-    return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
 
 
 @wp.func

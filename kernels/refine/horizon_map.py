@@ -57,6 +57,18 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dty
 
 
 @wp.func
+def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
+    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
+    least = wp.float64(0.0)
+    if level > 0:
+        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
+        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
+    else:
+        least = least_of_cells(domain, i, j, i, j, up)
+    return least
+
+
+@wp.func
 def least_over(
     domain: Domain, blocks: Blocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
@@ -75,14 +87,9 @@ def least_over(
         level = wp.int32(FINEST)
         while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MOST_BLOCKS:
             level += 1
-        side = wp.where(up > wp.float64(0.0), 0, 1)
-        low = wp.float32(wp.inf)
         for j in range(j0 >> level, (j1 >> level) + 1):
-            row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
             for i in range(i0 >> level, (i1 >> level) + 1):
-                h = item_at(blocks.least, wp.int64(2 * (row + i) + side))
-                low = wp.where(h < low, h, low)
-        least = wp.float64(low)
+                least = smaller(least_of_block(domain, blocks, level, i, j, up), least)
     return placed(domain, least, sign)
 
 
@@ -110,18 +117,6 @@ def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64
         y = wp.clamp(wp.float64(j), low[1], high[1])
         for i in range(wp.int32(low[0]), wp.int32(high[0]) + 2):
             least = smaller(up * bilinear_at(domain, wp.clamp(wp.float64(i), low[0], high[0]), y), least)
-    return least
-
-
-@wp.func
-def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
-    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
-    least = wp.float64(0.0)
-    if level > 0:
-        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
-        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
-    else:
-        least = least_of_cells(domain, i, j, i, j, up)
     return least
 
 

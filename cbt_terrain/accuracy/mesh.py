@@ -76,7 +76,7 @@ class Ground:
         # The lattice of the finest mesh: as many bits a side as `depth_limit` in refine/domain.py allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         g = self.packed = kernels.Ground()
-        g.columns, g.rows, g.bits = lattice.width, lattice.height, self.bits
+        g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")
         g.curved, g.detail_most = int(g.bicubic or bool(field.parts)), highest(field.parts)
         g.coats = coats.packed(field.detail, field.finest_edge, lattice)

@@ -69,7 +69,8 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
         raise TerrainError("The camera or the terrain cannot be inverted; give them finite scales other than 0.")
     culls = view.clip[0] < view.clip[1]
     start = view.clip[0] if culls else (-np.inf if view.kind == ORTHOGRAPHIC else 0.0)
-    size = np.array([g.columns - 1, g.rows - 1, (ground.field.max_height - ground.field.min_height) * ground.scale])
+    relief = (ground.field.max_height - ground.field.min_height) * ground.scale
+    size = np.array([g.samples.columns - 1, g.samples.rows - 1, relief])
     e = screen_kernels.Eye()
     e.kind = KINDS.index(view.kind)
     e.right, e.up, e.back = matrix[:3]

@@ -39,7 +39,6 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
     """The ground without blocks: kernels visit every crossing."""
     lattice, occluder = field.lattice, kernels.Occluder()
     occluder.samples = packed(field.samples, field.steps)
-    occluder.columns, occluder.rows = lattice.width, lattice.height
     occluder.west, occluder.south, _, _ = lattice.rectangle()
     occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
     occluder.scale = scale

@@ -3,7 +3,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +25,7 @@ Group = list[Asked]  # what is made in one call
 MOST_BYTES = 1 << 28
 NUMBER = 4  # bytes of a number, float32
 ANY_LEVEL = "ANY_LEVEL"
+BAND = 1 << 18  # samples that are evaluated together
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,30 @@ def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
         values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
         steps = [step for step in steps if step not in now]
     return values
+
+
+def on_samples(
+    field: HeightField,
+    asked: Iterable[Asked],
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int = 1,
+    level: float = 0.0,
+) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+    """Some rows after the other, row 0 south, and the values there by name: float32 [rows, columns], or with an
+    effect's width. level: of the pyramid, 0 is the raster's own scale."""
+    lattice, asked = field.lattice, list(asked)
+    west, south, _, _ = lattice.rectangle()
+    x = west + np.arange(lattice.width) * lattice.step_x
+    at_once = max(1, BAND // lattice.width)
+    for first in range(0, lattice.height, at_once):
+        rows = slice(first, min(first + at_once, lattice.height))
+        y = south + np.arange(rows.start, rows.stop) * lattice.step_y
+        z = field.heights(rows).astype(np.float64) * vertical_scale + vertical_offset
+        positions = np.stack([*np.meshgrid(x, y), z], -1).astype(np.float32)
+        levels = np.full(z.size, level, np.float32)
+        places = Places(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
+        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, asked).items()}
 
 
 def _reads(step: Asked) -> set[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.effect import Asked, Places
+from ..effects.effect import Asked
 from ..effects.splat import NAMES
 from ..effects.splat_rules import Layer
 from ..errors import TerrainError
@@ -17,11 +17,9 @@ from ..field.coats import ALL, Coat, Coats, Ground, Mask
 from ..field.detail import Detail
 from ..field.heightfield import HeightField, with_detail
 from ..field.tiled import Tiled
-from .evaluate import values_at
+from .evaluate import on_samples
 
 MOST_SAMPLES = 1 << 26
-# Samples that are evaluated together.
-BAND = 1 << 18
 # Rasters' masks that a field keeps: of several terrains, or vertical scales.
 MOST_KEPT = 4
 KIND = "masks of detail"
@@ -79,20 +77,10 @@ def _masks(
 
 def _made(field, layers, numbers, heights, threads) -> list[Mask]:
     lattice = field.lattice
-    scale, offset = heights
-    west, south, _, _ = lattice.rectangle()
     asked = [Asked(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]]
     masks = np.empty((len(numbers), lattice.height, lattice.width), np.uint8)
-    x = west + np.arange(lattice.width) * lattice.step_x
-    rows = max(1, BAND // lattice.width)
-    for first in range(0, lattice.height, rows):
-        z = field.heights(slice(first, first + rows))
-        positions = np.empty((*z.shape, 3), np.float32)
-        positions[..., 0], positions[..., 2] = x, z.astype(np.float64) * scale + offset
-        positions[..., 1] = (south + (first + np.arange(len(z))) * lattice.step_y)[:, None]
-        level = np.zeros(z.size, np.float32)
-        values = values_at(Places(field, positions.reshape(-1, 3), level, scale, offset, threads), asked)
+    for rows, values in on_samples(field, asked, *heights, threads):
         for mask, number in zip(masks, numbers, strict=True):
-            weights = values[NAMES[number // 4]][:, number % 4]
-            mask[first : first + rows] = np.rint(weights * np.float32(ALL)).reshape(z.shape)
+            weights = values[NAMES[number // 4]][..., number % 4]
+            mask[rows] = np.rint(weights * np.float32(ALL))
     return [Mask(mask) for mask in masks]

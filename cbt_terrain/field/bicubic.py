@@ -128,17 +128,12 @@ def _launch(kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -
     launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)
 
 
-def _raster(field: HeightField) -> list:
-    """The samples as kernels take them."""
-    return [flat(field.heights(), wp.float32), field.lattice.width, field.lattice.height]
-
-
 def _numbers(field: HeightField, threads: int) -> list[float]:
     """NUMBERS of a bicubic surface; slopes are rounded up."""
     lattice = field.lattice
     rows = lattice.cells_y
     found = np.zeros((rows, 4))
-    inputs = [*_raster(field), wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False)]
+    inputs = [codes.packed(field.heights(), None), wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False)]
     _launch(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
     low, high = float(found[:, 0].min()), float(found[:, 1].max())
     steepest = found[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
@@ -150,7 +145,7 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
     lattice, out = field.lattice, flat(ranges, wp.uint16)
     columns, rows = lattice.cells_x, lattice.cells_y
     own = ranges_at(lattice, lattice.cell_depth)
-    inputs = [*_raster(field), wp.float64(base), wp.float64(step), own, out]
+    inputs = [codes.packed(field.heights(), None), wp.float64(base), wp.float64(step), own, out]
     _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.range_depth:
         finest = ranges_at(lattice, lattice.range_depth)
@@ -166,7 +161,7 @@ def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.nda
     out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
     own, below = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     below.base = lattice.node_count
-    inputs = [*_raster(field), own, own, below, apart, out]
+    inputs = [codes.packed(field.heights(), None), own, own, below, apart, out]
     _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
     hierarchy.saturate_cells(below, 0.5, out, "bicubic hierarchy", threads)
     _launch(expand_kernels.cover_sides, items(own), [below, own, out], threads)

@@ -115,6 +115,7 @@ class Steps:
 def packed(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
     """The samples of a height field as kernels read them; memory is shared."""
     made, coded = kernels.Samples(), steps is not None
+    made.rows, made.columns = samples.shape
     made.coded = int(coded)
     made.first, made.scale, made.offset = (steps.first, steps.scale, steps.offset) if coded else (0, 1.0, 0.0)
     made.floats = flat(np.zeros(1, np.float32) if coded else samples, wp.float32)

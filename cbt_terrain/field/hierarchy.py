@@ -28,6 +28,7 @@ from ...kernels.field import ranges as range_kernels
 from ...kernels.field.layout import Depth
 from ..run import launch
 from ..run.buffers import flat
+from .codes import packed
 from .lattice import Lattice
 
 COLUMN_BLOCK = 64
@@ -86,23 +87,22 @@ def build_errors(
 
     measured: the samples that count, NaN elsewhere; all by default.
     """
-    h, out = flat(samples, wp.float32), flat(errors, wp.float32)
-    counted = h if measured is None else flat(measured, wp.float32)
-    size = [h, counted, lattice.width, lattice.height]
+    out = flat(errors, wp.float32)
+    raster, counted = packed(samples, None), packed(samples if measured is None else measured, None)
 
     def spread(kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
     cells = stored_at(lattice, lattice.cell_depth)
-    spread(kernels.twists, lattice.cells_y, [counted, lattice.width, cells], 0.4 * lattice.cells_x)
+    spread(kernels.twists, lattice.cells_y, [counted, cells], 0.4 * lattice.cells_x)
     saturate_cells(cells, 0.25, out, "error hierarchy", threads)
     for depth, finer, own, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
         if own.sides:
-            spread(kernels.side_errors, count, [*size, side // 2, finer, own], 2 * cost)
+            spread(kernels.side_errors, count, [raster, counted, side // 2, finer, own], 2 * cost)
         else:
-            spread(kernels.centre_errors, count, [*size, side, int(depth == 1), finer, own], 4 * cost)
+            spread(kernels.centre_errors, count, [raster, counted, side, int(depth == 1), finer, own], 4 * cost)
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 
@@ -174,8 +174,7 @@ def build_ranges(
     if lattice.range_depth == 0:
         return
     finest = ranges_at(lattice, lattice.range_depth)
-    inputs = [flat(samples, wp.float32), lattice.width, lattice.height, wp.float64(base), wp.float64(step)]
-    inputs += [finest, flat(ranges, wp.uint16)]
+    inputs = [packed(samples, None), wp.float64(base), wp.float64(step), finest, flat(ranges, wp.uint16)]
     about = {"step": "height ranges", "threads": threads, "cost": 6.0 * lattice.width}
     launch.spread(range_kernels.finest_ranges, finest.rows + 1, inputs, **about)
     unite_ranges(lattice, ranges, threads)

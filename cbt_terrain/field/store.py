@@ -42,6 +42,7 @@ from .store_arrays import (
     map_array,
     open_regular,
     verify_array,
+    write_array,
 )
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
@@ -240,13 +241,8 @@ def keep(field: HeightField, name: str, array: np.ndarray) -> None:
     if folder is None:
         return
     partial_files.remove_abandoned(folder)
-    try:
-        with partial_files.written_beside(folder / f"{name}.npy") as partial, partial.open("wb") as file:
-            file.write(header(array.shape, array.dtype))
-            array.tofile(file)
-            file.write(all_checksums(array))
-    except OSError:
-        pass
+    with suppress(OSError):
+        write_array(folder / f"{name}.npy", array)
 
 
 class Draft:

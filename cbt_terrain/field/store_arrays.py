@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..run import launch
+from ..run import launch, partial_files
 
 PAGE_BYTES = 4096
 BLOCK_BYTES = 1 << 18
@@ -61,6 +61,14 @@ def all_checksums(array: np.ndarray) -> bytes:
     """What stands behind the data."""
     threads = launch.default_threads()
     return checksums(array, range(block_count(array.nbytes)), threads).astype("<u4").tobytes()
+
+
+def write_array(file: Path, array: np.ndarray) -> None:
+    """Write a contiguous array as such a file, which stands there when it is complete. Raises OSError."""
+    with partial_files.written_beside(file) as partial, partial.open("wb") as handle:
+        handle.write(header(array.shape, array.dtype))
+        array.tofile(handle)
+        handle.write(all_checksums(array))
 
 
 def open_regular(file: Path):

@@ -41,8 +41,6 @@ from .sweeps import FEW, Sweeps
 # more has so many to split that neighbours of those that need it are split as well.
 START = 1.7
 MAX_MESHES = 16
-# Length of a step over the mean push, and the part of the bound that vertices are pushed to keep.
-STRETCH, AIM = 1.25, 0.95
 # Nanoseconds that a sweep takes for a triangle, and for a sample of it.
 TRIANGLE_NS, SAMPLE_NS = 80.0, 1.2
 # Vertices in raster cells lie on parts of a cell of 2^-FINEST.
@@ -148,7 +146,6 @@ class Fitter:
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
         m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(error_m), left / 2)
-        m.aim, m.stretch = AIM, STRETCH
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:

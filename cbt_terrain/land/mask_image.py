@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..field.store_arrays import all_checksums, header, map_array
+from ..field.store_arrays import map_array, write_array
 from ..importing.guard import guard
 from ..importing.raster import ImportSettings
 from ..importing.sources import check_file, open_source
 from ..importing.store_job import ask, serve
-from ..run import child, partial_files
+from ..run import child
 from .tile_cache import content_key
 
 MODULE = "cbt_terrain.land.mask_image"
@@ -62,8 +62,5 @@ def _read(asked: dict, *_) -> list[int]:
     finally:
         raster.close()
     image = np.ascontiguousarray(np.clip(np.nan_to_num(rows), 0.0, 1.0), np.float32)
-    with partial_files.written_beside(kept) as partial, partial.open("wb") as handle:
-        handle.write(header(image.shape, image.dtype))
-        image.tofile(handle)
-        handle.write(all_checksums(image))
+    write_array(kept, image)
     return list(image.shape)

@@ -10,15 +10,14 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from ..effects.catalogue import EFFECTS
-from ..effects.effect import Asked, Effect, Places
+from ..effects.effect import Asked, Effect
 from ..effects.layers import NAMES as BY_PRODUCTS
-from ..evaluate.evaluate import values_at
+from ..evaluate.evaluate import on_samples
 from ..field.heightfield import HeightField
 from ..field.lattice import fit
 from .tile_cache import content_key
 from .tiles import Level, Window
 
-BAND_ROWS = 256
 SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
 ATTRIBUTES: dict[str, Effect] = {name: EFFECTS[name] for name in (*SHAPES, *BY_PRODUCTS)}
 
@@ -38,8 +37,12 @@ def values_of(
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
     asked = [Asked(name, ()) for name in names if name in SHAPES]
     if asked:
-        ground = np.ascontiguousarray(heights(level.whole))
-        found |= _evaluated(asked, _field(level, ground, missing), level, threads)
+        field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
+        made = {item.name: np.empty(level.shape, np.float32) for item in asked}
+        for rows, values in on_samples(field, asked, threads=threads):
+            for name, whole in made.items():
+                whole[rows] = values[name]
+        found |= made
     return found
 
 
@@ -61,17 +64,3 @@ def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> Hei
         key=content_key(heights, level.step_x, level.step_y, missing),
         valid=None if missing is None else (~missing).view(np.uint8),
     )
-
-
-def _evaluated(asked: list[Asked], field: HeightField, level: Level, threads: int) -> dict[str, np.ndarray]:
-    out = {item.name: np.empty(level.shape, np.float32) for item in asked}
-    west, south, _, _ = field.lattice.rectangle()
-    x = west + np.arange(level.columns) * level.step_x
-    for first in range(0, level.rows, BAND_ROWS):
-        rows = slice(first, min(first + BAND_ROWS, level.rows))
-        y = south + np.arange(rows.start, rows.stop) * level.step_y
-        places = np.stack([*np.meshgrid(x, y), field.samples[rows]], -1).astype(np.float32).reshape(-1, 3)
-        values = values_at(Places(field, places, np.zeros(len(places), np.float32), threads=threads), asked)
-        for name, whole in out.items():
-            whole[rows] = values[name].reshape(whole[rows].shape)
-    return out

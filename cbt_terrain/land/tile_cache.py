@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field.store_arrays import all_checksums, header, verify_array
 from ..field.store_arrays import map_array as map_checked
+from ..field.store_arrays import verify_array, write_array
 from ..run import partial_files
 
 # Beyond this, files that were not used longest are removed; what the last run has used always stays.
@@ -100,7 +100,5 @@ def _write(file: Path, array: np.ndarray, room: int) -> None:
         file.parent.mkdir(exist_ok=True)  # another Blender may have cleared it meanwhile
         if shutil.disk_usage(file.parent).free < array.nbytes + room:
             return
-    with suppress(OSError), partial_files.written_beside(file) as partial, partial.open("wb") as handle:
-        handle.write(header(array.shape, array.dtype))
-        array.tofile(handle)
-        handle.write(all_checksums(array))
+    with suppress(OSError):
+        write_array(file, array)

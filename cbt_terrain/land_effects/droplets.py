@@ -96,8 +96,7 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
     # float32: exp may differ by a bit from machine to machine
     rain.keep, kept, wet = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
     rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
-    rain.load = rain.drop = 1.0 - kept
-    rain.dry = 1.0 - wet
+    rain.load, rain.dry = 1.0 - kept, 1.0 - wet
     return rain
 
 

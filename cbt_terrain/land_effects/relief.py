@@ -19,8 +19,6 @@ BLOCK_ROWS = 256
 BURIED = 2.0
 # Beds dip towards this direction (east, north).
 DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
-# Where the waves so far have a slope whose square is one over this, finer ones are halved.
-DAMP = 6.0
 
 
 def apply(ground: Ground, values, _coarser) -> Change:
@@ -45,7 +43,7 @@ def _look(ground: Ground, values) -> Look:
     look = Look()
     spacing = max(ground.step_x, ground.step_y)
     look.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
-    look.seed, look.damp = wp.uint32(ground.seed & 0xFFFFFFFF), DAMP
+    look.seed = wp.uint32(ground.seed & 0xFFFFFFFF)
     look.wave, look.rough, look.plain = values["wave"], values["roughness"], values["plains"]
     look.gain, look.ridge = values["gain"], values["ridges"]
     look.bed, look.ledge = values["beds"], values["ledges"]

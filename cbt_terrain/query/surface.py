@@ -27,7 +27,6 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     vertical_scale, vertical_offset = float(vertical_scale), float(vertical_offset)
     box_of(field, vertical_scale, vertical_offset)
     lattice, s = field.lattice, kernels.Surface()
-    s.columns, s.rows = lattice.width, lattice.height
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
     s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y

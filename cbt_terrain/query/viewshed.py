@@ -52,7 +52,7 @@ def viewshed(
     seen = np.zeros(field.samples.shape, bool)
     numbers = map(wp.float64, (target_height, radius * radius, slack))
     inputs = [surface, blocks, wp.vec3d(*eye[0]), *numbers, flat(seen, wp.bool)]
-    start, end = (surface.columns * row for row in _rows_near(surface, float(eye[0, 1]), radius))
+    start, end = (surface.samples.columns * row for row in _rows_near(surface, float(eye[0, 1]), radius))
     for first in range(start, end, AT_ONCE):
         count = min(AT_ONCE, end - first)
         launch.spread(kernels.in_sight, count, [first, *inputs], step="query", threads=threads, cost=COST)
@@ -62,5 +62,5 @@ def viewshed(
 def _rows_near(surface: Surface, y: float, radius: float) -> tuple[int, int]:
     """The first row of samples within a radius of y, and the one after the last."""
     rows = (np.array([y - radius, y + radius]) - surface.south) / surface.step_y
-    low, high = np.floor(np.clip(rows, -1, surface.rows)).astype(int).tolist()
-    return max(low, 0), min(high + 2, surface.rows)
+    low, high = np.floor(np.clip(rows, -1, surface.samples.rows)).astype(int).tolist()
+    return max(low, 0), min(high + 2, surface.samples.rows)

@@ -87,7 +87,7 @@ def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
 
 def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The arrays of `Blocks`; the levels below FINEST are empty."""
-    wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.width, domain.height))
+    wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
     finest = np.empty((high, wide, 2), np.float32)
     inputs = [domain, wide, flat(finest, wp.float32)]
     launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
@@ -97,7 +97,7 @@ def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
     """Number of the first ring of a view, and how many there are: from a raster's cell, or from the raster, to its far
     corner; none where the view begins."""
-    cells = (domain.width - 1, domain.height - 1)
+    cells = (domain.samples.columns - 1, domain.samples.rows - 1)
     unit = 1 << (domain.unit_bits - domain.levels)
     near, far = 0.0, 0.0
     eyes = [float(e) for e in view.eye]

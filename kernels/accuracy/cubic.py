@@ -22,53 +22,45 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 
 @wp.func
-def along_row(samples: Samples, columns: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64):
+def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
     """Along row j of samples, s cells east of column i."""
-    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
     p1 = wp.float64(sample_at(samples, at))
     p2 = wp.float64(sample_at(samples, at + wp.int64(1)))
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if i > 0:
         p0 = wp.float64(sample_at(samples, at - wp.int64(1)))
-    if i < columns - 2:
+    if i < samples.columns - 2:
         p3 = wp.float64(sample_at(samples, at + wp.int64(2)))
     return hermite(p0, p1, p2, p3, s)
 
 
 @wp.func
-def cubic_at(
-    samples: Samples,
-    columns: wp.int32,
-    rows: wp.int32,
-    i: wp.int32,
-    j: wp.int32,
-    s: wp.float64,
-    t: wp.float64,
-) -> wp.float64:
+def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
     """Height of the samples' surface in cell (i, j), s cells east and t cells north of its corner."""
-    z1 = along_row(samples, columns, i, j, s)
-    z2 = along_row(samples, columns, i, j + 1, s)
+    z1 = along_row(samples, i, j, s)
+    z2 = along_row(samples, i, j + 1, s)
     z0 = wp.float64(2.0) * z1 - z2
     z3 = wp.float64(2.0) * z2 - z1
     if j > 0:
-        z0 = along_row(samples, columns, i, j - 1, s)
-    if j < rows - 2:
-        z3 = along_row(samples, columns, i, j + 2, s)
+        z0 = along_row(samples, i, j - 1, s)
+    if j < samples.rows - 2:
+        z3 = along_row(samples, i, j + 2, s)
     return hermite(z0, z1, z2, z3, t)
 
 
 @wp.func
-def heights_about(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+def heights_about(samples: Samples, i: wp.int32, j: wp.int32):
     """Two heights between which the surface lies in cell (i, j).
 
     In one direction the samples' weights are negative by 1/8 in sum at most, hence in two by 9/32.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
-    for b in range(wp.max(j - 1, 0), wp.min(j + 2, rows - 1) + 1):
-        for a in range(wp.max(i - 1, 0), wp.min(i + 2, columns - 1) + 1):
-            h = wp.float64(sample_at(samples, wp.int64(b) * wp.int64(columns) + wp.int64(a)))
+    for b in range(wp.max(j - 1, 0), wp.min(j + 2, samples.rows - 1) + 1):
+        for a in range(wp.max(i - 1, 0), wp.min(i + 2, samples.columns - 1) + 1):
+            h = wp.float64(sample_at(samples, wp.int64(b) * wp.int64(samples.columns) + wp.int64(a)))
             low = wp.where(h < low, h, low)
             high = wp.where(h > high, h, high)
     more = (high - low) * wp.float64(0.28125)

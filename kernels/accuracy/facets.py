@@ -11,7 +11,7 @@ the same maximum: a fault in one of the two shows in the other.
 
 import warp as wp
 
-from ..field.codes import Samples, sample_at
+from ..field.codes import Samples, corners_of, sample_at
 from ..field.detail import Coats
 from .cubic import cubic_at
 from .detail import detail_height
@@ -21,8 +21,6 @@ from .detail import detail_height
 class Ground:
     """The reference surface: bilinear or C1 bicubic between the samples, z = sample * scale + offset, metres."""
 
-    columns: wp.int32  # samples in a row
-    rows: wp.int32
     bits: wp.int32  # 2**bits lattice units a cell
     bicubic: wp.int32  # 1, or 0: bilinear
     curved: wp.int32  # 0: bilinear without detail, so that extrema have a closed form
@@ -134,19 +132,14 @@ def detail_in(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
 @wp.func
 def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface in cell (i, j), metres."""
-    at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
-    south_west = wp.float64(sample_at(ground.samples, at))
-    south_east = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
-    at += wp.int64(ground.columns)
-    north_west = wp.float64(sample_at(ground.samples, at))
-    north_east = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
+    p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
     t = v - wp.float64(j)
-    low = south_west + (south_east - south_west) * s
-    high = north_west + (north_east - north_west) * s
+    low = p[0] + (p[1] - p[0]) * s
+    high = p[2] + (p[3] - p[2]) * s
     z = low + (high - low) * t
     if ground.bicubic == 1:
-        z = cubic_at(ground.samples, ground.columns, ground.rows, i, j, s, t)
+        z = cubic_at(ground.samples, i, j, s, t)
     z += detail_in(ground, u, v)
     return z * ground.scale + ground.offset
 
@@ -154,15 +147,15 @@ def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float
 @wp.func
 def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface, metres."""
-    i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.columns - 2)
-    j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.rows - 2)
+    i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
+    j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
     return in_cell(ground, i, j, u, v)
 
 
 @wp.func
 def reference_sample(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
     """Height of the reference surface at a sample, metres."""
-    h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.columns) + wp.int64(i))
+    h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
     return z * ground.scale + ground.offset
 
@@ -213,8 +206,8 @@ def covers(f: Facet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int6
 def owns(ground: Ground, f: Facet, i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether sample (i, j) belongs to the triangle."""
     bits = wp.int64(ground.bits)
-    shift_x = shift_of(wp.int64(i), wp.int64(ground.columns - 1))
-    shift_y = shift_of(wp.int64(j), wp.int64(ground.rows - 1))
+    shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
+    shift_y = shift_of(wp.int64(j), wp.int64(ground.samples.rows - 1))
     return covers(f, wp.int64(1), wp.int64(i) << bits, wp.int64(j) << bits, shift_x, shift_y)
 
 
@@ -249,6 +242,6 @@ def differences(
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
                     d = plane_at(f, wp.float64(i), wp.float64(j)) - reference_sample(ground, i, j)
-                    difference[j * ground.columns + i] = toward_zero(d)
+                    difference[j * ground.samples.columns + i] = toward_zero(d)
                     most = wp.max(most, wp.abs(d))
         worst[t] = most

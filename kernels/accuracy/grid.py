@@ -14,8 +14,8 @@ def grid_extremes(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, wo
     """Raises `worst` of some triangles to the largest difference on a grid of places."""
     one = wp.int64(1)
     bits = wp.int64(ground.bits)
-    end_x = wp.int64(ground.columns - 1) << bits
-    end_y = wp.int64(ground.rows - 1) << bits
+    end_x = wp.int64(ground.samples.columns - 1) << bits
+    end_y = wp.int64(ground.samples.rows - 1) << bits
     per_unit = wp.float64(1.0) / wp.float64(one << bits)
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

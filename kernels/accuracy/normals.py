@@ -50,7 +50,7 @@ def angles(
         for j in range(box[2], box[3] + 1):
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
-                    g = on_sample(ground.samples, ground.columns, ground.rows, i, j)
+                    g = on_sample(ground.samples, i, j)
                     truth = wp.vec3d(-g[1] * per_x, -g[2] * per_y, up)
                     if ground.coats.count > 0:
                         x = ground.west + wp.float64(i) * ground.step_x
@@ -59,6 +59,6 @@ def angles(
                         truth = truth - wp.vec3d(d[1], d[2], wp.float64(0.0)) * ground.scale
                     bits = wp.int64(ground.bits)
                     shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)
-                    at = j * ground.columns + i
+                    at = j * ground.samples.columns + i
                     facet_deg[at] = angle_deg(facet, truth)
                     shading_deg[at] = angle_deg(shading, truth)

@@ -76,8 +76,8 @@ def visit(ground: Ground, f: Facet, t: wp.int32, points: Points, corner: wp.int6
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
     finer = wp.int64(1) << wp.int64(POINT_BITS)
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
-    end_x = wp.int64(ground.columns - 1) << bits
-    end_y = wp.int64(ground.rows - 1) << bits
+    end_x = wp.int64(ground.samples.columns - 1) << bits
+    end_y = wp.int64(ground.samples.rows - 1) << bits
     end = corner + (wp.int64(1) << (side_bits + side_bits))
     at = first_from(points, corner)
     while at < points.count:

@@ -12,7 +12,7 @@ of sides between two cells is a crossing, so that no ray slips through. All arit
 
 import warp as wp
 
-from ..field.codes import sample_at
+from ..field.codes import corners_of
 from ..query.rays import within
 from .cubic import heights_about
 from .facets import Ground, in_cell
@@ -82,19 +82,14 @@ def in_one_cell(
     `side` is where the ray has come from, 0 where it has been on the surface so far.
     """
     zero = wp.float64(0.0)
-    at = wp.int64(j) * wp.int64(ground.columns) + wp.int64(i)
-    h00 = wp.float64(sample_at(ground.samples, at))
-    h10 = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
-    at += wp.int64(ground.columns)
-    h01 = wp.float64(sample_at(ground.samples, at))
-    h11 = wp.float64(sample_at(ground.samples, at + wp.int64(1)))
+    p = corners_of(ground.samples, i, j)
     s = ray.u + first * ray.du - wp.float64(i)
     r = ray.v + first * ray.dv - wp.float64(j)
-    low = h00 + (h10 - h00) * s
-    high = h01 + (h11 - h01) * s
-    per_s = (h10 - h00) * ground.scale
-    per_r = (h01 - h00) * ground.scale
-    twist = (h11 - h10 - h01 + h00) * ground.scale
+    low = p[0] + (p[1] - p[0]) * s
+    high = p[2] + (p[3] - p[2]) * s
+    per_s = (p[1] - p[0]) * ground.scale
+    per_r = (p[2] - p[0]) * ground.scale
+    twist = (p[3] - p[1] - p[2] + p[0]) * ground.scale
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * ground.scale + ground.offset)
@@ -161,7 +156,7 @@ def in_one_patch(
 ):
     """As `in_one_cell`, of a curved surface: to what its places show."""
     hit = NOWHERE
-    a, b = heights_about(ground.samples, ground.columns, ground.rows, i, j)
+    a, b = heights_about(ground.samples, i, j)
     a = (a - ground.detail_most) * ground.scale + ground.offset
     b = (b + ground.detail_most) * ground.scale + ground.offset
     on_side = side_of_span(ray, first, last, a, b)
@@ -188,8 +183,8 @@ def in_one_patch(
 def over_ground(ground: Ground, blocks: Blocks, ray: Ray, start: wp.float64, end: wp.float64):
     """First and last t of start .. end where the ray is over the ground and near its heights."""
     zero = wp.float64(0.0)
-    first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.columns - 1))
-    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.rows - 1))
+    first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
+    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.samples.rows - 1))
     # a ray begins far enough from the surface to know its side, also where that is flat
     spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
     return within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
@@ -222,8 +217,8 @@ def first_crossing(
     """The first t in start .. end where the ray passes through the surface, infinite where it does not.
     `start_level`: of the first block that is tried."""
     zero = wp.float64(0.0)
-    cells_x = ground.columns - 1
-    cells_y = ground.rows - 1
+    cells_x = ground.samples.columns - 1
+    cells_y = ground.samples.rows - 1
     t, last = over_ground(ground, blocks, ray, start, end)
     hit = NOWHERE
     if t > last:

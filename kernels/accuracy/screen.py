@@ -140,7 +140,7 @@ def visibility(
 ):
     """A row of samples, from `first_row` on: OUTSIDE the frame, VISIBLE or HIDDEN."""
     j = first_row + offset + wp.tid()
-    for i in range(ground.columns):
+    for i in range(ground.samples.columns):
         u = wp.float64(i)
         v = wp.float64(j)
         z = reference_sample(ground, i, j)
@@ -148,7 +148,7 @@ def visibility(
         seen = OUTSIDE
         if in_frame(eye, camera):
             seen = wp.where(hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
-        state[j * ground.columns + i] = seen
+        state[j * ground.samples.columns + i] = seen
 
 
 @wp.kernel
@@ -220,8 +220,8 @@ def seen_points(
     x[p] = wp.int64(-1)
     if t < NOWHERE:
         units = wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
-        u = wp.clamp(ray.u + t * ray.du, wp.float64(0.0), wp.float64(ground.columns - 1))
-        v = wp.clamp(ray.v + t * ray.dv, wp.float64(0.0), wp.float64(ground.rows - 1))
+        u = wp.clamp(ray.u + t * ray.du, wp.float64(0.0), wp.float64(ground.samples.columns - 1))
+        v = wp.clamp(ray.v + t * ray.dv, wp.float64(0.0), wp.float64(ground.samples.rows - 1))
         x[p] = wp.int64(wp.floor(u * units + wp.float64(0.5)))
         y[p] = wp.int64(wp.floor(v * units + wp.float64(0.5)))
 

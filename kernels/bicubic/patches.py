@@ -3,12 +3,13 @@
 
 A patch and its derivatives are weighted means of their control values, so the largest of these bounds them. All of them
 are differences of samples, in each direction those of four samples p0 .. p3 in a row of which the patch lies between p1
-and p2. field/bicubic.py says what follows from them. `h` as in hierarchy.py; beyond the border h(-1) = 2 h(0) -
+and p2. field/bicubic.py says what follows from them. Heights are read as floats; beyond the border h(-1) = 2 h(0) -
 h(1). What is an exact difference of float32 samples stays one: a planar map bends by exactly zero.
 """
 
 import warp as wp
 
+from ..field.codes import Samples
 from ..field.hierarchy import round_up
 from ..field.layout import Depth, entry
 from ..field.ranges import quantise_down, quantise_up
@@ -59,29 +60,31 @@ def bends(p: wp.vec4d) -> wp.vec2d:
 
 
 @wp.func
-def rows_of(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, cy: int) -> wp.vec4d:
+def rows_of(raster: Samples, x: int, cy: int) -> wp.vec4d:
     """Samples of column x (inside the raster) in the four rows about row `cy` of cells."""
+    h = raster.floats
+    width = raster.columns
     p1 = wp.float64(h[cy * width + x])
     p2 = wp.float64(h[(cy + 1) * width + x])
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if cy > 0:
         p0 = wp.float64(h[(cy - 1) * width + x])
-    if cy < height - 2:
+    if cy < raster.rows - 2:
         p3 = wp.float64(h[(cy + 2) * width + x])
     return wp.vec4d(p0, p1, p2, p3)
 
 
 @wp.func
-def column(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, cy: int):
-    """Of column x, -1 .. width: control heights (4), slopes (3), bends (2), heights off the chord (2)."""
+def column(raster: Samples, x: int, cy: int):
+    """Of column x, -1 .. columns: control heights (4), slopes (3), bends (2), heights off the chord (2)."""
     p = wp.vec4d()
     if x < 0:
-        p = wp.float64(2.0) * rows_of(h, width, height, 0, cy) - rows_of(h, width, height, 1, cy)
-    elif x == width:
-        p = wp.float64(2.0) * rows_of(h, width, height, x - 1, cy) - rows_of(h, width, height, x - 2, cy)
+        p = wp.float64(2.0) * rows_of(raster, 0, cy) - rows_of(raster, 1, cy)
+    elif x == raster.columns:
+        p = wp.float64(2.0) * rows_of(raster, x - 1, cy) - rows_of(raster, x - 2, cy)
     else:
-        p = rows_of(h, width, height, x, cy)
+        p = rows_of(raster, x, cy)
     b = controls(p)
     d = slopes(p)
     c = bends(p)
@@ -119,18 +122,18 @@ def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
 
 
 @wp.kernel
-def extents(offset: int, h: wp.array(dtype=wp.float32), width: int, height: int, found: wp.array(dtype=wp.vec4d)):
+def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
     """Of row `offset + tid` of cells: lowest and highest control height, steepest slope east and north (a cell)."""
     cy = offset + wp.tid()
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     steep_x = wp.float64(0.0)
     steep_y = wp.float64(0.0)
-    a = column(h, width, height, -1, cy)
-    b = column(h, width, height, 0, cy)
-    c = column(h, width, height, 1, cy)
-    for cx in range(width - 1):
-        d = column(h, width, height, cx + 2, cy)
+    a = column(raster, -1, cy)
+    b = column(raster, 0, cy)
+    c = column(raster, 1, cy)
+    for cx in range(raster.columns - 1):
+        d = column(raster, cx + 2, cy)
         z = heights(a, b, c, d)
         low = wp.min(low, z[0])
         high = wp.max(high, z[1])
@@ -213,9 +216,7 @@ def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
 @wp.kernel
 def patch_errors(
     offset: int,
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
+    raster: Samples,
     cells: Depth,
     own: Depth,
     below: Depth,
@@ -224,11 +225,11 @@ def patch_errors(
 ):
     """Row `offset + tid` of cells: `off` the bilinear patch (at `cells`), own errors, and bends (at `below`)."""
     cy = offset + wp.tid()
-    a = column(h, width, height, -1, cy)
-    b = column(h, width, height, 0, cy)
-    c = column(h, width, height, 1, cy)
-    for cx in range(width - 1):
-        d = column(h, width, height, cx + 2, cy)
+    a = column(raster, -1, cy)
+    b = column(raster, 0, cy)
+    c = column(raster, 1, cy)
+    for cx in range(raster.columns - 1):
+        d = column(raster, cx + 2, cy)
         bend = round_up(bend_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
@@ -244,9 +245,7 @@ def patch_errors(
 @wp.kernel
 def patch_ranges(
     offset: int,
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
+    raster: Samples,
     base: wp.float64,
     step: wp.float64,
     own: Depth,
@@ -255,11 +254,11 @@ def patch_ranges(
     """Row `offset + tid` of cells: lowest and highest control height."""
     cy = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    a = column(h, width, height, -1, cy)
-    b = column(h, width, height, 0, cy)
-    c = column(h, width, height, 1, cy)
-    for cx in range(width - 1):
-        d = column(h, width, height, cx + 2, cy)
+    a = column(raster, -1, cy)
+    b = column(raster, 0, cy)
+    c = column(raster, 1, cy)
+    for cx in range(raster.columns - 1):
+        d = column(raster, cx + 2, cy)
         z = heights(a, b, c, d)
         at = wp.int64(2) * entry(own, cx, cy)
         ranges[at] = quantise_down(z[0], base, step, per_step)

@@ -54,30 +54,22 @@ def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
 
 
 @wp.func
-def in_patch(
-    samples: Samples,
-    columns: wp.int32,
-    rows: wp.int32,
-    i: wp.int32,
-    j: wp.int32,
-    s: wp.float64,
-    t: wp.float64,
-):
+def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
     """Height and gradient (metres a cell) inside cell (i, j), s cells east and t cells north of its corner."""
-    wx = inside(weights(s), i, columns)
-    wy = inside(weights(t), j, rows)
-    dx = inside(slopes(s), i, columns)
-    dy = inside(slopes(t), j, rows)
-    row = wp.int64(columns)
+    wx = inside(weights(s), i, samples.columns)
+    wy = inside(weights(t), j, samples.rows)
+    dx = inside(slopes(s), i, samples.columns)
+    dy = inside(slopes(t), j, samples.rows)
+    row = wp.int64(samples.columns)
     west = wp.int64(wp.max(i - 1, 0))
     here = wp.int64(i)
     east = wp.int64(i + 1)
-    far = wp.int64(wp.min(i + 2, columns - 1))
+    far = wp.int64(wp.min(i + 2, samples.columns - 1))
     # About a height of the cell: a constant map stays one to the last bit.
     base = wp.float64(sample_at(samples, wp.int64(j) * row + here))
     found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
     for b in range(4):
-        at = wp.int64(wp.clamp(j + b - 1, 0, rows - 1)) * row
+        at = wp.int64(wp.clamp(j + b - 1, 0, samples.rows - 1)) * row
         h = wp.vec4d(
             wp.float64(sample_at(samples, at + west)) - base,
             wp.float64(sample_at(samples, at + here)) - base,

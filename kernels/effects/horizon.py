@@ -11,7 +11,7 @@ are farther and farther apart are looked at first: they raise the horizon early,
 
 import warp as wp
 
-from ..field.codes import Samples, sample_at
+from ..field.codes import Samples, corners_of
 
 # The smallest blocks have 2^FINEST cells a side; inside them crossings are visited one by one.
 FINEST = 2
@@ -22,8 +22,6 @@ class Occluder:
     """The raster, and the highest samples of its blocks. Heights count `scale` times, metres."""
 
     samples: Samples
-    columns: wp.int32  # samples
-    rows: wp.int32
     west: wp.float64  # of the first sample, metres
     south: wp.float64
     step_x: wp.float64
@@ -40,19 +38,13 @@ class Occluder:
 @wp.func
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
     """Height, scaled, of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
-    i = wp.min(wp.int32(x), g.columns - 2)
-    j = wp.min(wp.int32(y), g.rows - 2)
-    at = wp.int64(j) * wp.int64(g.columns) + wp.int64(i)
-    north = at + wp.int64(g.columns)
+    i = wp.min(wp.int32(x), g.samples.columns - 2)
+    j = wp.min(wp.int32(y), g.samples.rows - 2)
+    p = corners_of(g.samples, i, j)
     u = x - wp.float64(i)
-    v = y - wp.float64(j)
-    a = wp.float64(sample_at(g.samples, at))
-    b = wp.float64(sample_at(g.samples, at + wp.int64(1)))
-    c = wp.float64(sample_at(g.samples, north))
-    d = wp.float64(sample_at(g.samples, north + wp.int64(1)))
-    a += (b - a) * u
-    c += (d - c) * u
-    return g.scale * (a + (c - a) * v)
+    low = p[0] + (p[1] - p[0]) * u
+    high = p[2] + (p[3] - p[2]) * u
+    return g.scale * (low + (high - low) * (y - wp.float64(j)))
 
 
 @wp.func
@@ -67,9 +59,9 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     """Metres of height per metre east and north: central differences of one cell, one-sided at the rim."""
     one = wp.float64(1.0)
     w = wp.max(x - one, wp.float64(0.0))
-    e = wp.min(x + one, wp.float64(g.columns - 1))
+    e = wp.min(x + one, wp.float64(g.samples.columns - 1))
     s = wp.max(y - one, wp.float64(0.0))
-    n = wp.min(y + one, wp.float64(g.rows - 1))
+    n = wp.min(y + one, wp.float64(g.samples.rows - 1))
     return wp.vec2d(
         (surface(g, e, y) - surface(g, w, y)) / ((e - w) * g.step_x),
         (surface(g, x, n) - surface(g, x, s)) / ((n - s) * g.step_y),
@@ -103,9 +95,10 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
         }
         bool holds(int cell) const { return (unsigned)cell < (unsigned)cells; }
     };
-    const Axis axes[2] = {{x0, dx, 1.0 / dx, g.columns - 1, dx > 0.0, !(dx > 0.0), dx > 0.0 ? 1 : -1, dx != 0.0},
-                          {y0, dy, 1.0 / dy, g.rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
-    const long long strides[2] = {1, g.columns};
+    const int columns = g.samples.columns, rows = g.samples.rows;
+    const Axis axes[2] = {{x0, dx, 1.0 / dx, columns - 1, dx > 0.0, !(dx > 0.0), dx > 0.0 ? 1 : -1, dx != 0.0},
+                          {y0, dy, 1.0 / dy, rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
+    const long long strides[2] = {1, columns};
     const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
     const int *const first = g.first.data, *const wide = g.wide.data, levels = g.levels;
     const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;

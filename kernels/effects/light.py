@@ -49,8 +49,8 @@ def sky_seen(
     puts it into 0 .. 1. What is below the slope `lowest`, or below the place's own plane, counts as hidden."""
     i = offset + wp.tid()
     count = azimuths.shape[0]
-    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.rows - 1)
+    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
     z = surface(occluder, x, y)
     g = gradient(occluder, x, y)
     total = out[i]
@@ -87,8 +87,8 @@ def sun_seen(
     """Part of the sun's disc above the horizon. `elevation`, `radius`: radians; `low`, `high`: slopes to just below and
     just above the disc, between which a horizon hides a part of it."""
     i = offset + wp.tid()
-    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.rows - 1)
+    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
     z = surface(occluder, x, y)
     zero = wp.float64(0.0)
     seen = zero

@@ -31,7 +31,7 @@ def texel_places(offset: int, first: int, ground: Ground, texels: Texels, out: w
     cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), wp.float64(rows - 1))
     column = wp.min(wp.int32(cell_x), columns - 2)
     row = wp.min(wp.int32(cell_y), rows - 2)
-    corners = corners_of(ground.samples, columns, column, row)
+    corners = corners_of(ground.samples, column, row)
     height = bilinear(corners, cell_x - wp.float64(column), cell_y - wp.float64(row))
     out[i] = wp.vec3f(
         wp.float32(ground.west + cell_x * ground.step_x),

@@ -8,7 +8,7 @@ from ..unchecked import item_at, prefetch
 
 @wp.struct
 class Samples:
-    """The raster's heights, metres: floats, or if `coded` numbers, each of them (number + first) * scale + offset."""
+    """The raster's heights in rows, metres: floats, or if `coded` numbers, each (number + first) * scale + offset."""
 
     floats: wp.array(dtype=wp.float32)  # one entry of the two has no use
     numbers: wp.array(dtype=wp.uint16)
@@ -16,6 +16,8 @@ class Samples:
     first: wp.int32
     scale: wp.float64
     offset: wp.float64
+    columns: wp.int32  # samples in a row
+    rows: wp.int32
 
 
 @wp.func
@@ -36,10 +38,10 @@ def height(s: Samples, i: wp.int64) -> wp.float64:
 
 
 @wp.func
-def corners_of(s: Samples, columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.vec4d:
-    """Metres at the corners of cell (i, j), `columns` samples a row: south-west, south-east, north-west, north-east."""
-    south = wp.int64(j) * wp.int64(columns) + wp.int64(i)
-    north = south + wp.int64(columns)
+def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
+    """Metres at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
+    south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
+    north = south + wp.int64(s.columns)
     one = wp.int64(1)
     return wp.vec4d(height(s, south), height(s, south + one), height(s, north), height(s, north + one))
 

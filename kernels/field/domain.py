@@ -14,8 +14,6 @@ class Domain:
     rows: wp.int32
     levels: wp.int32  # a root square has 2**levels raster cells a side
     unit_bits: wp.int32  # and 2**unit_bits lattice units
-    width: wp.int32  # samples in a row
-    height: wp.int32
     east: wp.int32  # lattice units at which the raster ends before the lattice does, or the largest int32
     north: wp.int32
     unit_x: wp.float64  # metres of a lattice unit

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the error hierarchy and of the height ranges of a raster; the method is in cbt_terrain/field.
 
-Heights `h` are one flat array, row 0 south, `width` samples a row. Errors are one array in the order of
+Heights are read as floats, row 0 south. Errors are one array in the order of
 `cbt_terrain/field/lattice.py`; kernels work on one depth of it at a time.
 All arithmetic on heights is float64: planes through float32 samples at power-of-two distances are then exact, so that a
 flat or planar map has an error of exactly zero.
@@ -10,6 +10,7 @@ flat or planar map has an error of exactly zero.
 import warp as wp
 
 from ..unchecked import item_at
+from .codes import Samples
 from .layout import Depth, child, diamond, entry, holds
 
 
@@ -35,50 +36,32 @@ def row_error(
 
 
 @wp.func
-def corner(h: wp.array(dtype=wp.float32), width: int, height: int, x: int, y: int) -> wp.float64:
+def corner(raster: Samples, x: int, y: int) -> wp.float64:
     """Height of a vertex: beyond the rim that of the nearest sample."""
-    return wp.float64(h[wp.min(y, height - 1) * width + wp.min(x, width - 1)])
+    return wp.float64(raster.floats[wp.min(y, raster.rows - 1) * raster.columns + wp.min(x, raster.columns - 1)])
 
 
 @wp.func
-def row_inside(
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    x: int,
-    y: int,
-    count: int,
-    plane: wp.float64,
-    slope: wp.float64,
-    known: wp.float64,
-):
-    """`known`, or more where `count` samples from (x, y) on are farther from the plane; beyond the rim none is."""
-    inside = wp.min(count, width - x)
-    largest = known
-    if inside > 0 and y < height:
-        largest = wp.max(largest, row_error(h, y * width + x, inside, plane, slope))
+def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
+    """Largest distance of `count` samples from (x, y) on from the plane; beyond the rim none is."""
+    inside = wp.min(count, raster.columns - x)
+    largest = wp.float64(0.0)
+    if inside > 0 and y < raster.rows:
+        largest = row_error(raster.floats, y * raster.columns + x, inside, plane, slope)
     return largest
 
 
 @wp.func
 def diagonal_inside(
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    x: int,
-    y: int,
-    right: int,
-    up: int,
-    cells: int,
-    plane: wp.float64,
-    slope: wp.float64,
-    known: wp.float64,
-):
-    """`known`, or more where the bilinear surface over `cells` cells along their diagonals is farther from the plane.
+    raster: Samples, x: int, y: int, right: int, up: int, cells: int, plane: wp.float64, slope: wp.float64
+) -> wp.float64:
+    """Largest distance of the bilinear surface over `cells` cells, inside of each along its diagonal, from the plane.
 
     The diagonals start at (x, y) and go east (`right` 1) or west (-1), north (`up` 1) or south (-1); those beyond the
     rim are none. Along a diagonal the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
     """
+    h = raster.floats
+    width = raster.columns
     first = wp.int32(0)
     end = cells
     if right > 0:
@@ -86,10 +69,10 @@ def diagonal_inside(
     else:
         first = wp.max(first, x - (width - 1))
     if up > 0:
-        end = wp.min(end, height - 1 - y)
+        end = wp.min(end, raster.rows - 1 - y)
     else:
-        first = wp.max(first, y - (height - 1))
-    largest = known
+        first = wp.max(first, y - (raster.rows - 1))
+    largest = wp.float64(0.0)
     if first < end:
         at = (y + up * first) * width + x + right * first
         e0 = wp.float64(h[at]) - (plane + slope * wp.float64(first))
@@ -118,42 +101,28 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, own: Depth, 
 
 @wp.func
 def corner_error(
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
-    x: int,
-    y: int,
-    right: int,
-    up: int,
-    legs: int,
-    plane: wp.float64,
-    slope_x: wp.float64,
-    slope_y: wp.float64,
-    known: wp.float64,
-):
-    """`known`, or more where the surface over a right triangle is farther from a plane: in its rows of samples, and
-    along its diagonal.
+    raster: Samples, x: int, y: int, right: int, up: int, legs: int, plane: wp.float64, slope: wp.vec2d
+) -> wp.float64:
+    """Largest distance of the surface over a right triangle from a plane: in its rows of samples, along its diagonal.
 
     From its corner (x, y), where the plane has the height `plane`, legs of so many samples go east (`right` 1) or west
-    (-1), and north (`up` 1) or south (-1). Slopes are those of a sample.
+    (-1), and north (`up` 1) or south (-1). slope: metres a sample along x and y.
     """
-    largest = known
+    largest = wp.float64(0.0)
     for j in range(legs):  # the last row is a vertex
         first = wp.min(right, 0) * (legs - j)
-        start = plane + slope_x * wp.float64(first) + slope_y * wp.float64(up * j)
-        largest = row_inside(h, width, height, x + first, y + up * j, legs + 1 - j, start, slope_x, largest)
-    start = plane + slope_y * wp.float64(up * legs)
-    slope = slope_x * wp.float64(right) - slope_y * wp.float64(up)
-    return diagonal_inside(h, width, height, x, y + up * legs, right, -up, legs, start, slope, largest)
+        start = plane + slope[0] * wp.float64(first) + slope[1] * wp.float64(up * j)
+        largest = wp.max(largest, row_inside(raster, x + first, y + up * j, legs + 1 - j, start, slope[0]))
+    start = plane + slope[1] * wp.float64(up * legs)
+    across = slope[0] * wp.float64(right) - slope[1] * wp.float64(up)
+    return wp.max(largest, diagonal_inside(raster, x, y + up * legs, right, -up, legs, start, across))
 
 
 @wp.kernel
 def centre_errors(
     offset: int,
-    h: wp.array(dtype=wp.float32),
-    measured: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
+    raster: Samples,
+    measured: Samples,
     side: int,
     root: int,
     finer: Depth,
@@ -162,7 +131,7 @@ def centre_errors(
 ):
     """Diamonds at the centres of cells of `side` samples (at least 2): a triangle at either end of a diagonal.
 
-    `root` is 1 where these cells are the root squares. `measured`: what of `h` counts, NaN elsewhere.
+    `root` is 1 where these cells are the root squares. `measured`: what of it counts, NaN elsewhere.
     """
     p = diamond(own, offset + wp.tid())
     rises = root == 1 or ((p[0] + p[1]) & 1) == 1  # the diagonal on which the triangles' corners are
@@ -173,20 +142,19 @@ def centre_errors(
         up = wp.where(rises, right, -right)
         x = (p[0] + k) * side
         y = (p[1] + wp.where(up > 0, 0, 1)) * side
-        z = corner(h, width, height, x, y)
-        slope_x = wp.float64(right) * (corner(h, width, height, x + right * side, y) - z) / n
-        slope_y = wp.float64(up) * (corner(h, width, height, x, y + up * side) - z) / n
-        largest = corner_error(measured, width, height, x, y, right, up, side, z, slope_x, slope_y, largest)
+        z = corner(raster, x, y)
+        slope_x = wp.float64(right) * (corner(raster, x + right * side, y) - z) / n
+        slope_y = wp.float64(up) * (corner(raster, x, y + up * side) - z) / n
+        slope = wp.vec2d(slope_x, slope_y)
+        largest = wp.max(largest, corner_error(measured, x, y, right, up, side, z, slope))
     errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
 
 
 @wp.kernel
 def side_errors(
     offset: int,
-    h: wp.array(dtype=wp.float32),
-    measured: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
+    raster: Samples,
+    measured: Samples,
     half: int,
     finer: Depth,
     own: Depth,
@@ -201,15 +169,15 @@ def side_errors(
     y = p[1] * half
     flat = p[0] & 1
     along = wp.vec2i(flat, 1 - flat)
-    begin = corner(h, width, height, x - along[0] * half, y - along[1] * half)
-    end = corner(h, width, height, x + along[0] * half, y + along[1] * half)
+    begin = corner(raster, x - along[0] * half, y - along[1] * half)
+    end = corner(raster, x + along[0] * half, y + along[1] * half)
     middle = wp.float64(0.5) * (begin + end)
     n = wp.float64(half)
     largest = wp.float64(0.0)
     if half == 1:
         # Only the sample in the middle is not a corner, and along a leg the distance is a quarter of a cell's twist,
         # which the children hold already.
-        largest = row_inside(measured, width, height, x, y, 1, middle, wp.float64(0.0), largest)
+        largest = row_inside(measured, x, y, 1, middle, wp.float64(0.0))
     else:
         slope = (end - begin) / (wp.float64(2.0) * n)
         for k in range(4):
@@ -218,19 +186,18 @@ def side_errors(
             across = wp.where(flat == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
             if holds(own, apex):
-                z = corner(h, width, height, apex[0] * half, apex[1] * half)
+                z = corner(raster, apex[0] * half, apex[1] * half)
                 rise = wp.float64(across) * (z - middle) / n
-                slope_x = wp.where(flat == 1, slope, rise)
-                slope_y = wp.where(flat == 1, rise, slope)
-                largest = corner_error(
-                    measured, width, height, x, y, right, up, half, middle, slope_x, slope_y, largest
-                )
+                slopes = wp.where(flat == 1, wp.vec2d(slope, rise), wp.vec2d(rise, slope))
+                largest = wp.max(largest, corner_error(measured, x, y, right, up, half, middle, slopes))
     errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
 
 
 @wp.kernel
-def twists(offset: int, h: wp.array(dtype=wp.float32), width: int, cells: Depth, errors: wp.array(dtype=wp.float32)):
+def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Row `offset + tid` of the raster's cells: a quarter of each twist, 0 where a sample is NaN."""
+    h = measured.floats
+    width = measured.columns
     cy = offset + wp.tid()
     for cx in range(width - 1):
         at = cy * width + cx

@@ -7,6 +7,7 @@ are flat: lower and upper of one diamond lie side by side, diamonds in the order
 
 import warp as wp
 
+from .codes import Samples
 from .layout import Depth, child, diamond, entry, holds
 
 # Samples that the box of a diamond at the middle of a side of 4 x 4 cells reaches from there.
@@ -34,9 +35,7 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
 @wp.kernel
 def finest_ranges(
     offset: int,
-    h: wp.array(dtype=wp.float32),
-    width: int,
-    height: int,
+    raster: Samples,
     base: wp.float64,
     step: wp.float64,
     own: Depth,
@@ -48,8 +47,10 @@ def finest_ranges(
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    south = wp.clamp(2 * y - REACH, 0, height - 1)
-    north = wp.min(2 * y + REACH, height - 1)
+    h = raster.floats
+    width = raster.columns
+    south = wp.clamp(2 * y - REACH, 0, raster.rows - 1)
+    north = wp.min(2 * y + REACH, raster.rows - 1)
     for x in range(1 - (y & 1), own.columns + 1, 2):
         west = wp.clamp(2 * x - REACH, 0, width - 1)
         low = h[south * width + west]

@@ -34,12 +34,12 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
     bits = d.unit_bits - d.levels
     x = wp.min(x, d.east)
     y = wp.min(y, d.north)
-    i = wp.min(x >> bits, d.width - 2)
-    j = wp.min(y >> bits, d.height - 2)
+    i = wp.min(x >> bits, d.samples.columns - 2)
+    j = wp.min(y >> bits, d.samples.rows - 2)
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     s = wp.float64(x - (i << bits)) * part
     t = wp.float64(y - (j << bits)) * part
-    return bilinear(corners_of(d.samples, d.width, i, j), s, t)
+    return bilinear(corners_of(d.samples, i, j), s, t)
 
 
 @wp.func
@@ -91,7 +91,7 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
     j = wp.min(y, y + dy) >> bits
-    p = corners_of(d.samples, d.width, i, j)
+    p = corners_of(d.samples, i, j)
     cell = wp.float64(wp.int32(1) << bits)
     return ((p[0] - p[1]) + (p[3] - p[2])) * (wp.float64(dx) / cell) * (wp.float64(dy) / cell)
 
@@ -126,8 +126,7 @@ def farthest_on_diagonal(
         slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
         i = (s.x + x0) >> bits
         j = (s.y + y0) >> bits
-        h = d.samples.floats
-        most = diagonal_inside(h, d.width, d.height, i, j, cell_x, cell_y, cells, start, slope, most)
+        most = wp.max(most, diagonal_inside(d.samples, i, j, cell_x, cell_y, cells, start, slope))
     else:
         r0 = above(d, s, x0, y0)
         r1 = above(d, s, x1, y1)
@@ -151,8 +150,7 @@ def farthest(d: Domain, s: Facet) -> wp.float64:
         first, samples = row_of(s, bits, low + k)
         plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
         slope = s.slope_x * unit
-        h = d.samples.floats
-        most = row_inside(h, d.width, d.height, i + first, j + low + k, samples, plane, slope, most)
+        most = wp.max(most, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
     if s.left_x == 0 or s.left_y == 0:
         if count == 0:
             most = wp.abs(above(d, s, 0, 0))

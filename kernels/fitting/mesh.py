@@ -25,8 +25,6 @@ class Mesh:
     snap: wp.int32  # mesh vertices lie on multiples of 2**snap units
     asked: wp.float64  # metres of error, as interpolation is asked
     bound: wp.float64  # metres of distance that a triangle may have
-    aim: wp.float64  # part of what is allowed: points beyond it push
-    stretch: wp.float64  # length of a step over the mean push, below 2
     room: wp.int32  # triangles that the arrays have room for
     round: wp.int32  # triangles are split at the end of each
     corner_verts: wp.array(dtype=wp.int32)  # [3 T]

@@ -16,6 +16,8 @@ from .facet import farthest
 from .mesh import NOT_MEASURED, PINNED, Mesh, facet_of, is_marked, list_marked, mark, mark_around
 from .push import Pushes, pushes_in_cell, pushes_of
 
+# Points beyond this part of the bound push; length of a step over the mean push, below 2.
+AIM, STRETCH = wp.constant(wp.float64(0.95)), wp.constant(wp.float64(1.25))
 # Above what single precision rounds off, relative to the heights in a triangle, and to a sum of weights.
 ROUNDED = wp.constant(wp.float64(1e-6))
 NO_WEIGHT = wp.constant(wp.float32(1e-4))
@@ -51,7 +53,7 @@ def pull(first: int, end: int, m: Mesh):
     for k in range(first, end):
         t = m.active[k]
         z = corners_of(m, t)
-        aim = m.aim * m.bound
+        aim = AIM * m.bound
         known = m.worst[t]
         look = known == NOT_MEASURED
         if not look:
@@ -110,7 +112,7 @@ def move(count: int, triangles: int, m: Mesh, found: wp.array(dtype=wp.int32)):
             mark(m, t)
     for k in range(count):
         t = m.active[k]
-        if m.worst[t] > m.aim * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
+        if m.worst[t] > AIM * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
             for c in range(3):
                 v = m.corner_verts[3 * t + c]
                 if m.push[2 * v + 1] > wp.float64(0.0):
@@ -118,7 +120,7 @@ def move(count: int, triangles: int, m: Mesh, found: wp.array(dtype=wp.int32)):
             mark(m, t)
     for k in range(pushed):
         v = m.movers[k]
-        height = m.stretch * m.push[2 * v] / m.push[2 * v + 1] * m.domain.height_scale
+        height = STRETCH * m.push[2 * v] / m.push[2 * v + 1] * m.domain.height_scale
         m.push[2 * v] = wp.float64(0.0)
         m.push[2 * v + 1] = wp.float64(0.0)
         if (m.state[v] & PINNED) == wp.uint8(0):

@@ -14,7 +14,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     typedef float lanes __attribute__((vector_size(32)));
     typedef int masks __attribute__((vector_size(32)));
     const float* data = d.samples.floats.data;
-    const int size = (int)d.samples.floats.shape[0], width = d.width, height = d.height, bits = d.unit_bits - d.levels;
+    const int size = (int)d.samples.floats.shape[0], width = d.samples.columns, height = d.samples.rows;
+    const int bits = d.unit_bits - d.levels;
     const int apex_x = apex[0] >> bits, left_x = (left[0] - apex[0]) >> bits, right_x = (right[0] - apex[0]) >> bits;
     const int apex_y = apex[1] >> bits, left_y = (left[1] - apex[1]) >> bits, right_y = (right[1] - apex[1]) >> bits;
     const int n = wp::max(wp::abs(left_x), wp::abs(left_y));

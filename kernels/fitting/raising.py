@@ -5,6 +5,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..field.layout import tile_index
+from ..morph.lattice import half_edge
 from ..refine.stored_errors import place
 
 # Codes of errors while a mesh is fitted: an octave has so many, the first is for LEAST of what is asked, and to be
@@ -29,22 +30,6 @@ def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
 
 
 @wp.func
-def apex_step(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """From the split vertex (x, y) of a diamond to an apex; the other is as far on the other side."""
-    half = wp.int32(1) << (d.unit_bits - ((depth - 1) >> 1) - 1)
-    step = wp.vec2i(half, half)
-    if (depth & 1) == 1:
-        # A cell's centre: the corners off its diagonal. Root squares have all the same.
-        if depth > 1 and ((x / (2 * half) + y / (2 * half)) & 1) == 0:
-            step = wp.vec2i(half, -half)
-    elif (x & half) != 0:
-        step = wp.vec2i(0, half)
-    else:
-        step = wp.vec2i(half, 0)
-    return step
-
-
-@wp.func
 def climb(
     d: Domain,
     x: wp.int32,
@@ -64,10 +49,10 @@ def climb(
         if wp.int32(codes[at]) < code:
             codes[at] = wp.uint8(code)
             if q[2] > 1:
-                step = apex_step(d, q[0], q[1], q[2])
-                for k in range(2):
-                    px = wp.where(k == 0, q[0] - step[0], q[0] + step[0])
-                    py = wp.where(k == 0, q[1] - step[1], q[1] + step[1])
+                along = half_edge(d.unit_bits, wp.vec2i(q[0], q[1]), q[2])
+                for k in range(2):  # an apex is as far on either side of the edge
+                    px = wp.where(k == 0, q[0] + along[1], q[0] - along[1])
+                    py = wp.where(k == 0, q[1] - along[0], q[1] + along[0])
                     inside = px >= 0 and py >= 0
                     if inside and px <= (d.columns << d.unit_bits) and py <= (d.rows << d.unit_bits):
                         stack[top] = wp.vec3i(px, py, q[2] - 1)

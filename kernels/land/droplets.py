@@ -18,12 +18,11 @@ from ..field.noise import scramble
 class Rain:
     """What a droplet does; lengths in metres.
 
-    `first_row`, `first_column`: of sample [0, 0] in the whole level, `whole_rows`, `whole_columns`: its size. `rows`,
-    `columns`: of a tile, samples. `across`: tiles from west to east of the whole level. `drops`: a tile. `stride`: of a
-    droplet, metres, `steps` at most. `brush_x`, `brush_y`: samples around a droplet that it changes. `capacity`: m3
-    that one carries on a slope of 1. `keep`: of its direction, a step. `load`, `drop`: the part of what it lacks, or
-    has too much, that it takes up or lays down, a step. `dry`: of its water that is lost, a step. `sea`: where it ends.
-    `mask`: times what it takes up.
+    `first_row`, `first_column`: of sample [0, 0] in the whole level. `rows`, `columns`: of a tile, samples. `across`:
+    tiles from west to east of the whole level. `drops`: a tile. `stride`: of a droplet, metres, `steps` at most.
+    `brush_x`, `brush_y`: samples around a droplet that it changes. `capacity`: m3 that one carries on a slope of 1.
+    `keep`: of its direction, a step. `load`: the part of what it lacks, or has too much, that it takes up or lays down,
+    a step. `dry`: of its water that is lost, a step. `sea`: where it ends. `mask`: times what it takes up.
     """
 
     width: wp.int32
@@ -44,7 +43,6 @@ class Rain:
     capacity: wp.float64
     keep: wp.float64
     load: wp.float64
-    drop: wp.float64
     dry: wp.float64
     sea: wp.float64
     ground: wp.array(dtype=wp.float32)
@@ -151,7 +149,7 @@ def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
                     if fall < none:
                         volume = wp.min(-fall * cell, held)  # fills the hollow, at most to the next place
                     elif held > room:
-                        volume = (held - room) * rain.drop
+                        volume = (held - room) * rain.load
                     else:
                         row = wp.int32(y + wp.float64(0.5)) - rain.first_row
                         near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column

@@ -15,6 +15,8 @@ NEXT_SEED = wp.constant(wp.uint32(-0x61C88647))
 BEND_SEED, BED_SEED, LENGTH_SEED = wp.constant(wp.uint32(101)), wp.constant(wp.uint32(102)), wp.constant(wp.uint32(103))
 # The slope beyond which detail grows no more.
 STEEPEST = wp.constant(wp.float32(1.5))
+# Where the waves so far have a slope whose square is one over this, finer ones are halved.
+DAMP = wp.constant(wp.float32(6.0))
 # Metres: how far beds keep their height, and how long a ledge is.
 BED_BEND, LEDGE_LENGTH = wp.constant(wp.float64(900.0)), wp.constant(wp.float64(700.0))
 
@@ -29,7 +31,6 @@ class Look:
     rough: wp.float32  # amplitude over half a wavelength where the slope is 1
     plain: wp.float32  # the same on level ground
     gain: wp.float32
-    damp: wp.float32  # by how much steep detail stops the finer octaves
     ridge: wp.float32  # 0: round everywhere, 1: sharp crests on convex ground
     bed: wp.float32  # metres, mean thickness of a bed; 0: none
     ledge: wp.float32  # 0 .. 1, how far hard beds stand out
@@ -158,7 +159,7 @@ def octaves_at(
             # The slope of -|n|, but without its jump, which the damping would make one of the ground.
             folded = wp.clamp(-8.0 * n[2], -1.0, 1.0) * crest
             value = n[2] * (1.0 - crest) + crest * (0.35 - wp.abs(n[2]))
-            high += fade * size * value / (1.0 + k.damp * (gx * gx + gy * gy))
+            high += fade * size * value / (1.0 + DAMP * (gx * gx + gy * gy))
             gx += size / wave * n[0] * (1.0 - crest + folded)
             gy += size / wave * n[1] * (1.0 - crest + folded)
             size *= k.gain

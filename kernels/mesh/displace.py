@@ -39,13 +39,13 @@ def per_cell(cells: wp.int32) -> wp.float64:
 
 
 @wp.func
-def on_sample(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, j: wp.int32):
+def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
     """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
     west = wp.min(i, 1)  # cells that there are beside it
-    east = wp.min(columns - 1 - i, 1)
+    east = wp.min(samples.columns - 1 - i, 1)
     south = wp.min(j, 1)
-    north = wp.min(rows - 1 - j, 1)
-    row = wp.int64(columns)
+    north = wp.min(samples.rows - 1 - j, 1)
+    row = wp.int64(samples.columns)
     at = wp.int64(j) * row + wp.int64(i)
     gx = (height(samples, at + wp.int64(east)) - height(samples, at - wp.int64(west))) * per_cell(west + east)
     gy = height(samples, at + wp.int64(north) * row) - height(samples, at - wp.int64(south) * row)
@@ -53,23 +53,15 @@ def on_sample(samples: Samples, columns: wp.int32, rows: wp.int32, i: wp.int32, 
 
 
 @wp.func
-def in_cell(
-    samples: Samples,
-    columns: wp.int32,
-    rows: wp.int32,
-    i: wp.int32,
-    j: wp.int32,
-    s: wp.float64,
-    t: wp.float64,
-):
+def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
     """Height and gradient inside cell (i, j), bilinear between those of its four samples: each of the twelve samples
     that they need is read once."""
     west = wp.min(i, 1)  # cells that there are beside it
-    east = wp.min(columns - 2 - i, 1)
+    east = wp.min(samples.columns - 2 - i, 1)
     south = wp.min(j, 1)
-    north = wp.min(rows - 2 - j, 1)
-    p = corners_of(samples, columns, i, j)
-    row = wp.int64(columns)
+    north = wp.min(samples.rows - 2 - j, 1)
+    p = corners_of(samples, i, j)
+    row = wp.int64(samples.columns)
     one = wp.int64(1)
     at = wp.int64(j) * row + wp.int64(i)
     above = at + row
@@ -100,8 +92,8 @@ def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.v
     part = wp.float64(1.0) / units  # exact: a power of two
     slope_x = domain.height_scale / (domain.unit_x * units)
     slope_y = domain.height_scale / (domain.unit_y * units)
-    per_width = part / wp.float64(domain.width - 1)
-    per_height = part / wp.float64(domain.height - 1)
+    per_width = part / wp.float64(domain.samples.columns - 1)
+    per_height = part / wp.float64(domain.samples.rows - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x
     py = domain.south + wp.float64(p[1]) * domain.unit_y
     pz = g[0] * domain.height_scale + domain.height_offset
@@ -162,10 +154,10 @@ def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vert
 def fetch_samples(domain: Domain, q: wp.vec2i):
     """Bring the samples about a lattice point into the cache; nothing is read."""
     bits = domain.unit_bits - domain.levels
-    near = wp.int64(q[1] >> bits) * wp.int64(domain.width) + wp.int64(q[0] >> bits)
+    near = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
     prefetch_sample(domain.samples, near)
-    prefetch_sample(domain.samples, near - wp.int64(domain.width))
-    prefetch_sample(domain.samples, near + wp.int64(domain.width))
+    prefetch_sample(domain.samples, near - wp.int64(domain.samples.columns))
+    prefetch_sample(domain.samples, near + wp.int64(domain.samples.columns))
 
 
 @wp.func
@@ -173,23 +165,21 @@ def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
     """Height and gradient (metres a cell) of the surface at a lattice point."""
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
-    columns = domain.width
-    rows = domain.height
     x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
     y = wp.min(p[1], domain.north)
     g = wp.vec3d()
     if ((x | y) & (cell - 1)) == 0:
-        g = on_sample(domain.samples, columns, rows, x >> bits, y >> bits)
+        g = on_sample(domain.samples, x >> bits, y >> bits)
     else:
         part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
-        i = wp.min(x >> bits, columns - 2)
-        j = wp.min(y >> bits, rows - 2)
+        i = wp.min(x >> bits, domain.samples.columns - 2)
+        j = wp.min(y >> bits, domain.samples.rows - 2)
         s = wp.float64(x - (i << bits)) * part
         t = wp.float64(y - (j << bits)) * part
         if domain.bicubic == 1:
-            g = in_patch(domain.samples, columns, rows, i, j, s, t)
+            g = in_patch(domain.samples, i, j, s, t)
         else:
-            g = in_cell(domain.samples, columns, rows, i, j, s, t)
+            g = in_cell(domain.samples, i, j, s, t)
     return g
 
 

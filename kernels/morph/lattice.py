@@ -31,19 +31,26 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
 
 
 @wp.func
+def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
+    """From the vertex p that a diamond of `depth` is split at to an end of the edge that it splits."""
+    half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
+    along = wp.vec2i(half, 0)
+    if (depth & 1) == 1:
+        # The diagonals of the four cells in a cell meet in its middle; that of a root square goes down.
+        rises = depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
+        along = wp.vec2i(half, wp.where(rises, half, -half))
+    elif (p[0] & half) == 0:
+        along = wp.vec2i(0, half)
+    return along
+
+
+@wp.func
 def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
     v = SplitVertex()
     v.point = p
     v.depth = depth_of(unit_bits, p)
     if v.depth > 0:
-        half = wp.int32(1) << (unit_bits - ((v.depth + 1) >> 1))
-        along = wp.vec2i(half, 0)
-        if (v.depth & 1) == 1:
-            # The diagonals of the four cells in a cell meet in its middle; that of a root square goes down.
-            rises = v.depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
-            along = wp.vec2i(half, wp.where(rises, half, -half))
-        elif (p[0] & half) == 0:
-            along = wp.vec2i(0, half)
+        along = half_edge(unit_bits, p, v.depth)
         v.left = p - along
         v.right = p + along
     return v

@@ -32,7 +32,7 @@ def row_ranges(
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     i = first_column
-    while i < surface.columns - 1 and wp.float64(i) <= east:
+    while i < surface.samples.columns - 1 and wp.float64(i) <= east:
         if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
             if surface.bicubic == 1:
                 a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
@@ -41,7 +41,7 @@ def row_ranges(
             else:
                 s0 = wp.clamp(west - wp.float64(i), zero, one)
                 s1 = wp.clamp(east - wp.float64(i), zero, one)
-                p = corners_of(surface.samples, surface.columns, i, j)
+                p = corners_of(surface.samples, i, j)
                 z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1))
                 z = z * surface.scale
                 low = wp.min(low, wp.min(z) + surface.offset)

@@ -107,7 +107,7 @@ def in_bilinear(surface: Surface, ray: Ray, part: Part):
     """Where (t) in a part the ray comes to be `slack` beyond the surface; and its side at the end."""
     zero = wp.float64(0.0)
     first = part.first
-    p = corners_of(surface.samples, surface.columns, part.i, part.j)
+    p = corners_of(surface.samples, part.i, part.j)
     s = ray.u + first * ray.du - wp.float64(part.i)
     r = ray.v + first * ray.dv - wp.float64(part.j)
     low = p[0] + (p[1] - p[0]) * s
@@ -143,7 +143,7 @@ def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
     if surface.bicubic == 1:
         low, high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
     else:
-        p = corners_of(surface.samples, surface.columns, i, j)
+        p = corners_of(surface.samples, i, j)
         a = wp.min(p) * surface.scale + surface.offset
         b = wp.max(p) * surface.scale + surface.offset
         low = smaller(a, b) - blocks.more
@@ -161,7 +161,7 @@ def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.in
         # what is stored is a quarter of the norm of the second derivatives over cells
         bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.bend_group, blocks.error, at)) * across
     else:
-        p = corners_of(surface.samples, surface.columns, i, j)
+        p = corners_of(surface.samples, i, j)
         bend = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
     x = ray.du * surface.step_x
     y = ray.dv * surface.step_y

@@ -29,7 +29,7 @@ def fetch_about(surface: Surface, p: wp.vec2d):
     """Bring the samples about a place into the cache; nothing is read, so any place will do."""
     i = wp.int64((p[0] - surface.west) * surface.per_x)
     j = wp.int64((p[1] - surface.south) * surface.per_y)
-    row = wp.int64(surface.columns)
+    row = wp.int64(surface.samples.columns)
     at = j * row + i
     prefetch_sample(surface.samples, at)
     prefetch_sample(surface.samples, at + row)
@@ -51,20 +51,22 @@ def ground_at(
     """Height, unit normal and slope (radians) at the places of block `offset + tid`; not numbers where there is no
     ground."""
     begin = (offset + wp.tid()) * BLOCK
+    cells_x = surface.samples.columns - 1
+    cells_y = surface.samples.rows - 1
     for n in range(begin, wp.min(begin + BLOCK, count)):
         one = wp.float64(1.0)
         fetch_about(surface, places[wp.min(n + AHEAD, count - 1)])
         p = places[n]
-        u = onto_rim((p[0] - surface.west) / surface.step_x, surface.columns - 1, surface.rim_x)
-        v = onto_rim((p[1] - surface.south) / surface.step_y, surface.rows - 1, surface.rim_y)
+        u = onto_rim((p[0] - surface.west) / surface.step_x, cells_x, surface.rim_x)
+        v = onto_rim((p[1] - surface.south) / surface.step_y, cells_y, surface.rim_y)
         zero = wp.float64(0.0)
-        found = u >= zero and v >= zero and u <= wp.float64(surface.columns - 1) and v <= wp.float64(surface.rows - 1)
+        found = u >= zero and v >= zero and u <= wp.float64(cells_x) and v <= wp.float64(cells_y)
         height = NOTHING
         normal = wp.vec3d(NOTHING, NOTHING, NOTHING)
         slope = NOTHING
         if found:
-            i = cell_of(u, surface.columns - 1)
-            j = cell_of(v, surface.rows - 1)
+            i = cell_of(u, cells_x)
+            j = cell_of(v, cells_y)
             s = u - wp.float64(i)
             t = v - wp.float64(j)
             found = is_ground(surface, i, j, s == zero, t == zero)

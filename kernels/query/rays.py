@@ -45,8 +45,8 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 def entry_of(surface: Surface, blocks: Blocks, ray: Ray, end: wp.float64, known: wp.float64):
     """The part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side there."""
     zero = wp.float64(0.0)
-    first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.columns - 1))
-    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.rows - 1))
+    first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
+    first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.samples.rows - 1))
     # Where a ray comes in above or below everything its side is known, also where it is cut at a flat surface.
     side = known
     z = ray.z + first * ray.dz
@@ -60,8 +60,8 @@ def entry_of(surface: Surface, blocks: Blocks, ray: Ray, end: wp.float64, known:
 def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64):
     """Where (t, `last` at most) the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
     zero = wp.float64(0.0)
-    cells_x = surface.columns - 1
-    cells_y = surface.rows - 1
+    cells_x = surface.samples.columns - 1
+    cells_y = surface.samples.rows - 1
     east = wp.where(ray.du > zero, 1, 0)
     north = wp.where(ray.dv > zero, 1, 0)
     x = i >> bits
@@ -133,8 +133,8 @@ def first_hit(
     hit = NOWHERE
     if not (part.first <= last):
         return hit
-    cells_x = surface.columns - 1
-    cells_y = surface.rows - 1
+    cells_x = surface.samples.columns - 1
+    cells_y = surface.samples.rows - 1
     part.i = cell_of(ray.u + part.first * ray.du, cells_x)
     part.j = cell_of(ray.v + part.first * ray.dv, cells_y)
     bits = wp.min(bits, blocks.top)

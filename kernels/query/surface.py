@@ -14,8 +14,6 @@ from ..mesh.displace import in_cell
 class Surface:
     """Metres are height * scale + offset; memory is shared with the height field (cbt_terrain/query/surface.py)."""
 
-    columns: wp.int32  # samples in a row
-    rows: wp.int32
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64  # metres between samples
@@ -42,9 +40,9 @@ def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
 @wp.func
 def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether cell (i, j) is in the raster and has all its four samples."""
-    found = i >= 0 and j >= 0 and i < surface.columns - 1 and j < surface.rows - 1
+    found = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
     if found:
-        found = is_whole(surface.valid, surface.columns, i, j)
+        found = is_whole(surface.valid, surface.samples.columns, i, j)
     return found
 
 
@@ -69,7 +67,7 @@ def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_s
 @wp.func
 def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Height and the bilinear patch's own gradient (metres a cell)."""
-    p = corners_of(surface.samples, surface.columns, i, j)
+    p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
     north = p[2] - p[0]
     twist = p[3] - p[2] - east
@@ -92,7 +90,7 @@ def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.floa
     """Height and its gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
     g = wp.vec3d()
     if surface.bicubic == 1:
-        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+        g = in_patch(surface.samples, i, j, s, t)
     else:
         g = in_saddle(surface, i, j, s, t)
     return metric(surface, i, j, s, t, g)
@@ -103,7 +101,7 @@ def shaded_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.f
     """As `jet_in`, with the gradient by which the mesh is shaded: of a bilinear surface it has no steps."""
     g = wp.vec3d()
     if surface.bicubic == 1:
-        g = in_patch(surface.samples, surface.columns, surface.rows, i, j, s, t)
+        g = in_patch(surface.samples, i, j, s, t)
     else:
-        g = in_cell(surface.samples, surface.columns, surface.rows, i, j, s, t)
+        g = in_cell(surface.samples, i, j, s, t)
     return metric(surface, i, j, s, t, g)

@@ -22,10 +22,10 @@ def in_sight(
 ):
     """Sample `first + offset + tid`: whether nothing rises above the line from `target` metres over it to the eye."""
     n = first + offset + wp.tid()
-    row = n / surface.columns
-    column = n - row * surface.columns
-    i = wp.min(column, surface.columns - 2)
-    j = wp.min(row, surface.rows - 2)
+    row = n / surface.samples.columns
+    column = n - row * surface.samples.columns
+    i = wp.min(column, surface.samples.columns - 2)
+    j = wp.min(row, surface.samples.rows - 2)
     s = wp.float64(column - i)
     t = wp.float64(row - j)
     p = wp.vec3d(

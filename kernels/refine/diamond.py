@@ -54,10 +54,10 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
         low = domain.range_base + wp.float64(least) * domain.range_step
         high = domain.range_base + wp.float64(most) * domain.range_step
     else:
-        lowest = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.width) + wp.int64(i0))
+        lowest = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.samples.columns) + wp.int64(i0))
         highest = lowest
         for j in range(j0, j1 + 2):
-            row = wp.int64(j) * wp.int64(domain.width)
+            row = wp.int64(j) * wp.int64(domain.samples.columns)
             for i in range(i0, i1 + 2):
                 h = sample_at(domain.samples, row + wp.int64(i))
                 lowest = wp.where(h < lowest, h, lowest)
@@ -131,8 +131,8 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         high = domain.range_base + wp.float64(r[1]) * domain.range_step
     else:
         bits = domain.unit_bits - domain.levels
-        i1 = wp.min((x + reach - 1) >> bits, domain.width - 2)
-        j1 = wp.min((y + reach - 1) >> bits, domain.height - 2)
+        i1 = wp.min((x + reach - 1) >> bits, domain.samples.columns - 2)
+        j1 = wp.min((y + reach - 1) >> bits, domain.samples.rows - 2)
         low, high = heights_of_cells(domain, wp.max((x - reach) >> bits, 0), wp.max((y - reach) >> bits, 0), i1, j1)
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:

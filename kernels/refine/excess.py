@@ -16,7 +16,7 @@ from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, rest_of, smaller
 from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
-from .stored_errors import detail_missed, is_beyond, raster_error_at
+from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
 
 # What is looked for.
 FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
@@ -56,15 +56,15 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
     low = wp.float64(wp.inf)
     high = wp.float64(-wp.inf)
-    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.height - 2) + 1):
+    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.samples.rows - 2) + 1):
         y = j << bits
         south = wp.float64(wp.max(y0, y) - y) * part
         north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * part
-        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.width - 2) + 1):
+        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.samples.columns - 2) + 1):
             x = i << bits
             west = wp.float64(wp.max(x0, x) - x) * part
             east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * part
-            corners = corners_of(domain.samples, domain.width, i, j)
+            corners = corners_of(domain.samples, i, j)
             a = bilinear(corners, west, south)
             b = bilinear(corners, east, south)
             c = bilinear(corners, west, north)
@@ -154,13 +154,6 @@ def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle) -> wp.flo
         for v in range(asked.view_count):
             pixel2 = smaller(finest_seen_in(asked.views[v], box), pixel2)
     return pixel2
-
-
-@wp.func
-def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
-    """How often the error of a raster cell is halved at a depth inside it, see `error_at`."""
-    finer = depth - 2 * domain.levels - 1
-    return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
 
 
 @wp.func

@@ -46,14 +46,26 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dty
     """Row `offset + tid` of the smallest blocks."""
     j = (offset + wp.tid()) << FINEST
     beside = (wp.int32(1) << FINEST) - 1
-    j1 = wp.min(j + beside, domain.height - 2)
+    j1 = wp.min(j + beside, domain.samples.rows - 2)
     for k in range(wide):
         i = k << FINEST
-        i1 = wp.min(i + beside, domain.width - 2)
+        i1 = wp.min(i + beside, domain.samples.columns - 2)
         low, high = heights_of_cells(domain, i, j, i1, j1)
         at = 2 * ((j >> FINEST) * wide + k)
         least[at] = wp.float32(low - wp.abs(low) * OUTWARD)
         least[at + 1] = wp.float32(-high - wp.abs(high) * OUTWARD)
+
+
+@wp.func
+def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
+    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
+    least = wp.float64(0.0)
+    if level > 0:
+        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
+        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
+    else:
+        least = least_of_cells(domain, i, j, i, j, up)
+    return least
 
 
 @wp.func
@@ -65,8 +77,8 @@ def least_over(
     bits = domain.unit_bits - domain.levels
     i0 = wp.max(x0, 0) >> bits
     j0 = wp.max(y0, 0) >> bits
-    i1 = wp.min(x1 >> bits, domain.width - 2)
-    j1 = wp.min(y1 >> bits, domain.height - 2)
+    i1 = wp.min(x1 >> bits, domain.samples.columns - 2)
+    j1 = wp.min(y1 >> bits, domain.samples.rows - 2)
     up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
     least = wp.float64(wp.inf)
     if wp.max(i1 - i0, j1 - j0) <= FEW_CELLS:
@@ -75,14 +87,9 @@ def least_over(
         level = wp.int32(FINEST)
         while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MOST_BLOCKS:
             level += 1
-        side = wp.where(up > wp.float64(0.0), 0, 1)
-        low = wp.float32(wp.inf)
         for j in range(j0 >> level, (j1 >> level) + 1):
-            row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
             for i in range(i0 >> level, (i1 >> level) + 1):
-                h = item_at(blocks.least, wp.int64(2 * (row + i) + side))
-                low = wp.where(h < low, h, low)
-        least = wp.float64(low)
+                least = smaller(least_of_block(domain, blocks, level, i, j, up), least)
     return placed(domain, least, sign)
 
 
@@ -97,9 +104,9 @@ def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
 @wp.func
 def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
     """Height at a place, in cells from the south-west corner, before scaling."""
-    i = wp.min(wp.int32(x), domain.width - 2)
-    j = wp.min(wp.int32(y), domain.height - 2)
-    return bilinear(corners_of(domain.samples, domain.width, i, j), x - wp.float64(i), y - wp.float64(j))
+    i = wp.min(wp.int32(x), domain.samples.columns - 2)
+    j = wp.min(wp.int32(y), domain.samples.rows - 2)
+    return bilinear(corners_of(domain.samples, i, j), x - wp.float64(i), y - wp.float64(j))
 
 
 @wp.func
@@ -110,18 +117,6 @@ def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64
         y = wp.clamp(wp.float64(j), low[1], high[1])
         for i in range(wp.int32(low[0]), wp.int32(high[0]) + 2):
             least = smaller(up * bilinear_at(domain, wp.clamp(wp.float64(i), low[0], high[0]), y), least)
-    return least
-
-
-@wp.func
-def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
-    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
-    least = wp.float64(0.0)
-    if level > 0:
-        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
-        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
-    else:
-        least = least_of_cells(domain, i, j, i, j, up)
     return least
 
 
@@ -138,9 +133,9 @@ def least_of_windows(
     j_end = j + wp.int32(size[1]) + 1
     south = wp.vec2d(inf, inf)  # least of the windows: the western, the eastern
     north = wp.vec2d(inf, inf)
-    for y in range(wp.max(j - 1, 0), wp.min(j_end + 1, (domain.height - 2) >> level) + 1):
+    for y in range(wp.max(j - 1, 0), wp.min(j_end + 1, (domain.samples.rows - 2) >> level) + 1):
         row = wp.vec2d(inf, inf)
-        for x in range(wp.max(i - 1, 0), wp.min(i_end + 1, (domain.width - 2) >> level) + 1):
+        for x in range(wp.max(i - 1, 0), wp.min(i_end + 1, (domain.samples.columns - 2) >> level) + 1):
             h = least_of_block(domain, blocks, level, x, y, up)
             if x <= i_end:
                 row[0] = smaller(h, row[0])
@@ -169,7 +164,7 @@ def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec
     up = wp.where(domain.height_scale < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
     least = wp.float64(0.0)
     if longest <= wp.float64(FEW_CELLS) and domain.bicubic == 0:
-        last = wp.vec2d(wp.float64(domain.width - 1), wp.float64(domain.height - 1))
+        last = wp.vec2d(wp.float64(domain.samples.columns - 1), wp.float64(domain.samples.rows - 1))
         least = least_bilinear(domain, wp.max(corner, wp.vec2d()), wp.min(corner + size, last), up)
     else:
         level = wp.int32(0)
@@ -214,8 +209,8 @@ def reach2_of(view: LocalView) -> wp.float64:
 def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
     """The highest ground within `reach` lattice units of (x, y), metres; infinity where that is not all raster."""
     bits = domain.unit_bits - domain.levels
-    east = wp.float64((domain.width - 1) << bits)
-    north = wp.float64((domain.height - 1) << bits)
+    east = wp.float64((domain.samples.columns - 1) << bits)
+    north = wp.float64((domain.samples.rows - 1) << bits)
     high = wp.float64(wp.inf)
     if x - reach > wp.float64(1.0) and y - reach > wp.float64(1.0):
         if x + reach < east - wp.float64(1.0) and y + reach < north - wp.float64(1.0):
@@ -261,8 +256,8 @@ def fill_horizon(
     most_t = wp.max(wp.abs(t0), wp.abs(t1))
     slant2 = one + most_t * most_t
     bits = domain.unit_bits - domain.levels
-    east = wp.float64((domain.width - 1) << bits)
-    north = wp.float64((domain.height - 1) << bits)
+    east = wp.float64((domain.samples.columns - 1) << bits)
+    north = wp.float64((domain.samples.rows - 1) << bits)
     x = (view.eye[0] - domain.west) / domain.unit_x
     y = (view.eye[1] - domain.south) / domain.unit_y
     floor = wp.float64(wp.inf)

@@ -67,6 +67,14 @@ def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.b
 
 
 @wp.func
+def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
+    """How often the error of a raster cell is halved at a depth inside it: a bilinear patch halved has a quarter of the
+    twist; bends of a bicubic one halve with each bisection."""
+    finer = depth - 2 * domain.levels - 1
+    return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+
+
+@wp.func
 def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
     """Saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
     error = wp.float32(0.0)
@@ -88,9 +96,7 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
                 error = wp.max(error, cell_entry(domain, group, i - 1, j))
             if (j << bits) == y:
                 error = wp.max(error, cell_entry(domain, group, i, j - 1))
-        # A bilinear patch halved has a quarter of the twist; bends of a bicubic one halve with each bisection.
-        halvings = finer + wp.where(domain.bicubic == 0, finer & 1, 0)
-        error = error / wp.float32(wp.int64(1) << wp.int64(halvings))
+        error = error / wp.float32(wp.int64(1) << wp.int64(halvings_at(domain, depth)))
     return error
 
 
@@ -104,8 +110,8 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
-    columns = (domain.width - 2) >> level
-    rows = (domain.height - 2) >> level
+    columns = (domain.samples.columns - 2) >> level
+    rows = (domain.samples.rows - 2) >> level
     first = wp.int64(mask) * item_at(domain.mask_first, domain.mask_top + 1) + item_at(domain.mask_first, level)
     shift = bits + level
     i1 = wp.min((x + reach - 1) >> shift, columns)

@@ -10,6 +10,7 @@ import warp as wp
 from ..detail.displace import with_detail
 from ..field.detail import Coats
 from ..field.domain import Domain
+from ..field.holes import is_whole
 from ..field.noise import scramble
 from ..mesh.displace import surface_at
 from .seams import PER_RANK, Pattern, drawn_for, shift_of, shifted, unhindered
@@ -85,14 +86,12 @@ class Points:
 def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> wp.bool:
     """Whether a lattice point is on the raster and in no hole."""
     bits = domain.unit_bits - domain.levels
-    i = wp.min(p[0] >> bits, domain.width - 2)
-    j = wp.min(p[1] >> bits, domain.height - 2)
+    i = wp.min(p[0] >> bits, domain.samples.columns - 2)
+    j = wp.min(p[1] >> bits, domain.samples.rows - 2)
     inside = p[0] >= 0 and p[1] >= 0
-    inside = inside and p[0] <= (domain.width - 1) << bits and p[1] <= (domain.height - 1) << bits
+    inside = inside and p[0] <= (domain.samples.columns - 1) << bits and p[1] <= (domain.samples.rows - 1) << bits
     if inside and valid.shape[0] > 0:
-        at = j * domain.width + i
-        corners = valid[at] * valid[at + 1] * valid[at + domain.width] * valid[at + domain.width + 1]
-        inside = corners != wp.uint8(0)
+        inside = is_whole(valid, domain.samples.columns, i, j)
     return inside
 
 
@@ -132,7 +131,7 @@ def place(
             q = shifted(pattern.place[rank], shift)
             x = (x0 + wp.float64(q[0]) * UNIT * pattern.side) / domain.unit_x
             y = (y0 + wp.float64(q[1]) * UNIT * pattern.side) / domain.unit_y
-            p = wp.vec2i(nearest(x, domain.width, domain), nearest(y, domain.height, domain))
+            p = wp.vec2i(nearest(x, domain.samples.columns, domain), nearest(y, domain.samples.rows, domain))
             position = wp.vec3f()
             normal = wp.vec3f(0.0, 0.0, 1.0)
             density = wp.float32(0.0)

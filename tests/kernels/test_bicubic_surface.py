@@ -21,8 +21,6 @@ SHAPES = [(2, 2), (2, 5), (3, 9), (9, 25)]
 def evaluate(
     offset: wp.int32,
     samples: Samples,
-    columns: wp.int32,
-    rows: wp.int32,
     cell: wp.array(dtype=wp.vec2i),
     place: wp.array(dtype=wp.vec2d),
     found: wp.array(dtype=wp.vec3d),
@@ -31,21 +29,19 @@ def evaluate(
     p = offset + wp.tid()
     i = cell[p][0]
     j = cell[p][1]
-    found[p] = in_patch(samples, columns, rows, i, j, place[p][0], place[p][1])
-    low, high = heights_about(samples, columns, rows, i, j)
-    measured[p] = wp.vec3d(low, cubic_at(samples, columns, rows, i, j, place[p][0], place[p][1]), high)
+    found[p] = in_patch(samples, i, j, place[p][0], place[p][1])
+    low, high = heights_about(samples, i, j)
+    measured[p] = wp.vec3d(low, cubic_at(samples, i, j, place[p][0], place[p][1]), high)
 
 
 @wp.kernel
 def at_samples(
     offset: wp.int32,
     samples: Samples,
-    columns: wp.int32,
-    rows: wp.int32,
     found: wp.array(dtype=wp.vec3d),
 ):
     p = offset + wp.tid()
-    found[p] = on_sample(samples, columns, rows, p % columns, p / columns)
+    found[p] = on_sample(samples, p % samples.columns, p / samples.columns)
 
 
 def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +50,7 @@ def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[n
     found, measured = np.zeros((len(cell), 3)), np.zeros((len(cell), 3))
     arrays = [(np.ascontiguousarray(cell, np.int32), wp.vec2i), (np.ascontiguousarray(place, np.float64), wp.vec2d)]
     arrays += [(found, wp.vec3d), (measured, wp.vec3d)]
-    inputs = [packed(field.samples, field.steps), columns, rows]
+    inputs = [packed(field.samples, field.steps)]
     inputs += [wp.array(array, dtype=dtype, device="cpu", copy=False) for array, dtype in arrays]
     launch.spread(evaluate, len(cell), inputs, step="test")
     return found, measured
@@ -107,7 +103,7 @@ def test_at_samples_the_gradient_is_the_central_difference_also_on_the_border(sh
     rows, columns = shape
     expected = np.zeros((rows * columns, 3))
     samples = packed(field.samples, field.steps)
-    inputs = [samples, columns, rows, wp.array(expected, dtype=wp.vec3d, device="cpu", copy=False)]
+    inputs = [samples, wp.array(expected, dtype=wp.vec3d, device="cpu", copy=False)]
     launch.spread(at_samples, rows * columns, inputs, step="test")
     j, i = np.divmod(np.arange(rows * columns), columns)
     for corner in ((0, 0), (1, 0), (0, 1), (1, 1)):

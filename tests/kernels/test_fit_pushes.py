@@ -21,7 +21,7 @@ def pushes(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.nd
     out = wp.zeros(7, dtype=wp.float32, device="cpu")
     d = Domain()  # a lattice unit is a cell
     d.samples.floats = wp.array(heights.ravel(), dtype=wp.float32, device="cpu")
-    d.height, d.width = heights.shape
+    d.samples.rows, d.samples.columns = heights.shape
     inputs = [d, wp.vec2i(*apex), wp.vec2i(*left), wp.vec2i(*right), out]
     wp.launch(run, 1, inputs=inputs, device="cpu")
     return out.numpy()

@@ -26,8 +26,8 @@ def horizons(
     out: wp.array(dtype=wp.float64),
 ):
     i = offset + wp.tid()
-    x = cells_of(wp.float64(places[i][0]), g.west, g.step_x, g.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), g.south, g.step_y, g.rows - 1)
+    x = cells_of(wp.float64(places[i][0]), g.west, g.step_x, g.samples.columns - 1)
+    y = cells_of(wp.float64(places[i][1]), g.south, g.step_y, g.samples.rows - 1)
     out[i] = horizon(g, x, y, surface(g, x, y), azimuths[i], far, least, wp.float64(1.0e300))
 
 

@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.effects.splat_rules import HEIGHT, SLOPE, Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate import layered_detail
+from adaptive_terrain.cbt_terrain.evaluate import evaluate, layered_detail
 from adaptive_terrain.cbt_terrain.evaluate.layered_detail import LayeredDetail, laid
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
@@ -41,7 +41,7 @@ def test_masks_are_made_once_and_the_same_by_any_threads_and_bands(monkeypatch):
     first = laid(field, ground, 1.0, 0.0, 1)
     assert laid(field, ground, 1.0, 0.0, 1) is first
     assert [coat.mask is None for coat in first.detail.coats] == [True, False, False]
-    monkeypatch.setattr(layered_detail, "BAND", 100)
+    monkeypatch.setattr(evaluate, "BAND", 100)
     second = laid(from_array(heights, 10.0), ground, 1.0, 0.0, 3)
     assert second.key == first.key
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field import bicubic, store, store_folder
+from adaptive_terrain.cbt_terrain.field import bicubic, store, store_arrays, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
@@ -106,7 +106,7 @@ def test_a_store_that_cannot_be_written_still_gives_meshlet_errors(island, monke
     def full(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store, "header", full)
+    monkeypatch.setattr(store_arrays, "all_checksums", full)
     assert error_for(store.open_store(island), 1).shape == store.open_store(island).error.shape
     assert interpolated(store.open_store(island), "bicubic").error.any()
     assert not list(island.glob("data-*/error_m1*")) and not list(island.glob("data-*/*_c*"))

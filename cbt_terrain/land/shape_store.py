@@ -34,7 +34,8 @@ ROWS = 256
 BUILDING = "Measuring errors"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
-    f"beyond {MOST_WHOLE} x {MOST_WHOLE} samples a level is not made in one piece."
+    f"beyond {MOST_WHOLE} x {MOST_WHOLE} samples a level is not made in one piece. Use a height map of at most that "
+    "size, or harder rock (a lower erodibility or fewer years)."
 )
 ROOM_ELSEWHERE = "choose another folder (in Blender: Pack Store Beside File)"
 

@@ -24,6 +24,7 @@ RESIZED = 2.0  # times the size, or a part of it: what was framed before is not 
 _jobs: dict[int, ImportJob] = {}  # by the object's session_uid
 _progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
 _gone: set[int] = set()  # terrains that were undone or deleted while they were imported
+_added: dict[int, str] = {}  # the stores of those that were imported as they were added
 
 
 def progress_of(obj) -> tuple[float, str] | None:
@@ -238,23 +239,18 @@ class ImportAdded(_Import, bpy.types.Operator):
 
     bl_idname = "adaptive_terrain.import_added"
     # What adds the terrain stays the last operation, for its panel is where one chooses another land or size. So this
-    # is none, and keeps its step for Undo itself.
+    # is none, and no step for Undo either: adding is the step, and has no store yet, which is given back after it.
     bl_options = {"INTERNAL"}
 
-    def modal(self, context, event):
-        result = super().modal(context, event)
-        if result == {"FINISHED"}:  # here, the step would close that panel
-            bpy.app.timers.register(_push_undo, first_interval=0.0)
-        return result
-
-
-def _push_undo() -> None:
-    bpy.ops.ed.undo_push(message=_Import.bl_label)
+    def _take(self, context, obj, report: dict, folder: str):
+        _added[obj.session_uid] = folder
+        return super()._take(context, obj, report, folder)
 
 
 def begin_again() -> None:
-    """After Undo or Redo: a terrain that is back, and went while it was imported, is imported anew."""
-    if _gone:
+    """After Undo or Redo: a terrain that is back, and went while it was imported, is imported anew; one whose import
+    ended after the step has its store again."""
+    if _gone or _added:
         bpy.app.timers.register(_begin_again, first_interval=0.0)  # a handler may begin nothing that runs on
 
 
@@ -265,6 +261,18 @@ def _begin_again() -> None:
             window = bpy.context.window_manager.windows[0]
             with suppress(RuntimeError), bpy.context.temp_override(window=window, object=obj):  # the panel says why
                 bpy.ops.adaptive_terrain.import_added("INVOKE_DEFAULT")
+        elif obj.session_uid in _added and obj.session_uid not in _jobs and not obj.adaptive_terrain.store:
+            _give_back(obj)
+
+
+def _give_back(obj) -> None:
+    """The store, and what else the end of the import changed; what a viewport shows is nothing that is undone."""
+    obj.adaptive_terrain.store = _added[obj.session_uid]
+    imported.tag_object(obj)
+    with suppress(TerrainError):  # the panel says why
+        frame_terrain.frame(obj, bpy.context.evaluated_depsgraph_get(), [], always=False)
+        if not obj.adaptive_terrain.live:
+            session.update_object(obj)
 
 
 class CancelImport(bpy.types.Operator):
@@ -293,7 +301,7 @@ def register() -> None:
 def unregister() -> None:
     for job in _jobs.values():
         job.cancel()
-    for known in (_jobs, _progress, _gone):
+    for known in (_jobs, _progress, _gone, _added):
         known.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -66,7 +66,7 @@ class CleanupSettings(bpy.types.PropertyGroup):
     boundary: PointerProperty(
         name="Boundary",
         description="Cut away what is not above or below a face of this object",
-        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH", update=changed,
+        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, update=changed,
     )  # fmt: skip
 
 

@@ -241,6 +241,8 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
     boundary = None
     if settings.boundary is not None:
+        if settings.boundary.original == terrain.original:  # cut by its last mesh: what is gone would never come back
+            raise TerrainError(f"The terrain {terrain.name!r} is its own boundary; choose another object, or none.")
         shape, matrix = found_in(depsgraph, settings.boundary, "boundary")
         boundary = plan_triangles(shape, matrix, Matrix(terrain.matrix_world).inverted(), "boundary")
     if settings.use_below and not math.isfinite(settings.below):

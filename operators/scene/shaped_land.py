@@ -9,6 +9,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.land.level_plan import MOST_WHOLE
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land_effects.land_effect import Layer
 from ..properties.land_properties import EVERYWHERE
@@ -25,6 +26,10 @@ NOTES = {
     FAILED: "Not shown: read why, above",
     PREVIEW: "Gets finer where you look when it rests; a render has all of it",
 }
+
+DOUBTFUL = "{} may not fit from tile to tile: "
+DOUBTFUL += f"harder rock may help, or {MOST_WHOLE:,} samples a side at most"
+IN_ONE_PIECE = ". Tiles would be off: made in one piece"
 
 
 @dataclass(frozen=True)
@@ -97,12 +102,13 @@ def _as_updated(obj, numbers: list[int]) -> State:
     if made is None:
         return State(True, note=NOTES[FAILED if session.record_of(obj).status.error else SOURCE])
     tiles, note = (sum(map(len, made.tiles)), sum(made.tile_counts)), ""
-    if made.left_out_most_m > 0.0:
+    if made.doubtful:
+        note = DOUBTFUL.format(made.doubtful)
+    elif made.left_out_most_m > 0.0:
         note = (
             f"Finer levels are left out: about {plain(made.left_out_rms_m)} m, {plain(made.left_out_most_m)} m at most"
         )
-    elif made.doubtful:
-        note = "Tiles may differ by more than 5 % from the land in one piece, which is too large (see the manual)"
+        note += IN_ONE_PIECE if made.beyond_asked else ""
     return State(True, SHAPED, made.step_m, tiles, _by_number(numbers, made.ms), note, made.finished_early)
 
 
@@ -121,7 +127,8 @@ class _Made:
     left_out_rms_m: float
     left_out_most_m: float
     finished_early: bool
-    doubtful: bool
+    doubtful: str  # an effect whose tiles are not to be trusted, or ""
+    beyond_asked: bool  # levels are made in one piece of which only some tiles are shown
 
 
 def _made_of(store: str) -> _Made | None:
@@ -141,10 +148,16 @@ def _read(store: str, _changed_ns: int) -> _Made | None:
             ms[added["entry"]] += added["ms"]
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in said["added"]), default=0.0)
-        doubtful = any(added.get("doubtful", False) for added in said["added"])
-        return _Made(step_m, tuple(ms), **{name: said[name] for name in names}, doubtful=doubtful)
-    except (TerrainError, KeyError, TypeError, AttributeError):  # a provenance may hold anything
+        some = {level for level, tiles in enumerate(said["tiles"]) if len(tiles) < said["tile_counts"][level]}
+        beyond = any(added["whole"] and added["level"] in some for added in said["added"])
+        doubtful = next((_label(added["effect"]) for added in said["added"] if added.get("doubtful", False)), "")
+        return _Made(step_m, tuple(ms), *(said[name] for name in names), doubtful, beyond)
+    except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything
         return None
+
+
+def _label(effect: str) -> str:
+    return LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
 
 
 def layers_of(land) -> list[Layer]:

@@ -16,7 +16,7 @@ from ..text.numbers import length_text, time_text, unit_text
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
 
 NAME_WIDTH = 0.7  # of a row of the list
-ABOUT_LINES, NOTE_LINES = 3, 2
+ABOUT_LINES = NOTE_LINES = 3
 ALWAYS = ("height", "slope")  # the rules that are shown though they are switched off
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undo and Redo, by keys, while the height map of a terrain is imported; write down what came of it: FOLDER.
+"""Undo and Redo, by keys, while a terrain's height map is imported and after it; write down what came of it: FOLDER.
 
 Run with a window and --enable-event-simulate: Blender handles keys between the turns of a timer.
 """
@@ -64,6 +64,21 @@ def gone_and_back(name: str, go, come_back):
     result[name] = [terrain().adaptive_terrain.store, len(import_terrain.all_progress())]
 
 
+def one_step_with_its_import():
+    """Also with a step after it, which has the store, and with one before: adding itself, which has none."""
+    store, end = terrain().adaptive_terrain.store, bpy.context.scene.camera.data.clip_end
+    press_z()
+    yield from until(lambda: terrain() is None)
+    press_z(shift=True)
+    yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)
+    terrain().location.x = 1.0
+    bpy.ops.ed.undo_push(message="Moved")
+    press_z()
+    yield from until(lambda: terrain().location.x == 0.0 and len(terrain().data.polygons) > 0)
+    same = terrain().adaptive_terrain.store == store, bpy.context.scene.camera.data.clip_end == end
+    result["one_step"] = [*same, len(import_terrain.all_progress())]
+
+
 def steps():
     yield 2.0
     bpy.data.objects.remove(bpy.data.objects["Cube"])
@@ -74,6 +89,7 @@ def steps():
     held[0] = False
     yield from until(lambda: len(terrain().data.polygons) > 0)
     result["imported"] = Path(bpy.path.abspath(terrain().adaptive_terrain.store)).is_dir()
+    yield from one_step_with_its_import()
     result["left"] = [len(import_terrain.all_progress()), len(import_terrain._gone)]
 
 

@@ -17,7 +17,8 @@ from adaptive_terrain.operators.request import land_request, land_stack
 from adaptive_terrain.operators.request.kernels_asked import kernels_for
 from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
-from adaptive_terrain.operators.ui.land_panel import status_lines, time_text
+from adaptive_terrain.operators.ui.land_panel import NOTE_LINES, status_lines, time_text
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
 from land_scenes import add
 from modal_runs import running, to_the_end
 
@@ -71,22 +72,45 @@ def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
     assert land_request.made == {"previews": 1, "stores": 1}, "what is there is not made again"
 
 
+def note_where(monkeypatch, terrain, **said) -> str:
+    """The panel's, were the finest level's entry in the store, and the store, to say so."""
+    read = shaped_land.stores.read_json
+
+    def other(path):
+        found = read(path)
+        shaped = found["provenance"].get("shaped")
+        for name, value in said.items() if shaped else ():
+            within = shaped if name in shaped else shaped["added"][-1]
+            assert within[name] != value
+            within[name] = value
+        return found
+
+    shaped_land._read.cache_clear()
+    with monkeypatch.context() as replaced:
+        replaced.setattr(shaped_land.stores, "read_json", other)
+        note = shaped_land.state_of(terrain).note
+    shaped_land._read.cache_clear()
+    assert len(wrapped(note, LINE_LENGTH)) <= NOTE_LINES, "nothing of it is cut"
+    return note
+
+
 def test_the_panel_says_that_tiles_are_not_to_be_trusted(terrain, monkeypatch):
     add("thermal")
     bpy.ops.adaptive_terrain.shape()
     assert shaped_land.state_of(terrain).note == ""
-    read = shaped_land.stores.read_json
+    expected = "Scree may not fit from tile to tile: harder rock may help, or 4,097 samples a side at most"
+    left_out = {"left_out_rms_m": 1.96, "left_out_most_m": 11.9}
+    assert note_where(monkeypatch, terrain, doubtful=True) == expected
+    assert note_where(monkeypatch, terrain, doubtful=True, **left_out) == expected, "the worse is said"
 
-    def doubtful(path):
-        found = read(path)
-        assert found["provenance"]["shaped"]["added"][-1]["doubtful"] is False
-        found["provenance"]["shaped"]["added"][-1]["doubtful"] = True
-        return found
 
-    monkeypatch.setattr(shaped_land.stores, "read_json", doubtful)
-    shaped_land._read.cache_clear()
-    assert "may differ by more than 5 %" in shaped_land.state_of(terrain).note
-    shaped_land._read.cache_clear()
+def test_the_panel_says_that_some_tiles_took_the_whole(terrain, monkeypatch):
+    add("thermal")
+    bpy.ops.adaptive_terrain.shape()
+    said = {"left_out_rms_m": 1234.5, "left_out_most_m": 123.45}
+    left_out = "Finer levels are left out: about 1,234 m, 123 m at most"
+    assert note_where(monkeypatch, terrain, **said) == left_out
+    assert note_where(monkeypatch, terrain, **said, tiles=[[]]) == f"{left_out}. Tiles would be off: made in one piece"
 
 
 def test_the_land_is_what_the_command_makes(terrain, tmp_path):

@@ -160,6 +160,9 @@ def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_t
     cleanup.boundary = bpy.data.objects.new("Void", None)
     with pytest.raises(TerrainError, match="boundary 'Void' is of type EMPTY"):
         session.update_object(terrain)
+    cleanup.boundary = terrain
+    with pytest.raises(TerrainError, match="is its own boundary; choose another object"):
+        session.update_object(terrain)
     assert positions(terrain) == before
 
 

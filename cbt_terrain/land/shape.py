@@ -233,9 +233,9 @@ def _run_of(
     mask, cost = work.mask(entry, land), run.plan.cost(entry, level.whole)
     told = run.progress(cost, level, entry)
     told(0.0)
-    up = None if below is None else [finer(array, level.shape) for array in below]
+    up = None if below is None else _brought(below, level.shape)
     with _counted(run, entry, sums):
-        change = apply_whole(work, entry, land, mask, None if up is None else np.stack(up), told)
+        change = apply_whole(work, entry, land, mask, up, told)
     run.done += cost
     if up is not None and level.number and numbers[0] not in run.plan.doubted:
         both = (unpacked(entry.declaration, of) for of in (up, change))
@@ -246,6 +246,14 @@ def _run_of(
         sums.add(level, tile, delta, mask, level.whole)
     land.total += work.put_on(entry, change, mask, land)
     return [change], [sums]
+
+
+def _brought(below: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
+    """float32 [parts, rows, columns]: a coarser change brought to a level, one part at a time for memory's sake."""
+    up = np.empty((len(below), *shape), np.float32)
+    for part, array in zip(up, below, strict=True):
+        part[...] = finer(array, shape)
+    return up
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hard case 57: land that is shaped tile by tile."""
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from adaptive_terrain.cbt_terrain.land.fitted import fitted
 from adaptive_terrain.cbt_terrain.land.level_plan import LevelPlan
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
+from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from land_effects import SMOOTH, bumpy, ragged
@@ -22,11 +24,18 @@ PARAMETERS = {"droplets": {"droplets": 400.0, "strength": 10.0}}
 ROUNDING = 1e-4  # metres, of changes of some hundred
 
 
+def three_ways(field, stack, tiles):
+    """The change of the whole, of the coarse level and of tiles; coarser levels, the same in all, are made once."""
+    lattice = field.lattice
+    made = (whole_land(lattice), whole_land(lattice, len(levels_of(lattice)) - 1), tiles)
+    with tempfile.TemporaryDirectory() as folder:
+        cache = TileCache(Path(folder))
+        return [shape(field, stack, wanted, threads=2, cache=cache).change for wanted in made]
+
+
 def off_and_moved(field, stack):
     """Metres by which all tiles differ from the whole, and by which the whole does from the coarse level."""
-    lattice = field.lattice
-    made = (whole_land(lattice), whole_land(lattice, len(levels_of(lattice)) - 1), all_tiles(lattice))
-    whole, coarse, tiles = (shape(field, stack, wanted, threads=2).change for wanted in made)
+    whole, coarse, tiles = three_ways(field, stack, all_tiles(field.lattice))
     return tiles - whole, coarse - whole
 
 
@@ -194,8 +203,7 @@ def test_case_57_rivers_that_run_elsewhere_at_each_level(ground, parameters):
     land, step = ground()
     field = from_array(land.astype(np.float32), step)
     stack, levels = Stack((Entry("rivers", parameters, seed=5),)), levels_of(field.lattice)
-    asked = (whole_land(field.lattice), whole_land(field.lattice, len(levels) - 1), [{5: 0.0}, {}, {}])
-    whole, coarse, tile = (shape(field, stack, wanted, threads=2).change for wanted in asked)
+    whole, coarse, tile = three_ways(field, stack, [{5: 0.0}, {}, {}])
     rows, columns = levels[0].window(5)
     inside = slice(rows.start + BAND, rows.stop - BAND), slice(columns.start + BAND, columns.stop - BAND)
     assert rms((whole - coarse)[inside]) > 0.4

@@ -136,7 +136,7 @@ def everything(
     yield partial(engine.budget_level_row, flat)
     yield partial(layer_rows.layer_rows, rough)
     yield partial(light_rows.light_rows)
-    yield partial(land_rows.land_rows)
+    yield from (land_rows.relief_row, land_rows.river_rows, land_rows.demanded_row)
     yield partial(scree_rows.scree_rows)
     yield water_rows.water_rows
     yield partial(scatter_rows.scatter_rows, rough)

@@ -22,15 +22,13 @@ WAVE = 128.0  # metres
 STACK_SAMPLES = (2049, 4097)
 
 
-def land_rows():
-    """Of the built-in island, one thread."""
-    heights, step = island(SAMPLES), SIDE / (SAMPLES - 1)
-    yield _relief(heights, step)
-    yield from _rivers(heights, step)
-    yield _demanded()
+def _island() -> tuple[np.ndarray, float]:
+    """Heights of the built-in island, and metres from sample to sample; all rows of it are of one thread."""
+    return island(SAMPLES), SIDE / (SAMPLES - 1)
 
 
-def _relief(heights: np.ndarray, step: float) -> Row:
+def relief_row() -> Row:
+    heights, step = _island()
     ground, values = Ground(heights, step, step, whole=heights.shape), RELIEF.defaults() | {"wave": WAVE}
     octaves = int(np.log2(WAVE / (2.0 * step)))
 
@@ -49,7 +47,7 @@ def _relief(heights: np.ndarray, step: float) -> Row:
     return Row("land_relief", heights.size, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)
 
 
-def _demanded() -> Row:
+def demanded_row() -> Row:
     """Relief on one tile of the finest level, with all that it starts from, beside every tile; one thread each."""
     size = 2 * SAMPLES - 1
     field = from_array(island(size), SIDE / (size - 1))
@@ -100,11 +98,12 @@ def _octaves(shape: tuple[int, int], step: float, count: int) -> np.ndarray:
     return total
 
 
-def _rivers(heights: np.ndarray, step: float):
+def river_rows():
     """Routes and steps of ageing without noise, creep and deposition, which the library does not know; sediment beside
     a step of ours without it. The island with its sea floor, of which only the rim lets water out."""
     import fastscapelib
 
+    heights, step = _island()
     grid = fastscapelib.RasterGrid([*heights.shape], [step, step], fastscapelib.NodeStatus.FIXED_VALUE)
     sinks = fastscapelib.MSTSinkResolver(fastscapelib.MSTMethod.KRUSKAL, fastscapelib.MSTRouteMethod.CARVE)
     graph = fastscapelib.FlowGraph(grid, [fastscapelib.SingleFlowRouter(), sinks])

@@ -22,7 +22,7 @@ OF_A_FRAME = set().union(*(with_kernels(ROOT / "kernels" / room) for room in ("f
 OF_A_FRAME -= {"horizon_map"}  # what ground hides is for who asks for it
 OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
 # Modules that are compiled in a moment: half of a minute is what all would take.
-QUICK = "codes", "fill", "holes", "replay", "meshlet", "drawing", "grid"
+QUICK = "fill", "holes", "replay", "meshlet", "drawing", "grid"
 # Prepares under the name that an extension has, some modules of every room, and tells what it compiled itself.
 PREPARE = """
 import importlib.util, json, os, sys, time, types

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from program_window import read_screen, wait_for, window
+from program_window import WHOLE, read_screen, wait_for, window
 from real_program import SCRIPTS
 
 
@@ -14,7 +14,7 @@ def test_a_click_picks_and_what_is_kept_follows(program, tmp_path):
     pictures = Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path))
     pictures.mkdir(parents=True, exist_ok=True)
     arguments = ["--python", str(SCRIPTS / "click_ground.py"), "--", str(tmp_path)]
-    with window(program, arguments, tmp_path) as blender:
+    with window(program, arguments, tmp_path, place=WHOLE) as blender:
         wait_for(tmp_path / "pictured", blender)
         read_screen(tmp_path).save(pictures / "ground.png")
         (tmp_path / "picture_taken").touch()

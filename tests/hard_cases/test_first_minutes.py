@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from program_window import SCREEN, read_screen, wait_for, window
+from program_window import SCREEN, WHOLE, read_screen, wait_for, window
 from real_program import SCRIPTS
 
 LIT = 100  # of 255: the grid and the background of a factory scene are darker, a terrain in solid shading is lighter
@@ -24,7 +24,7 @@ def pictures(program, dem, tmp_path_factory):
     """The screen after the import, the same with a factory scene's view, and what the script wrote down."""
     folder = tmp_path_factory.mktemp("first_import")
     arguments = ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
-    with window(program, arguments, folder) as blender:
+    with window(program, arguments, folder, place=WHOLE) as blender:
         wait_for(folder / "imported.json", blender)
         after = read_screen(folder)
         (folder / "imported_pictured").touch()

@@ -12,6 +12,8 @@ import numpy as np
 from PIL import Image
 
 SCREEN = 1600, 1000
+# x, y, width and height. A window is drawn by software, which is most of its time: one of all the screen takes twice.
+WHOLE, HALF = (0, 0, *SCREEN), (0, 0, 1120, 700)
 # Only so that a hang ends.
 GUARD_S = 1200
 # Where events are simulated Blender does not sleep between them, and takes a core for as long as it is open: this gives
@@ -20,7 +22,7 @@ RESTS = "import bpy, time; bpy.app.timers.register(lambda: time.sleep(0.005) or 
 
 
 @contextmanager
-def window(program, arguments: list, framebuffer: Path, kernels: Path | None = None, place: tuple = (0, 0, *SCREEN)):
+def window(program, arguments: list, framebuffer: Path, kernels: Path | None = None, place: tuple = HALF):
     """The program with a window on a screen that is a file, for scripts that simulate events; ends both. `kernels`:
     where compiled kernels are, if not where the program has its own. `place`: x, y, width and height of the window."""
     display = f":{os.getpid() % 40000 + 200}"

@@ -62,7 +62,7 @@ def until(condition):
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError(f"waited in vain: {shown()}, {session.record_of(terrain()).status.error}")
-        yield 0.02
+        yield 0.1
 
 
 def turns(condition):
@@ -71,7 +71,7 @@ def turns(condition):
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError("waited in vain")
-        yield 0.02
+        yield 0.1
         longest, before = max(longest, time.monotonic() - before), time.monotonic()
     return longest
 

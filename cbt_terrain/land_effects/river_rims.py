@@ -24,6 +24,8 @@ LEVEL = 0.01
 # Coarse samples along a cut: so near to where water comes in none leaves, but where the coarser level has a stream
 # leave, a few samples to either side, that is not so many times less.
 BESIDE, WANDER, LESS = 48, 4, 16.0
+# Where that many times as much would leave as the coarser level has leave there, none does; looked for so often.
+MORE, ROUNDS = 4.0, 5
 
 
 def sides(shape: tuple[int, int]) -> list[tuple]:
@@ -124,7 +126,7 @@ def take_over(bed: Bed, ground: Ground, coarser: Change) -> None:
         ring.shut[lake] = into[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
     # A stream that comes back may have less sediment, and of a coarser level's tiles where they meet less water.
     bed.own, bed.brought = np.maximum(own, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
-    bed.rim, bed.spill = _spills(bed, ground, seen, ring)
+    _close(bed, ground, seen, ring)
 
 
 def _seen(bed: Bed, ground: Ground, coarser: Change) -> _Seen:
@@ -209,26 +211,42 @@ def _lakes(seen: _Seen, ring: _Ring) -> list[np.ndarray]:
 
 
 def _most(flow: np.ndarray, reach: int) -> np.ndarray:
-    """The most of what runs through so many samples to either side, once around."""
+    """The most of what runs through so many samples to either side, once around; of bools whether any."""
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 
-def _spills(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
-    """The samples along the cut that are no plain outlets, and metres to which water has to rise there.
+def _close(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring) -> None:
+    """Give the bed the samples along the cut that are no plain outlets, and metres to which water has to rise there.
 
     Shut is also what lies beside shut samples, since finer ground may dam what comes in there and lead it away; but not
-    where about as much leaves: a river that winds along the cut would else be counted with every bend.
+    where about as much leaves: a river that winds along the cut would else be counted with every bend. Of these are
+    shut where a river would leave that does not at the coarser level: a stream may leave to join one outside, and come
+    back with it; a tile sees no farther than the outlet, and the river would take it.
     """
-    wet = seen.wet[ring.at] & ring.cut
-    comes, leaves = np.where(ring.shut, ring.flow, 0.0), np.where(ring.cut & ~ring.shut, ring.flow, 0.0)
-    around = ring.shut | (ring.cut & ~wet & (_most(comes, BESIDE) > LESS * _most(leaves, WANDER)))
-    shut = np.zeros(seen.to.shape, bool)
-    shut[ring.at] = around
+    wet = seen.wet[ring.at]
+    open_ = ring.cut & ~ring.shut
+    comes, leaves = _most(np.where(ring.shut, ring.flow, 0.0), BESIDE), _most(np.where(open_, ring.flow, 0.0), WANDER)
+    open_ &= ~wet
+    shut = ring.shut | (open_ & (comes > LESS * leaves))
+    at, place = _along(bed, ground, seen, ring)
+    for _ in range(ROUNDS):
+        some = (shut | wet)[place]
+        bed.rim, bed.spill = at[some], (seen.surface[ring.at] + np.float32(WALL) * shut)[place[some]]
+        out = np.zeros(len(shut))
+        np.maximum.at(out, place, bed.drain().catchments[at])
+        more = open_ & ~shut & (comes > leaves) & (out > MORE * leaves)
+        if not more.any():
+            break
+        shut |= open_ & _most(more, WANDER)
+
+
+def _along(bed: Bed, ground: Ground, seen: _Seen, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
+    """int64: the samples along the cut where water may leave, and of each the place in the ring that it is next to."""
     at, cut = _around(bed.shape, ground.rims, 0)
     near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
     near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
+    places = np.zeros(seen.to.shape, np.int64)
+    places[ring.at] = np.arange(len(ring.flow))
     at = at[0] * bed.shape[1] + at[1]
     cut &= ~bed.fixed[at]
-    shut, wet = shut[near] & cut, seen.wet[near] & cut
-    some = shut | wet
-    return at[some], (seen.surface[near] + np.float32(WALL) * shut)[some]
+    return at[cut], places[near][cut]

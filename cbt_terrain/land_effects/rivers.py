@@ -234,5 +234,5 @@ RIVERS = LandEffect(
     cost_ns=650,
     conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
-    version=9,
+    version=10,
 )

@@ -149,12 +149,12 @@ def plateaus():
     return 700 + 120 * (np.floor(steps) + np.clip(steps % 1 * 9, 0, 1)) + waves(1.2, 4, 6), 10.0
 
 
-def waves(power: float, seed: int, relief: float) -> np.ndarray:
-    """float64 [545, 914]: waves of every length, of random phase, four deviations of which are so many metres."""
-    length = np.hypot(np.fft.fftfreq(545)[:, None], np.fft.rfftfreq(914))
+def waves(power: float, seed: int, relief: float, shape: tuple[int, int] = (545, 914)) -> np.ndarray:
+    """float64 [rows, columns]: waves of every length, of random phase, four deviations of which are so many metres."""
+    length = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
     length[0, 0] = np.inf
-    noise = np.fft.rfft2(np.random.default_rng(7000 + seed).standard_normal((545, 914)))
-    land = np.fft.irfft2(noise * length**-power, s=(545, 914))
+    noise = np.fft.rfft2(np.random.default_rng(7000 + seed).standard_normal(shape))
+    land = np.fft.irfft2(noise * length**-power, s=shape)
     return relief / 4 * land / land.std()
 
 
@@ -172,6 +172,18 @@ def test_case_57_rivers_on_ground_that_no_constant_was_chosen_on(ground, paramet
     level = levels_of(field.lattice)[0]
     parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]
     assert rms(moved) > 0.4 and rms(off) < 0.05 * rms(moved) and max(parts) < 0.1
+
+
+def test_case_57_rivers_that_leave_a_tile_and_come_back():
+    """A stream leaves a tile, joins a river outside, and both come back; its outlet is not the river's. All tiles are
+    off by 3 % of what the levels moved, the worst by 6 %, where they were by 9 and 25."""
+    _, x = np.indices((914, 545))
+    land = 150 - abs(waves(1.6, 55, 60, x.shape)) + waves(1.3, 56, 12, x.shape) - 0.02 * x
+    field = from_array(land.astype(np.float32), 2.0)
+    off, moved = off_and_moved(field, Stack((Entry("rivers", {"erodibility": 3e-5}, seed=9),)))
+    level = levels_of(field.lattice)[0]
+    parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]
+    assert rms(moved) > 0.5 and rms(off) < 0.03 * rms(moved) and max(parts) < 0.06
 
 
 def badlands():

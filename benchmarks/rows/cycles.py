@@ -13,7 +13,7 @@ import numpy as np
 from ..rig.child import run_child
 from ..rig.measure import Row
 
-ADAPTIVE, ERROR, GRID, BARE = "adaptive", "error", "grid", "bare"
+ADAPTIVE, ERROR, MAPPED, GRID, BARE = "adaptive", "error", "mapped", "grid", "bare"
 PIXEL = 1.0
 # Levels of 255 by which a pixel may differ before it counts as another.
 VISIBLE = 8

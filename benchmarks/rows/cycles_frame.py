@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that renders a flight in Cycles, one of four ways: `cycles_frame MODE STORE TIFF PX PICTURE`.
+"""A process that renders a flight in Cycles, one of five ways: `cycles_frame MODE STORE TIFF PX PICTURE`.
 
-MODE `error` renders our terrain with an error of PX pixels; `adaptive` a plane under Cycles' adaptive subdivision at a
-dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only; `bare` a flat plane,
-one frame only: what any picture takes. The first frame goes to PICTURE.
+MODE `error` renders our terrain with an error of PX pixels; `mapped` the same with a map of its normals, baked for the
+first frame's camera, so that shading does not wait for triangles; `adaptive` a plane under Cycles' adaptive subdivision
+at a dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only; `bare` a flat
+plane, one frame only: what any picture takes. The first frame goes to PICTURE.
 """
 
 import json
@@ -20,7 +21,7 @@ from ...operators.text.console import quiet
 from ..rig import scenes
 from ..rig.child import peak_mb
 from ..rig.measure import stopwatch
-from .cycles import ADAPTIVE, BARE, ERROR, GRID
+from .cycles import ADAPTIVE, BARE, ERROR, GRID, MAPPED
 from .in_blender import flight_scene, new_object
 
 RESOLUTION = (960, 540)
@@ -57,10 +58,13 @@ def render_scene(mode: str, store: str, tiff: str, px: float):
     if mode == GRID:
         obj = _grid(store)
     else:
-        obj = _terrain(store, px) if mode == ERROR else _plane()
+        obj = _terrain(store, px) if mode in (ERROR, MAPPED) else _plane()
     if mode == ADAPTIVE:
         _dice(obj, px)
-    obj.data.materials.append(_material(tiff if mode == ADAPTIVE else None))
+    material = _material(tiff if mode == ADAPTIVE else None)
+    obj.data.materials.append(material)
+    if mode == MAPPED:
+        _shade_by_map(material, obj)
     return scene, obj
 
 
@@ -91,6 +95,24 @@ def _terrain(store: str, px: float):
     settings.render.smooth_transitions = False  # a still
     settings.store, settings.live, settings.enabled = store, False, True
     return obj
+
+
+def _shade_by_map(material, obj) -> None:
+    """Bake the map that *Bake Maps* makes of itself, and have a material's shader take its normals from there."""
+    import bpy
+
+    from ...operators.effects.map_images import map_image, map_vector
+
+    bpy.context.view_layer.objects.active = obj
+    with quiet():
+        bpy.ops.adaptive_terrain.bake_maps()
+    tree = material.node_tree
+    texture, normal = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeNormalMap")
+    texture.image, texture.extension, normal.space = map_image(obj, "detail_normal"), "EXTEND", "OBJECT"
+    tree.links.new(map_vector(tree, obj), texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], normal.inputs["Color"])
+    shader = next(node for node in tree.nodes if "Normal" in node.inputs and node.type == "BSDF_DIFFUSE")
+    tree.links.new(normal.outputs["Normal"], shader.inputs["Normal"])
 
 
 def _grid(store: str):

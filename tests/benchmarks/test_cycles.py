@@ -45,8 +45,8 @@ def test_the_same_picture_is_the_coarsest_that_is_as_alike(monkeypatch, least, s
     def render(mode, px):
         rendered.append((mode, px))
         alike = {"grid": 1.0, "adaptive": 0.993, "bare": 0.5}.get(mode, 0.9911 if px <= least else 0.95)
-        said = {"ms": 9.0, "cpu_s": 2.0 if mode == "error" else 8.0, "triangles": int(1000 / px)}
-        return said | {"peak_mb": {"error": 900.0, "adaptive": 1300.0, "bare": 500.0}.get(mode)}, alike
+        said = {"ms": 9.0, "cpu_s": 2.0 if mode == "mapped" else 8.0, "triangles": int(1000 / px)}
+        return said | {"peak_mb": {"mapped": 900.0, "adaptive": 1300.0, "bare": 500.0}.get(mode)}, alike
 
     monkeypatch.setattr(cycles_likeness, "_island", lambda folder: render)
     monkeypatch.setattr(cycles_likeness, "similarity", lambda one, other: one)

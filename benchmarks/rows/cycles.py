@@ -15,6 +15,7 @@ from ..rig.measure import Row
 
 ADAPTIVE, ERROR, MAPPED, GRID, BARE = "adaptive", "error", "mapped", "grid", "bare"
 PIXEL = 1.0
+HIGH, LOW = 50.0, 82.0  # of the sun, degrees from the zenith
 # Levels of 255 by which a pixel may differ before it counts as another.
 VISIBLE = 8
 # Of the index of structural similarity (Wang, Bovik, Sheikh and Simoncelli 2004, section III): its window's Gaussian,
@@ -40,10 +41,10 @@ def cycles_rows(store: Path, tiff: Path, folder: Path) -> Iterator[Row]:
         yield memory_row("cycles_error_memory", ours, theirs, 0.0)
 
 
-def rendered(mode: str, px: float, store: Path, tiff: Path, folder: Path) -> tuple[dict, np.ndarray]:
+def rendered(mode: str, px: float, store: Path, tiff: Path, folder: Path, sun: float = HIGH) -> tuple[dict, np.ndarray]:
     """What a render in a process of its own has cost, and its picture."""
     picture = folder / f"{mode}_{px:g}.png"
-    said = run_child("rows.cycles_frame", mode, store, tiff, px, picture)
+    said = run_child("rows.cycles_frame", mode, store, tiff, px, picture, sun)
     return said, pixels(picture)
 
 

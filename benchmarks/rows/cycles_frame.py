@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that renders a flight in Cycles, one of five ways: `cycles_frame MODE STORE TIFF PX PICTURE`.
+"""A process that renders a flight in Cycles, one of five ways: `cycles_frame MODE STORE TIFF PX PICTURE SUN`.
 
 MODE `error` renders our terrain with an error of PX pixels; `mapped` the same with a map of its normals, baked for the
 first frame's camera, so that shading does not wait for triangles; `adaptive` a plane under Cycles' adaptive subdivision
 at a dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only; `bare` a flat
-plane, one frame only: what any picture takes. The first frame goes to PICTURE.
+plane, one frame only: what any picture takes. The first frame goes to PICTURE. SUN: degrees from the zenith.
 """
 
 import json
@@ -21,7 +21,7 @@ from ...operators.text.console import quiet
 from ..rig import scenes
 from ..rig.child import peak_mb
 from ..rig.measure import stopwatch
-from .cycles import ADAPTIVE, BARE, ERROR, GRID, MAPPED
+from .cycles import ADAPTIVE, BARE, ERROR, GRID, HIGH, MAPPED
 from .in_blender import flight_scene, new_object
 
 RESOLUTION = (960, 540)
@@ -31,9 +31,9 @@ PATCHES = 16
 COARSE_PX = 100.0
 
 
-def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
+def main(mode: str, store: str, tiff: str, px: float, picture: str, sun: float) -> dict:
     bpy = need_bpy("The row cycles")
-    scene, obj = render_scene(mode, store, tiff, px)
+    scene, obj = render_scene(mode, store, tiff, px, sun)
     rendered = []
     bpy.app.handlers.render_post.append(lambda *_: rendered.append(len(obj.data.polygons)))
     times, processor = [], []
@@ -51,10 +51,10 @@ def main(mode: str, store: str, tiff: str, px: float, picture: str) -> dict:
     return said | {"cpu_s": statistics.median(processor[1:] or processor), "peak_mb": peak_mb()}
 
 
-def render_scene(mode: str, store: str, tiff: str, px: float):
+def render_scene(mode: str, store: str, tiff: str, px: float, sun: float = HIGH):
     """The flight as that way renders it: the scene and the object that is rendered."""
     scene = flight_scene(RESOLUTION)
-    set_up_render(scene)
+    set_up_render(scene, sun)
     if mode == GRID:
         obj = _grid(store)
     else:
@@ -68,7 +68,7 @@ def render_scene(mode: str, store: str, tiff: str, px: float):
     return scene, obj
 
 
-def set_up_render(scene) -> None:
+def set_up_render(scene, zenith: float = HIGH) -> None:
     """One sample of direct sunlight on the processor: the pictures show geometry and no noise."""
     import bpy
 
@@ -83,7 +83,7 @@ def set_up_render(scene) -> None:
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle = 3.0, 0.0
     lamp = bpy.data.objects.new("Sun", sun)
-    lamp.rotation_euler = (math.radians(50), 0.0, math.radians(-40))
+    lamp.rotation_euler = (math.radians(zenith), 0.0, math.radians(-40))
     scene.collection.objects.link(lamp)
 
 
@@ -197,5 +197,5 @@ def _material(tiff: str | None):
 
 
 if __name__ == "__main__":
-    mode_, store_, tiff_, px_, picture_ = sys.argv[1:]
-    print(json.dumps(main(mode_, store_, tiff_, float(px_), picture_)))
+    mode_, store_, tiff_, px_, picture_, sun_ = sys.argv[1:]
+    print(json.dumps(main(mode_, store_, tiff_, float(px_), picture_, float(sun_))))

@@ -3,7 +3,7 @@
 diced at one pixel, and what both cost.
 
 The built-in island, and 8 GB of memory. `python -m adaptive_terrain.benchmarks.rows.cycles_likeness FOLDER` prints a
-table of several errors, for the manual.
+table of several errors, for the manual, and leaves its picture shading_by_map.jpg.
 """
 
 import bisect
@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
 from ..rig import scenes
 from ..rig.measure import Row
-from .cycles import ADAPTIVE, BARE, ERROR, GRID, MAPPED, PIXEL, memory_row, rendered, similarity
+from .cycles import ADAPTIVE, BARE, ERROR, GRID, HIGH, LOW, MAPPED, PIXEL, memory_row, rendered, similarity
 from .files import write_tiff
 
 HEIGHT_SCALE = 0.3  # of the island, which is larger than the flight's ground
@@ -26,6 +27,8 @@ HEIGHT_SCALE = 0.3  # of the island, which is larger than the flight's ground
 SAME = 0.002
 # The errors that are tried: one pixel, and so many steps below it, each a quarter of an octave.
 STEPS, STEP = 24, 2**-0.25
+# The manual's picture: the whole grid, our mesh, and the same with a map, under a low sun; part of each.
+SHOWN, PART = (GRID, ERROR, MAPPED), (slice(95, 335), slice(250, 890))
 TABLE_PX = (1.0, 0.5, 0.25, 0.1, 0.05)
 
 
@@ -65,16 +68,18 @@ def main(folder: Path) -> None:
         triangles = "" if mode == ADAPTIVE else f"{said['triangles']:,}"  # those are Cycles' own secret
         cells = [mode, f"{px:g}", triangles, f"{similarity(picture, whole):.3f}"]
         print(f"| {' | '.join(cells)} | {said['cpu_s']:.2f} | {said['peak_mb']:.0f} |", flush=True)
+    strip = np.concatenate([render(mode, PIXEL, LOW)[1][::-1][PART] for mode in SHOWN])
+    Image.fromarray(np.rint(strip).astype(np.uint8)).save(folder / "shading_by_map.jpg", quality=88)
 
 
-def _island(folder: Path) -> Callable[[str, float], tuple[dict, np.ndarray]]:
-    """Renders the island: a mode and pixels to what that has cost, and its picture."""
+def _island(folder: Path) -> Callable[..., tuple[dict, np.ndarray]]:
+    """Renders the island: a mode, pixels and a sun to what that has cost, and its picture."""
     folder.mkdir(parents=True, exist_ok=True)
     store, tiff = folder / "island.store", folder / "island.tif"
     side = (scenes.SIDE, scenes.SIDE)
     import_source(ImportSettings(ISLAND, size=scenes.SAMPLES, extent=side, height_scale=HEIGHT_SCALE), store)
     write_tiff(open_store(store), tiff)
-    return lambda mode, px: rendered(mode, px, store, tiff, folder)
+    return lambda mode, px, sun=HIGH: rendered(mode, px, store, tiff, folder, sun)
 
 
 if __name__ == "__main__":

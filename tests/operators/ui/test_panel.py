@@ -211,6 +211,21 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
     assert draw(OutputPanel).row().enabled is True
 
 
+def test_the_panel_says_that_nothing_is_left(scene, add_terrain):
+    terrain = add_terrain()
+    cleanup = terrain.adaptive_terrain.cleanup
+
+    def said() -> list[str]:
+        session.update_object(terrain)
+        return [call.kwargs["text"] for call in draw(TerrainPanel).mock_calls if "Nothing is left" in str(call)]
+
+    assert said() == []
+    cleanup.use_below, cleanup.below = True, 1e9
+    assert said() == ["Nothing is left: all is cut away"] and not terrain.data.polygons
+    cleanup.use_below = False
+    assert said() == [] and terrain.data.polygons
+
+
 def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing):
     terrain = add_terrain()
     manager, timer = Mock(), SimpleNamespace(type="TIMER")

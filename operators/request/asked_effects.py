@@ -17,7 +17,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ..demand import kept
 from ..demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from ..properties.effect_properties import OFF, PINNED, numbers_of
-from ..properties.layer_properties import color_given, layers_given
+from ..properties.layer_properties import barren, color_given, layers_given
 from .decals import decals_given
 from .sun_lamps import suns_over
 
@@ -88,6 +88,8 @@ def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: Heig
         found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
         if why := lacks(heights, step.name):
             found[step.name] = replace(found[step.name], note=f"0, since {why}")
+        if why := barren(dict(step.parameters).get("layers", ())):
+            found[step.name] = replace(found[step.name], note=why)
     off = dict(effects.off)
     for name, why in plan.skipped.items():
         found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)

@@ -30,7 +30,7 @@ def map_folder(obj) -> Path:
     store = Path(bpy.path.abspath(settings.store))
     folder = settings.maps.folder
     above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + BESIDE)
-    return above / bpy.path.clean_name(f"{obj.name}_{settings.maps.mark}")
+    return above / bpy.path.clean_name(settings.maps.mark)
 
 
 def own_folder(obj) -> None:
@@ -40,7 +40,7 @@ def own_folder(obj) -> None:
     maps.mark = maps.mark or _marks.get(obj.session_uid, "")
     others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
     while obj.library is None and (not maps.mark or str(map_folder(obj)).casefold() in others):
-        maps.mark = secrets.token_hex(4)
+        maps.mark = f"{obj.name}_{secrets.token_hex(4)}"  # that name stays: materials show the images under it
     _marks[obj.session_uid] = maps.mark
 
 

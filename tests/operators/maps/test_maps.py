@@ -120,6 +120,15 @@ def test_an_undo_leaves_the_maps_to_their_terrain(terrain):
     assert times and times == {file: file.stat().st_mtime_ns for file in folder.glob("*.png")}, "nothing is made again"
 
 
+def test_a_terrain_of_another_name_keeps_its_maps(terrain):
+    bake(terrain)
+    folder, image = map_images.map_folder(terrain), map_images.map_image(terrain, "detail_normal")
+    terrain.name = "Valley"
+    assert map_images.map_folder(terrain) == folder and map_images.map_image(terrain, "detail_normal") == image
+    wear(terrain)
+    assert map_request.read_as_images(terrain) == {"detail_normal"}, "a farm's job takes them along"
+
+
 def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
     other = add_terrain()
     for obj in (terrain, other):

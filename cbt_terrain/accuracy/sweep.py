@@ -33,6 +33,7 @@ DIFFERENT = 0.02
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
 STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
+ALIKE = "unit", "interpolation"  # settings on one cost curve
 TERMS = tuple(Terms.__dataclass_fields__)
 PARTS = tuple(Errors.__dataclass_fields__)
 
@@ -137,14 +138,15 @@ def sweep(
 
 
 def curve_of(rows: Sequence[Row]) -> CostCurve:
-    """The cost curve through the plain rows of the first row's unit and interpolation, to the finished mesh.
+    """The cost curve through `curve_rows`, to the finished mesh. Raises TerrainError where these are of one error."""
+    points = [(row.setting.error, row.triangles, row.whole_ms) for row in curve_rows(rows)]
+    return CostCurve.through(rows[0].setting.unit if rows else "px", points)
 
-    Raises TerrainError where there are fewer than two.
-    """
-    first = rows[0].setting if rows else Setting("px", 1.0)
-    alike = [r for r in rows if (r.setting.unit, r.setting.interpolation) == (first.unit, first.interpolation)]
-    plain = [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
-    return CostCurve.through(first.unit, [(row.setting.error, row.triangles, row.whole_ms) for row in plain])
+
+def curve_rows(rows: Sequence[Row]) -> list[Row]:
+    """The plain rows of the first row's unit and interpolation, but for those that too many triangles held back."""
+    alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
+    return [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:

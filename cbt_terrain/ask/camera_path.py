@@ -74,8 +74,11 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
 
 def read_camera_path(path: Path) -> CameraPath:
     """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
+    path = Path(path)
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=named_once)
+        if path.exists() and not path.is_file():
+            raise OSError("it is not a regular file")  # to read a pipe may wait for ever
+        data = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=named_once)
     except (OSError, ValueError, RecursionError) as error:
         raise TerrainError(
             f"The camera path {path} cannot be read ({error}); expected a JSON file of keyframes."

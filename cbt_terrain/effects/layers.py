@@ -2,13 +2,12 @@
 """Layers: what effects on heights (land/) have left beside them, read at places; 0 where a terrain has none."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import flow as kernels
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightField, as_heights
 from ..run import launch
 from ..run.buffers import flat, shared
 from .effect import Effect, Evaluate, Places, Wanted
@@ -51,9 +50,7 @@ def lacks(field: HeightField, name: str) -> str:
 def _as_field(field: HeightField, name: str) -> HeightField:
     """A layer as the samples of a field, which then has a pyramid, too."""
     if ("layer", name) not in field.found:
-        own = {"samples": field.layers[name], "steps": None, "valid": None, "path": None, "layers": {}}
-        fresh = {"prefiltered": [], "expanded": {}, "surfaces": {}, "detailed": {}, "found": {}}
-        field.found["layer", name] = replace(field, **own, **fresh, key=f"{field.raster_key}-{name}")
+        field.found["layer", name] = as_heights(field, field.layers[name], f"{field.raster_key}-{name}")
     return field.found["layer", name]
 
 

@@ -109,6 +109,15 @@ def reads(layers: tuple[Layer, ...]) -> tuple[str, ...]:
     return tuple(sorted({READ_FROM[rule.of] for layer in layers for rule in layer.rules if rule.of in READ_FROM}))
 
 
+def covers_nothing(rule: Rule) -> bool:
+    """Whether its low limit is so far above its high one that not even their edges meet."""
+    if not rule.low > rule.high:
+        return False
+    if rule.of != FLOW:
+        return rule.low - rule.high >= rule.edge
+    return rule.high <= 0.0 or math.log10(rule.low) - math.log10(rule.high) >= rule.edge
+
+
 def check(layers: tuple[Layer, ...]) -> None:
     """Raise TerrainError for layers that cannot be."""
     if not 1 <= len(layers) <= MOST_LAYERS:

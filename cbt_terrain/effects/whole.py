@@ -10,13 +10,12 @@ import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from ..errors import TerrainError
 from ..field import store
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightField, as_heights
 from ..field.lattice import Lattice
 from ..field.store_arrays import verify_array
 
@@ -32,8 +31,7 @@ def whole(
 ) -> HeightField:
     """A result of the effect `name`: finite float32 [lattice.height, lattice.width], as the samples of a field.
 
-    As those it can have a pyramid; it has no errors and no ranges. `make` makes it, when nothing has kept it. Other
-    results may leave the memory for it.
+    `make` makes it, when nothing has kept it. Other results may leave the memory for it.
     """
     file = file_of(name, version, parameters)
     key = f"{field.raster_key}-{file}"
@@ -45,8 +43,7 @@ def whole(
         if samples is None:
             samples = make()
             store.keep(field, file, samples)
-        own = {"samples": samples, "lattice": lattice, "steps": None, "valid": None, "path": None, "key": key}
-        _kept[key] = replace(field, **own, prefiltered=[], expanded={}, surfaces={})
+        _kept[key] = as_heights(field, samples, key, lattice)
         while len(_kept) > 1 and sum(map(_nbytes, _kept.values())) > MOST_BYTES:
             _kept.popitem(last=False)
         return _kept[key]

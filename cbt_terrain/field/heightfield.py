@@ -118,6 +118,14 @@ class HeightField:
             raise self.damage("it has heights that are not finite")
 
 
+def as_heights(field: HeightField, samples: np.ndarray, key: str, lattice: Lattice | None = None) -> HeightField:
+    """Other numbers over a field's raster as the samples of a field: float32 [lattice.height, lattice.width], row 0
+    south. So they have a pyramid, and nothing of what was found in the heights; they have no errors and no ranges."""
+    fresh = {"prefiltered": [], "expanded": {}, "surfaces": {}, "detailed": {}, "found": {}, "layers": {}}
+    own = {"samples": samples, "steps": None, "valid": None, "path": None, "detail": None, "key": key}
+    return replace(field, **own, **fresh, lattice=lattice or field.lattice)
+
+
 def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     """The same surface with another detail on it, or with none. Arrays are shared, nothing is read.
 

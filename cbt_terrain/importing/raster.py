@@ -18,6 +18,7 @@ ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
 # Of files that can say where on Earth they are.
 PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt")
+EXR_SUFFIX = ".exr"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 

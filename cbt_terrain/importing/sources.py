@@ -12,7 +12,7 @@ from ..field.georeference import Georeference
 from ..field.lands import LANDS
 from .exr_source import open_exr
 from .gdal_source import DRIVERS, open_raster
-from .raster import RAW_SUFFIXES, ImportSettings, Raster, blank
+from .raster import EXR_SUFFIX, RAW_SUFFIXES, ImportSettings, Raster, blank
 
 
 def open_source(settings: ImportSettings) -> Raster:
@@ -28,13 +28,13 @@ def open_source(settings: ImportSettings) -> Raster:
             return _open_raw(path, settings)
         if suffix == ".npy":
             return _open_npy(path, settings)
-        if suffix == ".exr":
+        if suffix == EXR_SUFFIX:
             return open_exr(path, settings)
         if suffix in DRIVERS:
             return open_raster(path, settings)
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
-    known = ", ".join((*DRIVERS, ".exr", ".npy", *RAW_SUFFIXES))
+    known = ", ".join((*DRIVERS, EXR_SUFFIX, ".npy", *RAW_SUFFIXES))
     raise TerrainError(f"{path} is of no known kind of height map: expected one of {known}.")
 
 

@@ -49,10 +49,15 @@ class GroundRule:
                 f"expected numbers within {-limit:g} and {limit:g} {UNITS[self.of]}".rstrip()
                 + "."
             )
-        if self.low > self.high or not -3600.0 <= self.direction <= 3600.0:
+        if self.low > self.high:
             raise TerrainError(
-                f"{where} has a rule about {self.of} from {self.low:g} to {self.high:g}, towards {self.direction:g} "
-                "degrees; expected a low limit below the high one, and a direction within 3600 degrees."
+                f"{where} has a rule about {self.of} from {self.low:g} to {self.high:g}; expected a low limit below "
+                "the high one."
+            )
+        if not -3600.0 <= self.direction <= 3600.0:
+            raise TerrainError(
+                f"{where} has a rule about {self.of} towards {self.direction:g} degrees; expected a direction within "
+                "3600 degrees."
             )
 
 

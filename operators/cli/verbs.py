@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 from ...cbt_terrain.errors import shown
 from ..text.console import Progress, duration
@@ -22,10 +23,13 @@ def run_import(arguments) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.raster import ImportSettings
+    from ...cbt_terrain.importing.raster import EXR_SUFFIX, PLACED_SUFFIXES, ImportSettings
 
     if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
         raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
+    for option, suffixes in (("band", PLACED_SUFFIXES), ("channel", (EXR_SUFFIX,))):
+        if getattr(arguments, option) is not None and Path(arguments.source).suffix.lower() not in suffixes:
+            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {arguments.source} is taken as it is")
     settings = ImportSettings(
         source=arguments.source,
         **_raw_settings(arguments),
@@ -34,8 +38,8 @@ def run_import(arguments) -> None:
         height_offset=arguments.height_offset,
         no_data=arguments.no_data,
         holes=arguments.holes,
-        band=arguments.band,
-        channel=arguments.channel,
+        band=1 if arguments.band is None else arguments.band,
+        channel=arguments.channel or "",
         first_row_south=arguments.first_row_south,
         project=arguments.project,
         size=DEFAULT_SIZE if arguments.size is None else arguments.size,

@@ -75,7 +75,7 @@ class BakeMaps(bpy.types.Operator):
 
     bl_idname = "adaptive_terrain.bake_maps"
     bl_label = "Bake Maps"
-    bl_options = {"REGISTER"}
+    bl_options = {"REGISTER", "UNDO"}  # else the next Undo takes the folder from the terrain, too
 
     @classmethod
     def poll(cls, context):
@@ -152,6 +152,7 @@ class BakeMaps(bpy.types.Operator):
 
     def _finish(self, obj, job: Job):
         if job.baked is not None:
+            map_images.own_folder(obj)  # after an Undo meanwhile
             map_images.reload(map_images.map_folder(obj), _image_files(job.baked))
             self.report({"INFO"}, summary(job.baked, obj.name))
             return {"FINISHED"}

@@ -21,6 +21,7 @@ from ..scene.shaped_land import store_of
 
 BESIDE = "_maps"
 GROUP = "Terrain Map UV"
+_marks: dict[int, str] = {}  # by session_uid
 
 
 def map_folder(obj) -> Path:
@@ -29,14 +30,18 @@ def map_folder(obj) -> Path:
     store = Path(bpy.path.abspath(settings.store))
     folder = settings.maps.folder
     above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + BESIDE)
-    return above / bpy.path.clean_name(f"{obj.name}_{settings.maps.mark}")
+    return above / bpy.path.clean_name(settings.maps.mark)
 
 
 def own_folder(obj) -> None:
-    """See that no other terrain keeps its maps where this one does: one of its name, in this file or another."""
+    """See that no other terrain keeps its maps where this one does: one of its name, in this file or another. A mark
+    that an Undo has taken is given back: the maps are there."""
+    maps = obj.adaptive_terrain.maps
+    maps.mark = maps.mark or _marks.get(obj.session_uid, "")
     others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
-    while obj.library is None and (not obj.adaptive_terrain.maps.mark or str(map_folder(obj)).casefold() in others):
-        obj.adaptive_terrain.maps.mark = secrets.token_hex(4)
+    while obj.library is None and (not maps.mark or str(map_folder(obj)).casefold() in others):
+        maps.mark = f"{obj.name}_{secrets.token_hex(4)}"  # that name stays: materials show the images under it
+    _marks[obj.session_uid] = maps.mark
 
 
 def index_of(obj) -> dict | None:

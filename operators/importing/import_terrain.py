@@ -197,6 +197,7 @@ class _Import:
         """The store is the terrain's from now on. One that is the first, or of another size, is brought into view."""
         before = _size_of(obj)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
+        session.record_of(obj).status.error = ""  # that of the heights before, or that there were none
         imported.tag_object(obj)
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):

@@ -16,7 +16,7 @@ from ...cbt_terrain.run.partial_files import private_folder
 from ..request.request import RENDER
 from ..scene import session, stale_renders
 from ..scene.pauses import paused
-from .exporting import check_room, write_frames
+from .exporting import check_room, check_target, write_frames
 from .frame_sources import SceneFrames, bounds_of
 
 # Blender does not say that a picture found no room. But then there is none for this: more than a file's buffer, which
@@ -65,6 +65,8 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
         files = sorted(partial.iterdir()) if partial.is_dir() else []
         if files:
             check_room(out / files[0].name, ROOM)
+        for file in files:
+            check_target(out / file.name)
         for file in files:
             os.replace(file, out / file.name)
     if not files:

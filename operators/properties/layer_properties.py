@@ -188,10 +188,7 @@ def layer_alone(settings) -> rules.Layer:
     for kind in BANDS:
         band = getattr(settings, kind)
         if band.use:
-            limits = band.bl_rna.properties["low"]
-            low = -math.inf if band.low <= limits.hard_min else band.low
-            high = math.inf if band.high >= limits.hard_max else band.high
-            found.append(rules.Rule(kind, low, high, band.edge))
+            found.append(rule_of(kind, band))
     if settings.aspect.use:
         aspect = settings.aspect
         found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
@@ -199,6 +196,24 @@ def layer_alone(settings) -> rules.Layer:
         found.append(rules.painted(painted_of(settings.image)))
     numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
     return rules.Layer(settings.name, tuple(found), *numbers, settings.seed)
+
+
+def rule_of(kind: str, band) -> rules.Rule:
+    """What a band of BANDS says, whether it is switched on or not."""
+    limits = band.bl_rna.properties["low"]
+    low = -math.inf if band.low <= limits.hard_min else band.low
+    high = math.inf if band.high >= limits.hard_max else band.high
+    return rules.Rule(kind, low, high, band.edge)
+
+
+def barren(layers: tuple[rules.Layer, ...]) -> str:
+    """Which layers cover nothing wherever they are, and why, in words; "" where all may cover something."""
+    said = []
+    for layer in layers:
+        kinds = [rule.of for rule in layer.rules if rules.covers_nothing(rule)]
+        labels = [BANDS[kind].bl_rna.properties["use"].name for kind in kinds]
+        said += [f"{layer.name} covers nothing: From is above To in {' and '.join(labels)}"] if kinds else []
+    return "; ".join(said)
 
 
 def _number_of(layers, name: str, before: int) -> int:

@@ -62,5 +62,5 @@ class MapSettings(bpy.types.PropertyGroup):
         options=PATH_OPTIONS,
     )
     mark: StringProperty(
-        name="Mark", description="Tells this terrain's folder from those of others of its name", options={"HIDDEN"}
+        name="Mark", description="What this terrain's folder is called, unlike those of others", options={"HIDDEN"}
     )

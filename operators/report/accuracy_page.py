@@ -6,7 +6,7 @@ import io
 import json
 
 from ...cbt_terrain.accuracy import interpolation
-from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of
+from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of, curve_rows
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -252,10 +252,10 @@ def imported_text(heights) -> str:
 
 
 def curves(subject) -> list:
-    """The cost curve of each unit that was swept."""
+    """The cost curve of each unit of which two errors at least were not held back."""
     units = dict.fromkeys(row.setting.unit for row in subject.rows)
     of_unit = [[row for row in subject.rows if row.setting.unit == unit] for unit in units]
-    return [curve_of(rows) for rows in of_unit if sum(row.setting.plain for row in rows) > 1]
+    return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
 
 
 def sentences(subject) -> list[str]:

@@ -17,7 +17,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ..demand import kept
 from ..demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from ..properties.effect_properties import OFF, PINNED, numbers_of
-from ..properties.layer_properties import color_given, layers_given
+from ..properties.layer_properties import barren, color_given, layers_given
 from .decals import decals_given
 from .sun_lamps import suns_over
 
@@ -86,12 +86,21 @@ def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: Heig
     for step in plan.steps:
         took = ran.get(step.name, Ran(0.0, 0, 0))
         found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
-        if why := lacks(heights, step.name):
-            found[step.name] = replace(found[step.name], note=f"0, since {why}")
+        found[step.name] = replace(found[step.name], note=_note(step, heights))
     off = dict(effects.off)
     for name, why in plan.skipped.items():
         found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)
     return {name: found[name] for name in EFFECTS}
+
+
+def _note(step: Asked, heights: HeightField) -> str:
+    """Why an effect is nothing where one may not expect it, or ""."""
+    if why := lacks(heights, step.name):
+        return f"0, since {why}"
+    given = dict(step.parameters)
+    if given.get("suns") == ():
+        return "0, since no sun lamp shines in the scene"
+    return barren(given.get("layers", ()))
 
 
 def _switched_off(readers: tuple[str, ...]) -> str:

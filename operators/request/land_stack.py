@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land.mask import ASPECT, SLOPE, GroundRule, Mask
+from ...cbt_terrain.land.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
 from ...cbt_terrain.land.stack import Entry, Stack
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from ..properties.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
@@ -85,7 +85,7 @@ def _rules(mask) -> tuple[GroundRule, ...]:
     for of in RULES:
         band = getattr(mask, of)
         if band.use:
-            limits, turn = band.bl_rna.properties["low"], math.degrees if of == SLOPE else float
+            limits, turn = band.bl_rna.properties["low"], _slope_degrees if of == SLOPE else float
             low = -math.inf if band.low <= limits.hard_min else turn(band.low)
             high = math.inf if band.high >= limits.hard_max else turn(band.high)
             found.append(GroundRule(of, low, high, turn(band.edge)))
@@ -94,6 +94,11 @@ def _rules(mask) -> tuple[GroundRule, ...]:
         direction = math.degrees(aspect.direction)
         found.append(GroundRule(ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=direction))
     return tuple(found)
+
+
+def _slope_degrees(radians: float) -> float:
+    """Blender's right angle, a float32, is more than 90 degrees."""
+    return min(math.degrees(radians), LIMITS[SLOPE])
 
 
 def preset_of(land) -> Stack:

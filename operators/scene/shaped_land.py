@@ -29,7 +29,7 @@ NOTES = {
 
 DOUBTFUL = "{} may not fit from tile to tile: "
 DOUBTFUL += f"harder rock may help, or {MOST_WHOLE:,} samples a side at most"
-IN_ONE_PIECE = ". Tiles would be off: made in one piece"
+WHOLE = ", but for {}, whose tiles would be off"
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,9 @@ def _as_updated(obj, numbers: list[int]) -> State:
     if made.doubtful:
         note = DOUBTFUL.format(made.doubtful)
     elif made.left_out_most_m > 0.0:
-        note = (
-            f"Finer levels are left out: about {plain(made.left_out_rms_m)} m, {plain(made.left_out_most_m)} m at most"
-        )
-        note += IN_ONE_PIECE if made.beyond_asked else ""
+        all_the_same = WHOLE.format(made.beyond_asked) if made.beyond_asked else ""
+        size = f"about {plain(made.left_out_rms_m)} m, {plain(made.left_out_most_m)} m at most"
+        note = f"Finer levels are left out{all_the_same}: {size}"
     return State(True, SHAPED, made.step_m, tiles, _by_number(numbers, made.ms), note, made.finished_early)
 
 
@@ -128,7 +127,7 @@ class _Made:
     left_out_most_m: float
     finished_early: bool
     doubtful: str  # an effect whose tiles are not to be trusted, or ""
-    beyond_asked: bool  # levels are made in one piece of which only some tiles are shown
+    beyond_asked: str  # an effect that makes levels in one piece of which only some tiles were asked for, or ""
 
 
 def _made_of(store: str) -> _Made | None:
@@ -149,9 +148,9 @@ def _read(store: str, _changed_ns: int) -> _Made | None:
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in said["added"]), default=0.0)
         some = {level for level, tiles in enumerate(said["tiles"]) if len(tiles) < said["tile_counts"][level]}
-        beyond = any(added["whole"] and added["level"] in some for added in said["added"])
+        whole = (_label(added["effect"]) for added in said["added"] if added["whole"] and added["level"] in some)
         doubtful = next((_label(added["effect"]) for added in said["added"] if added.get("doubtful", False)), "")
-        return _Made(step_m, tuple(ms), *(said[name] for name in names), doubtful, beyond)
+        return _Made(step_m, tuple(ms), *(said[name] for name in names), doubtful, next(whole, ""))
     except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything
         return None
 

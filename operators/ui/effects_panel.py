@@ -17,7 +17,7 @@ from ..text.numbers import plain, time_text
 from ..viewport import live
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
-NAME_WIDTH, COST_WIDTH = 0.62, 0.58  # parts of a row, and of what is left of it
+NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # parts of a row, and of what is left of it
 ABOUT_LINES, READER_LINES = 3, 3
 _shown = next(iter(EFFECTS))
 

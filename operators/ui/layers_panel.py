@@ -4,8 +4,9 @@
 import bpy
 from bl_ui.utils import PresetPanel
 
+from ...cbt_terrain.effects.splat_rules import covers_nothing
 from ..effects.splat_layers import PRESET_PANEL, PRESETS
-from ..properties.layer_properties import BANDS
+from ..properties.layer_properties import BANDS, rule_of
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
 
 
@@ -75,7 +76,10 @@ def draw_rules(column, layer) -> None:
     """What a layer alone depends on."""
     column.prop(layer, "strength")
     for kind in BANDS:
-        draw_band(column, getattr(layer, kind), LIMITS)
+        band = getattr(layer, kind)
+        draw_band(column, band, LIMITS)
+        if band.use and covers_nothing(rule_of(kind, band)):
+            column.label(text="Nothing: From is above To", icon="ERROR")
     draw_band(column, layer.aspect, ("direction", "within", "edge"))
     column.prop(layer, "image")
     column.separator()

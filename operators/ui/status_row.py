@@ -23,16 +23,18 @@ FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
 def draw_status(layout, context, obj) -> None:
     """The row: the first of these that there is."""
     row = layout.row(align=True)
-    error = session.record_of(obj).status.error
+    status = session.record_of(obj).status
     if _draw_progress(row, obj):
         return
-    if error:
+    if status.error:
         row.alert = True
         row.operator("adaptive_terrain.show_message", text="Not up to date: read why", icon="ERROR")
     elif obj.mode != "OBJECT":
         row.label(text="Stands still in Edit Mode", icon="PAUSE")
     elif not obj.adaptive_terrain.store:
         row.label(text="No height map yet: import one", icon="INFO")
+    elif status.mode and not status.left:
+        row.label(text="Nothing is left: all is cut away", icon="ERROR")
     elif obj.adaptive_terrain.frozen:
         row.label(text="Frozen: keeps its triangles", icon="FREEZE")
     else:

@@ -49,7 +49,7 @@ link(normal.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
 terrain.data.materials.append(material)
 bpy.ops.wm.save_as_mainfile(filepath=PATH)
 settings.store = "//dem.store"
-settings.maps.folder, settings.maps.mark = "//maps/", "shot"
+settings.maps.folder, settings.maps.mark = "//maps/", "Terrain_shot"
 normal.image.source, normal.image.filepath = "FILE", "//maps/Terrain_shot/detail_normal.png"
 bpy.ops.wm.save_mainfile()
 """

@@ -3,6 +3,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -138,3 +139,10 @@ def test_a_frame_without_a_place_is_named(tmp_path, keys, frame):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(TerrainError, match="none.json cannot be read"):
         read_camera_path(tmp_path / "none.json")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.json")
+    with pytest.raises(TerrainError, match="pipe.json cannot be read .it is not a regular file"):
+        read_camera_path(tmp_path / "pipe.json")

@@ -57,6 +57,15 @@ def test_places_are_read_between_logarithms(shape):
     assert np.allclose(flow_at(places), reference(field, places), rtol=1e-5)
 
 
+def test_a_result_has_nothing_of_what_was_found_in_the_heights():
+    field = from_array(hills(65, 65), 10.0, 8.0)
+    field.found["sun"], field.layers["snow"] = "of the heights", field.samples
+    areas = flow.logarithms(field, 1.0, 1)
+    assert areas.found == {} and areas.layers == {}
+    areas.found["sun"] = "of the areas"
+    assert field.found["sun"] == "of the heights"
+
+
 def test_coarser_levels_are_means_of_logarithms():
     field = from_array(hills(129, 129), 10.0)
     z = flow.logarithms(field, 1.0, 1).samples.astype(np.float64)

@@ -4,6 +4,7 @@
 import itertools
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from adaptive_terrain.cbt_terrain.effects.splat_rules import (
     Rule,
     check,
     covering,
+    covers_nothing,
     painted,
     reads,
 )
@@ -94,6 +96,27 @@ def test_flow_is_compared_by_its_logarithm():
     read = random_values()
     found = share_on_top(Layer("x", (Rule("flow", 1e4, 1e6, 1.0),), on_top=True), places_of(FIELD), read)
     assert np.allclose(found, band(np.log10(read["flow"].astype(np.float64)), 4, 6, 1), atol=5e-6)
+
+
+@pytest.mark.parametrize(
+    ("rule", "nothing"),
+    [
+        (Rule("slope", 0.8, 0.7, 0.1 - 1e-3), True),
+        (Rule("slope", 0.8, 0.7, 0.1 + 1e-2), False),
+        (Rule("slope", 0.7, 0.7, 0.0), False),
+        (Rule("slope", 0.7, 0.8, 0.0), False),
+        (Rule("flow", 1e5, 1e4, 0.99), True),
+        (Rule("flow", 1e5, 1e4, 1.2), False),
+        (Rule("flow", 1e5, 0.0, 9.0), True),
+    ],
+)
+def test_limits_in_the_wrong_order_cover_nothing(rule, nothing):
+    count = 20_001
+    places = replace(places_of(FIELD), positions=np.zeros((count, 3), np.float32), level=np.zeros(count, np.float32))
+    read = {"slope": np.linspace(0.5, 1.0, count, dtype=np.float32), "flow": np.geomspace(1e3, 1e6, count, dtype="f4")}
+    read["slope"][0] = np.float32(rule.low)
+    found = share_on_top(Layer("x", (rule,), on_top=True), places, read)
+    assert covers_nothing(rule) == nothing == (not found.any())
 
 
 def test_aspect_is_about_a_direction():

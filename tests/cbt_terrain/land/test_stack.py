@@ -79,7 +79,8 @@ WRONG = [
     (one(effect="hill", mask={"image": 7}), "expected the name of a file"),
     (one(effect="hill", mask={"rules": [{"of": "mood"}]}), "'mood'; expected one of: height, slope, aspect"),
     (one(effect="hill", mask={"rules": [{"of": "slope", "low": 95}]}), "expected numbers within -90 and 90 degrees"),
-    (one(effect="hill", mask={"rules": [{"of": "height", "low": 5, "high": 4}]}), "a low limit below the high one"),
+    (one(effect="hill", mask={"rules": [{"of": "slope", "low": 90, "high": 0}]}), "from 90 to 0; expected a low limit"),
+    (one(effect="hill", mask={"rules": [{"of": "aspect", "direction": 3601}]}), "towards 3601 degrees; expected"),
     (one(effect="hill", mask={"rules": [{"of": "height", "edge": -1}]}), "with an edge of -1"),
     (one(effect="hill", mask={"rules": [{"of": "height"}] * 17}), "17 of them"),
 ]

@@ -273,6 +273,20 @@ def test_the_widest_sun_lights_a_terrain(worn):
     assert 0.0 < values(worn, "sun").mean() < 1.0
 
 
+def test_a_scene_without_a_sun_lamp_is_said(worn):
+    worn.adaptive_terrain.effects.sun.when = "PINNED"
+
+    def note():
+        session.update_object(worn)
+        return session.record_of(worn).status.effects["sun"].note
+
+    assert note() == "0, since no sun lamp shines in the scene" and not values(worn, "sun").any()
+    lamp = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    bpy.context.scene.collection.objects.link(lamp)
+    bpy.context.view_layer.update()
+    assert note() == "" and values(worn, "sun").any()
+
+
 def test_suns_are_turned_into_the_terrains_own_space(scene):
     sun(45.0, 0.0)
     placement = np.array([[0.0, -2.0, 0.0, 7.0], [2.0, 0.0, 0.0, 8.0], [0.0, 0.0, 4.0, 9.0], [0.0, 0.0, 0.0, 1.0]])

@@ -3,6 +3,8 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -216,6 +218,28 @@ def test_the_mesh_carries_the_weights_that_the_material_reads(layers, terrain):
     terrain.data.attributes["splat_1"].data.foreach_get("color", weights.ravel())
     assert (weights == (0.0, 1.0, 0.0, 0.0)).all()
     assert session.record_of(terrain).status.effects["height"].skipped
+
+
+def test_limits_in_the_wrong_order_are_said(layers, terrain):
+    terrain.data.materials.append(shows(new_material("Ground"), lambda tree: colour(tree, "splat_1")))
+    add(layers, "Grass")
+    rock = add(layers, "Rock", slope={"low": math.pi / 2, "high": 0.0}, flow={"low": 1e4, "high": 100.0, "edge": 1.5})
+    terrain.adaptive_terrain.active_layer = 1
+
+    def texts():
+        layout = Mock()
+        LayersPanel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), bpy.context)
+        return [call for call in layout.mock_calls if "From is above To" in str(call)]
+
+    def note():
+        session.update_object(terrain)
+        return session.record_of(terrain).status.effects["splat_1"].note
+
+    assert note() == "Rock covers nothing: From is above To in Slope and Flow" and len(texts()) == 2
+    rock.flow.edge = 2.5  # in powers of ten, so that the edges meet
+    assert note() == "Rock covers nothing: From is above To in Slope" and len(texts()) == 1
+    rock.slope.use = False
+    assert note() == "" and texts() == []
 
 
 def test_no_layers_are_the_usual_ones(terrain):

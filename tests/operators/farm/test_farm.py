@@ -236,6 +236,11 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     assert all(terrain["bound_px"] <= 8.0 and terrain["triangles"] > 10 for terrain in summary["terrains"])
     assert run("verify", out, "--frames", "6,7") == 0
     assert "2 frames are whole" in capsys.readouterr().out
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(out / "frame_0005.png")
+        assert run("render", *frames, "5") == 1
+        assert "frame_0005.png is a device or a pipe" in capsys.readouterr().err
+        assert (out / "frame_0005.png").is_fifo() and not (out / "frame_0005.json").exists()
 
 
 NO_BOUNDS = dict.fromkeys(verifying.BOUNDS)

@@ -108,9 +108,10 @@ def test_the_panel_says_that_some_tiles_took_the_whole(terrain, monkeypatch):
     add("thermal")
     bpy.ops.adaptive_terrain.shape()
     said = {"left_out_rms_m": 1234.5, "left_out_most_m": 123.45}
-    left_out = "Finer levels are left out: about 1,234 m, 123 m at most"
-    assert note_where(monkeypatch, terrain, **said) == left_out
-    assert note_where(monkeypatch, terrain, **said, tiles=[[]]) == f"{left_out}. Tiles would be off: made in one piece"
+    left_out = "Finer levels are left out{}: about 1,234 m, 123 m at most"
+    assert note_where(monkeypatch, terrain, **said) == left_out.format("")
+    but = ", but for Scree, whose tiles would be off"
+    assert note_where(monkeypatch, terrain, **said, tiles=[[]]) == left_out.format(but)
 
 
 def test_the_land_is_what_the_command_makes(terrain, tmp_path):

@@ -109,6 +109,26 @@ def test_only_what_a_nearer_camera_needs_is_baked_again(terrain, small_tiles, mo
     assert changed
 
 
+def test_an_undo_leaves_the_maps_to_their_terrain(terrain):
+    bake(terrain)
+    maps, folder = terrain.adaptive_terrain.maps, map_images.map_folder(terrain)
+    times = {file: file.stat().st_mtime_ns for file in folder.glob("*.png")}
+    maps.mark = ""  # as an Undo to before the bake leaves it
+    assert map_images.index_of(terrain) is None
+    bake(terrain)
+    assert map_images.map_folder(terrain) == folder and map_images.index_of(terrain) is not None
+    assert times and times == {file: file.stat().st_mtime_ns for file in folder.glob("*.png")}, "nothing is made again"
+
+
+def test_a_terrain_of_another_name_keeps_its_maps(terrain):
+    bake(terrain)
+    folder, image = map_images.map_folder(terrain), map_images.map_image(terrain, "detail_normal")
+    terrain.name = "Valley"
+    assert map_images.map_folder(terrain) == folder and map_images.map_image(terrain, "detail_normal") == image
+    wear(terrain)
+    assert map_request.read_as_images(terrain) == {"detail_normal"}, "a farm's job takes them along"
+
+
 def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
     other = add_terrain()
     for obj in (terrain, other):

@@ -10,10 +10,12 @@ import pytest
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.accuracy import Errors, sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.terms import Terms
 from adaptive_terrain.operators.report import accuracy_page, accuracy_plots
+from adaptive_terrain.operators.report.accuracy_subject import Subject
 from adaptive_terrain.operators.report.transitions_section import transitions_section
 from adaptive_terrain.operators.text.log_plot import Curve, draw
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
@@ -140,3 +142,15 @@ def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
     assert curve_of(tiny) == line
     assert len(line) == 2 and len(plot.findall(f"{SVG}circle")) == 2
     assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}
+
+
+def test_there_is_no_curve_where_too_many_triangles_held_all_back():
+    """A sweep in metres of a rough raster of 4097 x 4097 samples: what was measured is written all the same."""
+    rows = [row for row in known_rows() if row.setting.plain]
+    held = [dataclasses.replace(row, limited="max_triangles") for row in rows]
+    field = from_array(np.zeros((5, 5), np.float32))
+    subject = Subject("rough", field, [Frame()], [], "as a whole", None, rows=[rows[0], *held[1:]])
+    assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
+    assert "the triangle limit" in accuracy_page.files([subject], {})["accuracy.md"]
+    subject.rows = rows
+    assert [curve.unit for curve in accuracy_page.curves(subject)] == ["px"]

@@ -63,6 +63,17 @@ def test_a_shadow_is_the_part_that_is_covered():
     assert land_masks.shadow(triangle + 500.0, (100.0, 60.0)).max() == 0.0
 
 
+def test_a_right_angle_is_a_limit_of_slopes(terrain, tmp_path):
+    """In Blender's float32 it is a little more than 90 degrees."""
+    slope = add("thermal").mask.slope
+    terrain.adaptive_terrain.land.entries[0].mask.kind, slope.use, slope.low = "RULE", True, np.pi / 2
+    [rule] = stack_now(terrain, tmp_path).entries[0].mask.rules
+    assert (rule.low, rule.high) == (90.0, np.inf)
+    slope.high = 0.0
+    with pytest.raises(session.TerrainError, match="slope from 90 to 0; expected a low limit below the high one"):
+        session.update_object(terrain)
+
+
 def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
     """Each rule of the menu is one of the stack, with its limits in the stack's units, and comes back from a file."""
     entry = add("thermal")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.island import SIDE
 from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import session
@@ -211,6 +212,21 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
     assert draw(OutputPanel).row().enabled is True
 
 
+def test_the_panel_says_that_nothing_is_left(scene, add_terrain):
+    terrain = add_terrain()
+    cleanup = terrain.adaptive_terrain.cleanup
+
+    def said() -> list[str]:
+        session.update_object(terrain)
+        return [call.kwargs["text"] for call in draw(TerrainPanel).mock_calls if "Nothing is left" in str(call)]
+
+    assert said() == []
+    cleanup.use_below, cleanup.below = True, 1e9
+    assert said() == ["Nothing is left: all is cut away"] and not terrain.data.polygons
+    cleanup.use_below = False
+    assert said() == [] and terrain.data.polygons
+
+
 def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing):
     terrain = add_terrain()
     manager, timer = Mock(), SimpleNamespace(type="TIMER")
@@ -249,6 +265,19 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"FINISHED"}
     assert len(terrain.data.polygons) > 100
     import_terrain._progress.clear()
+
+
+def test_what_was_wrong_without_heights_is_not_said_of_new_ones(scene, add_terrain):
+    """A live update says meanwhile that there are none; the next one comes a second after the import."""
+    from adaptive_terrain.operators.importing import import_terrain
+
+    terrain = add_terrain()
+    store, terrain.adaptive_terrain.store = terrain.adaptive_terrain.store, ""
+    with pytest.raises(TerrainError, match="has no height field"):
+        session.update_object(terrain)
+    importing = SimpleNamespace(_bring_into_view=Mock(), _update=Mock())
+    import_terrain._Import._take(importing, bpy.context, terrain, {}, store)
+    assert session.record_of(terrain).status.error == "" and terrain.adaptive_terrain.store == store
 
 
 def test_the_size_of_the_added_island_is_not_that_of_a_file(scene, add_terrain):

@@ -16,8 +16,10 @@ from ..run import launch
 from ..run.buffers import shared
 from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
 
-# A vertex that is nearer to the line than this part of an edge is on it: no sliver, and no two vertices at one place.
-TOLERANCE = 2.0**-10
+# Parts of its largest coordinate in plan, 8 to 16 steps of float32: a vertex that is nearer to where an edge would be
+# cut is on the line. Rounding could turn the triangle between them over. New vertices keep apart by a part of that.
+TOLERANCE = 2.0**-20
+APART = TOLERANCE / 4
 TOPOLOGY = {"positions": POINT, "edges": EDGE, "corner_verts": CORNER, "corner_edges": CORNER}
 # What the elements of a domain belong to, and how many to each.
 ITEMS = {
@@ -83,11 +85,12 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
         return surface, NONE_SWAPPED
     values = [side.value(surface.positions) for side in sides]
     near = np.zeros(len(surface.positions), bool)
-    for side, value in zip(sides, values, strict=True):
-        # Of what may come to be on the line, too.
-        near |= value <= (2.0 * side.tolerance * max(0.0, -float(value.min(initial=0.0))) if side.tolerance else 0.0)
+    for value in values:
+        near |= value <= 0.0
     if not near.any():
         return surface, NONE_SWAPPED
+    if any(side.tolerance for side in sides):  # what comes to be on the line may go, too
+        near[surface.triangles[_listed(near, surface.corner_verts, threads)]] = True
     work = _Work(surface, near, len(sides), room, threads)
     for side, value in zip(sides, values, strict=True):
         work.cut(side, value)
@@ -133,7 +136,8 @@ class _Work:
         m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
         m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
-        m.listed = shared(copied("", listed, len(listed) + more), wp.int32)
+        self.listed = copied("", listed, len(listed) + more)
+        m.listed = shared(self.listed, wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
         m.gone, m.counts = shared(self.gone.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
 
@@ -152,7 +156,8 @@ class _Work:
             on_line = np.abs(found) < side.rounding
             self.value[earlier] = np.where(on_line, 0.0, found)
         if side.tolerance:
-            launch.once(kernels.put_on_line, [wp.float64(side.tolerance), self.m], step="cut")
+            positions = shared(self.arrays["positions"], wp.vec3f)
+            launch.once(kernels.put_on_line, [wp.float64(side.tolerance), positions, self.m], step="cut")
         launch.once(kernels.cut, [self.m], step="cut")
         end, end_edge, end_face, _ = self.counts.tolist()
         p, q = self.ends[: end - first].T
@@ -173,6 +178,32 @@ class _Work:
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
             self.arrays[name][earlier, column][on_line] = known
+        if side.tolerance:
+            self._merge(np.arange(first_edge, end_edge))
+
+    def _merge(self, new: np.ndarray) -> None:
+        """One vertex of two that a new edge joins and float32 can hardly tell apart, as where a needle is cut."""
+        edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
+        place = self.arrays["positions"][edges[new], :2].astype(np.float64)
+        length = np.hypot(*(place[:, 0] - place[:, 1]).T)
+        short = new[length < APART * np.abs(place).max(axis=(1, 2), initial=0.0)]
+        if not len(short):
+            return
+        listed = self.listed[: self.counts[kernels.LISTED]]
+        listed = listed[~self.gone[kernels.TRIANGLE, listed]]
+        gone = np.unique(edges[short])
+        to = _merged(edges[short], self.counts[kernels.VERTEX])
+        corners[listed], used = to[corners[listed]], np.unique(sides[listed])
+        edges[used] = to[edges[used]]
+        flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
+        # Of a flat triangle's edges one is a point; the others are one edge.
+        points = edges[sides[flat], 0] == edges[sides[flat], 1]
+        pairs = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
+        pairs = np.array(pairs, np.int64).reshape(-1, 2)
+        sides[listed] = _merged(pairs, self.counts[kernels.EDGE])[sides[listed]]
+        self.gone[kernels.TRIANGLE, flat] = True
+        self.gone[kernels.VERTEX, np.union1d(gone, corners[flat])] = True
+        self.gone[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
 
     def close(self):
         """Fill the gaps with the last of those that stay."""
@@ -200,6 +231,15 @@ class _Work:
         moved = np.full(total - end, -1, np.int32)
         moved[stays] = gaps
         return end, np.stack([end + stays, gaps]), moved
+
+
+def _merged(pairs: np.ndarray, count: int) -> np.ndarray:
+    """int64 [count]: the least number that pairs, int [n, 2], join each number with."""
+    to = np.arange(count)
+    for a, b in pairs.tolist():
+        least, other = sorted((to[a], to[b]))
+        to[to == other] = least
+    return to
 
 
 def swap(array: np.ndarray, swapped: np.ndarray) -> None:

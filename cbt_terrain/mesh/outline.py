@@ -19,9 +19,9 @@ BLOCK = 1 << 20  # distances at a time
 def inside(triangles: np.ndarray, surface) -> list[Side]:
     """Sides that keep what of `surface` is above or below any of `triangles`, float64 [n, 3, 2] metres in plan."""
     triangles = counter_clockwise(triangles)
-    if not len(triangles):
+    border = outline(triangles) if len(triangles) else triangles
+    if not len(border):
         return [Side(lambda positions: np.full(len(positions), -1.0))]
-    border = outline(triangles)
     lines = _lines(border)
     if len(lines) <= MOST_LINES and _holds_all(lines, border.reshape(-1, 2)):
         return [Side(lambda positions, line=line: _from_line(line, positions)) for line in lines]

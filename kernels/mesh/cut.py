@@ -77,9 +77,18 @@ def flag_holes(
         flags[t] = wp.uint8(1)
 
 
+@wp.func
+def part_near(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
+    """The part of the edge from p to q, in plan, that is as long as `tolerance` parts of their largest coordinate."""
+    largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
+    x = wp.float64(q[0]) - wp.float64(p[0])
+    y = wp.float64(q[1]) - wp.float64(p[1])
+    return tolerance * wp.float64(largest) / wp.sqrt(x * x + y * y)
+
+
 @wp.kernel
-def put_on_line(tolerance: wp.float64, m: Cut):
-    """A vertex that is nearer to where an edge would be cut than this part of the edge is on the line: no sliver."""
+def put_on_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
+    """A vertex that float32 could hardly tell from where an edge would be cut is on the line."""
     for i in range(m.counts[LISTED]):
         o = 3 * m.listed[i]
         for c in range(3):
@@ -89,10 +98,8 @@ def put_on_line(tolerance: wp.float64, m: Cut):
             b = m.value[q]
             if (a < wp.float64(0.0) and b > wp.float64(0.0)) or (a > wp.float64(0.0) and b < wp.float64(0.0)):
                 part = a / (a - b)
-                if part < tolerance:
-                    m.value[p] = wp.float64(0.0)
-                elif wp.float64(1.0) - part < tolerance:
-                    m.value[q] = wp.float64(0.0)
+                if wp.min(part, wp.float64(1.0) - part) < part_near(tolerance, positions[p], positions[q]):
+                    m.value[wp.where(part < wp.float64(0.5), p, q)] = wp.float64(0.0)
 
 
 @wp.func

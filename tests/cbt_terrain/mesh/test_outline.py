@@ -36,9 +36,20 @@ def test_a_convex_outline_is_cut_exactly_however_coarse_the_mesh(error_m, degree
     assert abs(areas(result).sum() / (150 * 140) - 1) < 1e-3
     place = turned(result.positions[:, :2].astype(np.float64), -degrees)[border]
     low, high = SQUARE[0], SQUARE[2]
-    # A vertex nearer than a thousandth of an edge to the line is on it.
-    assert (np.minimum(np.abs(place - low), np.abs(place - high)).min(axis=2) < 0.7).all()
+    # Of float32 and of a vertex that is nearer to the line than some steps of it.
+    assert (np.minimum(np.abs(place - low), np.abs(place - high)).min(axis=2) < 4e-4).all()
     assert len(result.positions) - len(result.edges) + len(result.level) == 1
+
+
+@pytest.mark.parametrize("inside", [1.0, 0.1, 0.01, 0.001])
+def test_a_side_close_to_the_rim_of_two_triangles_is_where_it_was_put(inside):
+    """Somebody who stands there sees it, whatever part of a long edge that is."""
+    west, south, east, north = -320.0 + inside, -160.0 + inside, 320.0 - inside, 160.0 - inside
+    result = cut_to(surface_of(1, 500.0, 0), fan((west, south), (east, south), (east, north), (west, north)))
+    assert_welded(result)
+    found = result.positions[:, :2].astype(np.float64)
+    assert np.abs(found.min(axis=0) - (west, south)).max() < 4e-4
+    assert np.abs(found.max(axis=0) - (east, north)).max() < 4e-4
 
 
 def test_a_closed_box_seen_from_above_is_its_rectangle():
@@ -77,6 +88,10 @@ def test_the_hole_of_a_ring_stays_empty():
     assert abs(areas(result).sum() / (240**2 - 80**2) - 1) < 5e-3
 
 
-@pytest.mark.parametrize("triangles", [[((900, 900), (901, 900), (900, 901))], [((0, 0), (5, 5), (9, 9))]])
+@pytest.mark.parametrize(
+    "triangles",
+    [[((900, 900), (901, 900), (900, 901))], [((0, 0), (5, 5), (9, 9))], [((0, 0), (100, 0), (100, 1e-9))]],
+    ids=["beside", "a line", "a line but for rounding"],
+)
 def test_an_outline_beside_the_surface_or_without_an_area_leaves_nothing(triangles):
     assert not len(cut_to(surface_of(5, 5.0, 0), triangles).level)

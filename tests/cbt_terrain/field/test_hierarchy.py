@@ -64,7 +64,8 @@ def triangle_errors(samples, triangle, fine=4):
             exact = max(exact, np.abs(e[:-1] + linear * t + quadratic * t * t)[within].max(initial=0.0))
     x, y = inside(triangle, width, height, 1.0 / fine)
     heights = bilinear(samples, x, y)
-    return exact, np.abs(above(heights, x, y)).max(initial=0.0), heights.min(initial=np.inf), heights.max(initial=-np.inf)
+    dense = np.abs(above(heights, x, y)).max(initial=0.0)
+    return exact, dense, heights.min(initial=np.inf), heights.max(initial=-np.inf)
 
 
 def brute(samples, columns, rows, levels):

@@ -4,7 +4,7 @@
 import json
 
 from ...operators.text.numbers import number
-from ..rig.measure import BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
+from ..rig.measure import BLOCK_MS, BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
 from . import profiles
 from .goals import ANY_SIZE, ATTEMPTS, SLACK, goal_of, missed_by, recorded_of
 from .plot import write_bars, write_plot
@@ -64,7 +64,8 @@ def appendix(rows: list[Row], machine: dict[str, str], notes: list[str]) -> str:
         f"The appendix of [Performance]({PAGE}), written by the same run; do not edit it by hand.",
         machine_line(machine),
         "## How it is measured",
-        f"A time is the median of {BLOCKS * RUNS} runs, ours and the baseline in turns of {RUNS}; of "
+        f"A time is the median of {BLOCKS * RUNS} runs, ours and the baseline in turns of {RUNS}, or of as many as "
+        f"take {BLOCK_MS / 1e3:g} s where they take more than {BLOCK_MS / RUNS:g} ms; of "
         f"{SHORT_BLOCKS * RUNS} where a run takes less than {SHORT_MS:g} ms; of nine where each is a process or a "
         "render of its own. *First* is the first run, which finds cold memory; it is in no median. Ratio is ours to "
         "the baseline; for `scale_` it is the slope, for memory the ratio of memory.",

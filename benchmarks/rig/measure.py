@@ -18,8 +18,8 @@ from ...cbt_terrain.accuracy.timed_runs import median_by_step
 BLOCKS, RUNS = 3, 5
 # What takes less than this is measured more often: a moment's disturbance is larger than it.
 SHORT_MS, SHORT_BLOCKS = 5.0, 15
-# What takes more than this is measured once a block: a moment's disturbance is nothing to it.
-LONG_MS = 500.0
+# No block takes longer, unless one run does: a moment's disturbance is nothing to runs that are long.
+BLOCK_MS = 500.0
 
 
 @dataclass
@@ -57,13 +57,16 @@ class Timed:
 
 
 def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
-    """Run both in turns of RUNS, or one where it is long, BLOCKS or SHORT_BLOCKS times; `ours` returns milliseconds by
-    step."""
-    first, longest = ours(), theirs() if theirs else 0.0
-    own, others = (1 if ms > LONG_MS else RUNS for ms in (max(first.values()), longest))
+    """Run both in turns of RUNS, or as many as a block has time for, BLOCKS times, or SHORT_BLOCKS what is short;
+    `ours` returns milliseconds by step."""
+    first, first_other = ours(), theirs() if theirs else 0.0
+    longest = max(first.values())
+    own, others = (max(1, min(RUNS, int(BLOCK_MS / max(ms, SHORT_MS)))) for ms in (longest, first_other))
+    blocks = SHORT_BLOCKS if longest < SHORT_MS else BLOCKS
+    every = 1 if first_other < SHORT_MS else blocks // BLOCKS  # blocks of ours to one of a baseline that is not short
     mine, other = [], []
-    for _ in range(SHORT_BLOCKS if max(first.values()) < SHORT_MS else BLOCKS):
-        if theirs:
+    for number in range(blocks):
+        if theirs and number % every == 0:
             other += [theirs() for _ in range(others)]
         mine += [ours() for _ in range(own)]
     return Timed(median_by_step(mine), first, statistics.median(other) if other else None)

@@ -3,6 +3,7 @@
 
 import statistics
 from collections.abc import Callable, Iterator
+from functools import cache
 
 import numpy as np
 
@@ -44,7 +45,12 @@ def seen(eye: np.ndarray) -> View:
 
 
 def asked_px() -> float:
-    return scenes.pixels_for(ground_of_island(), lambda _px: seen(EYES[0]), scenes.errors, MILLION)
+    return _px_for(ground_of_island(), MILLION)
+
+
+@cache
+def _px_for(field: HeightField, triangles: int) -> float:
+    return scenes.pixels_for(field, lambda _px: seen(EYES[0]), scenes.errors, triangles)
 
 
 def fused_row() -> Row:

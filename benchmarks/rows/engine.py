@@ -4,6 +4,7 @@
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache, partial
 
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
@@ -27,18 +28,23 @@ SURFACE_STEPS = ("weld", "meshlets", "displace")
 
 def edge_flight(flat: HeightField, size: int, threads: int | None = None) -> scenes.Flight:
     """All round over flat ground, edges of one length on screen, to depth 27."""
-    px = scenes.pixels_for(flat, lambda _px: scenes.around(0), scenes.edges, size)
-    return scenes.Flight(flat, scenes.around, scenes.edges(px), threads)
+    return scenes.Flight(flat, scenes.around, scenes.edges(_edge_px(flat, size)), threads)
+
+
+@cache
+def _edge_px(flat: HeightField, size: int) -> float:
+    return scenes.pixels_for(flat, lambda _px: scenes.around(0), scenes.edges, size)
 
 
 def error_flight(rough: HeightField, size: int, threads: int | None = None, meshlet: int = 0) -> scenes.Flight:
     """Through a lens over rough ground, one error on screen, with frustum and guard band."""
+    return scenes.Flight(rough, scenes.over, scenes.errors(error_px(rough, size, meshlet), meshlet), threads)
 
-    def asked(px: float):
-        return scenes.errors(px, meshlet)
 
-    px = scenes.pixels_for(rough, lambda _px: scenes.over(0), asked, size)
-    return scenes.Flight(rough, scenes.over, asked(px), threads)
+@cache
+def error_px(rough: HeightField, size: int, meshlet: int = 0) -> float:
+    """Pixels of error that give so many triangles where that flight begins."""
+    return scenes.pixels_for(rough, lambda _px: scenes.over(0), partial(scenes.errors, meshlet=meshlet), size)
 
 
 def refine_ms(steps: dict[str, float]) -> float:

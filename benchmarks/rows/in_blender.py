@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from ...cbt_terrain.ask.view import View
@@ -115,11 +115,15 @@ def still_frame_row(rough: HeightField, store: Path) -> Row:
 
 def surface_of(rough: HeightField, size: int, meshlet: int = 0):
     """Copies of the arrays of about `size` triangles, and the pixels that give so many."""
-    view = seen_from(scenes.eye_over(0))
-    asked = partial(scenes.errors, meshlet=meshlet)
-    px = scenes.pixels_for(rough, lambda _px: view, asked, size)
-    surface = Terrain(rough).update(asked(px), [view]).surface
+    px = _scene_px(rough, size, meshlet)
+    surface = Terrain(rough).update(scenes.errors(px, meshlet), [seen_from(scenes.eye_over(0))]).surface
     return surface.copy(), px
+
+
+@cache
+def _scene_px(rough: HeightField, size: int, meshlet: int) -> float:
+    view = seen_from(scenes.eye_over(0))
+    return scenes.pixels_for(rough, lambda _px: view, partial(scenes.errors, meshlet=meshlet), size)
 
 
 def seen_from(eye) -> View:

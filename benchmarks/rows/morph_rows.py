@@ -10,6 +10,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
 from ..rig.measure import Row, alternate
+from . import engine
 
 TRIANGLES = 1_000_000  # without a morph
 SLOW = 0.25  # frames of the benchmarks' flight at a time: a thousandth of the terrain is fast
@@ -19,8 +20,7 @@ FAR_PX = 64.0
 
 def morph_rows(rough: HeightField) -> Iterator[Row]:
     """Whole updates of a rough terrain for an error on screen, one thread."""
-    px = scenes.pixels_for(rough, lambda _px: scenes.over(0), scenes.errors, TRIANGLES)
-    plain = scenes.errors(px)
+    plain = scenes.errors(engine.error_px(rough, TRIANGLES))
     rising = replace(plain, morph=SMOOTH)
     yield _row("morph_flight", *(_flight(rough, criterion) for criterion in (rising, plain)))
     yield _row("morph_cut", *(_cut(rough, criterion) for criterion in (rising, plain)))

@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 from ...cbt_terrain.field.heightfield import HeightField
-from ..rig import scenes
 from ..rig.child import run_child
 from ..rig.measure import Row
+from . import engine
 
 SIZE = 50_000
 RUNS = 9
@@ -17,13 +17,13 @@ RUNS = 9
 
 def warm_row(rough: HeightField, store: Path) -> Row:
     """With the kernels of earlier runs in Warp's cache."""
-    px = _pixels(rough)
+    px = engine.error_px(rough, SIZE)
     return _row("cold_start", [run_child("rig.first_mesh", store, px, time.time()) for _ in range(RUNS)])
 
 
 def no_cache_row(rough: HeightField, store: Path) -> Row:
     """With an empty kernel cache for each run; `files` is how many each run put into it."""
-    px, runs, files = _pixels(rough), [], 0
+    px, runs, files = engine.error_px(rough, SIZE), [], 0
     for _ in range(RUNS):
         with tempfile.TemporaryDirectory() as cache:
             runs.append(run_child("rig.first_mesh", store, px, time.time(), WARP_CACHE_PATH=cache))
@@ -31,10 +31,6 @@ def no_cache_row(rough: HeightField, store: Path) -> Row:
     row = _row("cold_start_no_cache", runs)
     row.figures["files"] = files / RUNS
     return row
-
-
-def _pixels(rough: HeightField) -> float:
-    return scenes.pixels_for(rough, lambda _px: scenes.over(0), scenes.errors, SIZE)
 
 
 def _row(name: str, runs: list[dict]) -> Row:

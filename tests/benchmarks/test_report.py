@@ -138,4 +138,19 @@ def test_ours_and_theirs_take_turns():
     short = []
     alternate(lambda: short.append(1) or {"total": 0.1})
     assert len(short) == 1 + 15 * 5
+
+
+@pytest.mark.parametrize(
+    ("ms", "other_ms", "expected"),
+    [
+        (0.1, 0.1, "ab" + 15 * (5 * "b" + 5 * "a")),
+        (0.1, 20.0, "ab" + 3 * (5 * "b" + 25 * "a")),  # what is short is measured more often, not the baseline
+        (30.0, 240.0, "ab" + 3 * (2 * "b" + 5 * "a")),
+        (900.0, 170.0, "ab" + 3 * (2 * "b" + "a")),
+    ],
+)
+def test_long_runs_are_fewer(ms, other_ms, expected):
+    turns = []
+    alternate(lambda: turns.append("a") or {"total": ms}, lambda: turns.append("b") or other_ms)
+    assert "".join(turns) == expected
     assert median_by_step([{"a": 1.0}, {"a": 3.0, "b": 2.0}, {"b": 2.0}]) == {"a": 1.0, "b": 2.0}

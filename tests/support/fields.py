@@ -108,7 +108,7 @@ def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
         plain = with_detail(field, None)
         return reference_heights(plain, plane) + ground_heights(field, plane)
     if field.interpolation == "bicubic":
-        return bezier(field, plane)[0]
+        return bezier_heights(field, plane)
     lattice = field.lattice
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
@@ -127,6 +127,20 @@ def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None
 
     cell: int [n, 2], the columns and rows of the patches to use in place of those in which the points lie.
     """
+    control, place = _patches(field, plane, cell)
+    (u, du), (v, dv) = _bernstein(place[:, 0]), _bernstein(place[:, 1])
+    steps = np.array([field.lattice.step_x, field.lattice.step_y])
+    return _weigh(control, u, v), np.stack([_weigh(control, du, v), _weigh(control, u, dv)], axis=1) / steps
+
+
+def bezier_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
+    """The heights alone, in a third of the time."""
+    control, place = _patches(field, plane)
+    return _weigh(control, *(_bernstein(place[:, k])[0] for k in (0, 1)))
+
+
+def _patches(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The control heights [n, 4, 4] of the patches of points [n, 2], and where in them these are, [n, 2] cells."""
     lattice = field.lattice
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
     place = np.clip(plane / steps + cells / 2, 0, cells)
@@ -134,15 +148,14 @@ def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None
     h = np.asarray(field.heights(), np.float64)
     h = np.concatenate([2 * h[:1] - h[1:2], h, 2 * h[-1:] - h[-2:-1]])
     h = np.concatenate([2 * h[:, :1] - h[:, 1:2], h, 2 * h[:, -1:] - h[:, -2:-1]], axis=1)
-    near = np.arange(4)
-    patch = h[at[:, 1, None, None] + near[:, None], at[:, 0, None, None] + near]
-    control = TO_BEZIER @ patch @ TO_BEZIER.T
-    (u, du), (v, dv) = (_bernstein(place[:, k] - at[:, k]) for k in (0, 1))
+    numbers, of_points = np.unique(at @ [1, cells[0]], return_inverse=True)  # many points share a patch
+    (j, i), near = np.divmod(numbers[:, None, None], cells[0]), np.arange(4)
+    control = TO_BEZIER @ h[j + near[:, None], i + near] @ TO_BEZIER.T
+    return control[of_points], place - at
 
-    def weigh(across: np.ndarray, up: np.ndarray) -> np.ndarray:
-        return np.einsum("nj,nji,ni->n", up, control, across)
 
-    return weigh(u, v), np.stack([weigh(du, v), weigh(u, dv)], axis=1) / steps
+def _weigh(control: np.ndarray, across: np.ndarray, up: np.ndarray) -> np.ndarray:
+    return np.einsum("nji,ni,nj->n", control, across, up)
 
 
 def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

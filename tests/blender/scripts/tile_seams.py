@@ -39,7 +39,7 @@ side = float(np.ptp(bounds, 0)[:2].min())
 camera.data.angle, camera.data.clip_end = 0.7, 10 * side
 camera.location, camera.rotation_euler = (*bounds.mean(0)[:2], bounds[:, 2].max() + side), (0.0, 0.0, 0.0)
 scene.render.resolution_x = scene.render.resolution_y = SIZE
-scene.eevee.taa_render_samples = 4
+scene.eevee.taa_render_samples = 1
 scene.view_settings.view_transform = "Raw"
 scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "PNG", "16"
 scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"

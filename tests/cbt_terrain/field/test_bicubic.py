@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from diamond_entries import error_index, range_index
-from fields import bezier, errors_of, mesh_heights, ranges_of, reference_heights, rough
+from fields import bezier, bezier_heights, errors_of, mesh_heights, ranges_of, reference_heights, rough
 from invariants import arrays, assert_invariants
 from rasters import jacksboro
 from scenarios import eager_threads, make_field
@@ -77,7 +77,7 @@ def test_no_triangle_of_any_depth_leaves_its_diamonds_error_and_range(kind, shap
     tiny, ratios, above = 1e-11, [], None  # what float64 rounds here
     for depth, corners in triangles_of(lattice, lattice.cell_depth + 6):
         places = np.einsum("wc,tcx->twx", weights, corners).reshape(-1, 2)
-        heights = bezier(field, (places - cells / 2) * steps)[0].reshape(len(corners), -1)
+        heights = bezier_heights(field, (places - cells / 2) * steps).reshape(len(corners), -1)
         at_corners = heights[:, [np.flatnonzero(weights[:, c] == 1)[0] for c in range(3)]]
         off = np.abs(at_corners @ weights.T - heights).max(axis=1)
         middle = (corners[:, 0] + corners[:, 2]) / 2
@@ -104,7 +104,7 @@ def test_errors_of_meshlets_are_those_of_what_is_drawn(kind):
     field = field_of(kind, (5, 9))
     lattice = field.lattice
     P = dense(field, 16)
-    truth = bezier(field, P)[0]
+    truth = bezier_heights(field, P)
     for meshlet in (1, 2, 3):
         errors = error_for(field, meshlet)
         assert errors.shape == field.error.shape and (errors <= field.error).all()
@@ -158,10 +158,10 @@ def test_vertices_lie_on_the_surface_and_carry_its_normals(kind, relief, base):
 def test_heights_are_scaled_and_shifted():
     field = field_of("rough", (9, 9))
     update = Terrain(field, 1).update(Criterion(error_px=0, error_m=1.0), (), None, -2.5, 100.0)
-    heights = bezier(field, update.surface.positions[:, :2].astype(np.float64))[0]
+    heights = bezier_heights(field, update.surface.positions[:, :2].astype(np.float64))
     assert np.abs(update.surface.positions[:, 2] - (100.0 - 2.5 * heights)).max() < 1e-4
     points = dense(field, 16)
-    off = np.abs(mesh_heights(update.surface, points) - (100.0 - 2.5 * bezier(field, points)[0])).max()
+    off = np.abs(mesh_heights(update.surface, points) - (100.0 - 2.5 * bezier_heights(field, points))).max()
     assert 0.5 < off <= update.bound_m <= 1.0
 
 
@@ -219,7 +219,7 @@ def test_what_lies_between_both_surfaces_is_bounded_and_exact_where_they_bend_on
         lattice = bilinear.lattice
     off = bicubic._fill_errors(bilinear, np.zeros(2 * lattice.node_count - lattice.cell_base, np.float32), 1)
     points = dense(bilinear, 8)
-    apart = np.abs(bezier(bilinear, points)[0] - reference_heights(bilinear, points))
+    apart = np.abs(bezier_heights(bilinear, points) - reference_heights(bilinear, points))
     apart = apart.reshape((lattice.height - 1) * 8 + 1, -1)
     j, i = np.indices((lattice.height - 1, lattice.width - 1))
     found = off[error_index(lattice, lattice.cell_depth, i, j)]
@@ -277,7 +277,7 @@ def test_a_mesh_of_one_surface_is_off_the_other_by_what_the_interpolation_adds()
     update = Terrain(cubic, 1).update(Criterion(error_px=0, error_m=0.2))
     assert 0.1 < measure(cubic, update.surface, random_points=1000).vertical_max_m <= update.bound_m <= 0.2
     points = dense(cubic, 16)
-    apart = np.abs(bezier(cubic, points)[0] - reference_heights(bilinear, points)).max()
+    apart = np.abs(bezier_heights(cubic, points) - reference_heights(bilinear, points)).max()
     found = measure(bilinear, update.surface, random_points=1000).vertical_max_m
     assert apart - 0.2 <= found <= apart + 0.25 and apart >= interpolation(bilinear).max > 1.0
 

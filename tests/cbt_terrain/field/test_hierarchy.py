@@ -23,28 +23,33 @@ def bilinear(samples, x, y):
     return (1 - v) * ((1 - u) * h[j, i] + u * h[j, i + 1]) + v * ((1 - u) * h[j + 1, i] + u * h[j + 1, i + 1])
 
 
+@cache
+def inside(triangle, width, height, step):
+    """Sample coordinates every `step` that lie in a triangle, and on the raster."""
+    left, apex, right = corners = np.array(triangle) / 2
+    lo, hi = np.floor(corners.min(0)), np.ceil(corners.max(0))
+    x, y = np.meshgrid(np.arange(lo[0], hi[0] + step / 2, step), np.arange(lo[1], hi[1] + step / 2, step))
+    uv = np.linalg.solve(np.column_stack([left - apex, right - apex]), np.array([x.ravel(), y.ravel()]) - apex[:, None])
+    keep = (uv >= -1e-9).all(0) & (uv.sum(0) <= 1 + 1e-9) & (x.ravel() <= width - 1) & (y.ravel() <= height - 1)
+    return x.ravel()[keep], y.ravel()[keep]
+
+
 def triangle_errors(samples, triangle, fine=4):
     """Error of one triangle by what can be an extremum, and by dense sampling; and the heights that it covers.
 
     A corner beyond the raster has the height of the nearest sample; nothing else counts there.
     """
-    left, apex, right = (np.array(p) / 2 for p in triangle)
-    corners, rim = np.array([left, apex, right]), np.array(samples.shape[::-1]) - 1
+    left, apex, right = corners = np.array(triangle) / 2
+    (height, width), rim = samples.shape, np.array(samples.shape[::-1]) - 1
     plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), bilinear(samples, *np.minimum(corners, rim).T))
 
+    def above(heights, x, y):
+        return heights - (plane[0] * x + plane[1] * y + plane[2])
+
     def distance(x, y):
-        return bilinear(samples, x, y) - (plane[0] * x + plane[1] * y + plane[2])
+        return above(bilinear(samples, x, y), x, y)
 
-    def inside(step):
-        lo, hi = np.floor(corners.min(0)), np.ceil(corners.max(0))
-        x, y = np.meshgrid(np.arange(lo[0], hi[0] + step / 2, step), np.arange(lo[1], hi[1] + step / 2, step))
-        uv = np.linalg.solve(
-            np.column_stack([left - apex, right - apex]), np.array([x.ravel(), y.ravel()]) - apex[:, None]
-        )
-        keep = (uv >= -1e-9).all(0) & (uv.sum(0) <= 1 + 1e-9) & (x.ravel() <= rim[0]) & (y.ravel() <= rim[1])
-        return x.ravel()[keep], y.ravel()[keep]
-
-    exact = np.abs(distance(*inside(1.0))).max(initial=0.0)
+    exact = np.abs(distance(*inside(triangle, width, height, 1.0))).max(initial=0.0)
     for a, b in ((left, apex), (apex, right), (right, left)):
         if abs(a[0] - b[0]) == abs(a[1] - b[1]):  # a diagonal: a parabola in each cell
             cells = int(np.ceil(abs(a[0] - b[0])))
@@ -57,9 +62,10 @@ def triangle_errors(samples, triangle, fine=4):
             with np.errstate(all="ignore"):
                 t = np.nan_to_num(np.clip(-linear / (2 * quadratic), 0, 1))
             exact = max(exact, np.abs(e[:-1] + linear * t + quadratic * t * t)[within].max(initial=0.0))
-    x, y = inside(1.0 / fine)
+    x, y = inside(triangle, width, height, 1.0 / fine)
     heights = bilinear(samples, x, y)
-    return exact, np.abs(distance(x, y)).max(initial=0.0), heights.min(initial=np.inf), heights.max(initial=-np.inf)
+    dense = np.abs(above(heights, x, y)).max(initial=0.0)
+    return exact, dense, heights.min(initial=np.inf), heights.max(initial=-np.inf)
 
 
 def brute(samples, columns, rows, levels):

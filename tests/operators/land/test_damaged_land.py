@@ -19,18 +19,37 @@ from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
 
-def test_shaped_land_that_was_damaged_is_made_again(terrain):
-    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
+@pytest.fixture(scope="module")
+def first_shaped(tmp_path_factory):
+    """Where the first test that needs it leaves a copy of all that its stack has made."""
+    return tmp_path_factory.mktemp("shaped") / "land"
+
+
+@pytest.fixture
+def shaped(terrain, first_shaped):
+    """The folder of the land that `terrain` shows, shaped by its stack of one entry."""
     add("thermal")
-    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-    folder = land_request.shaped_stores(terrain.adaptive_terrain.store)[0][0]
-    samples = next(folder.glob("data-*/samples.npy"))
+    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    if not first_shaped.exists():
+        assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+        shutil.copytree(beside, first_shaped)
+        land_request.made["stores"] = 0
+    else:
+        shutil.copytree(first_shaped, beside)
+        session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Shaped" and land_request.made["stores"] == 0
+    return Path(shaped_land.store_of(terrain))
+
+
+def test_shaped_land_that_was_damaged_is_made_again(terrain, shaped):
+    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
+    samples = next(shaped.glob("data-*/samples.npy"))
     whole = samples.read_bytes()
     session.clear()
     samples.unlink()
     samples.write_bytes(whole[: len(whole) // 2])
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-    assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
+    assert next(shaped.glob("data-*/samples.npy")).read_bytes() == whole
 
 
 def cut_off(store) -> bytes:
@@ -44,22 +63,20 @@ def cut_off(store) -> bytes:
 
 
 @pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
-def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, capsys, mode):
+def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, shaped, capsys, mode):
     """A render waits for it; a viewport shows its preview meanwhile."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    folder = shaped_land.store_of(terrain)
-    whole = cut_off(folder)
+    whole = cut_off(shaped)
     session.update_object(terrain, mode=mode)
     [line] = capsys.readouterr().out.splitlines()
-    assert line.startswith(f"Adaptive Terrain: The shaped land in {folder!r} is damaged, and is made again from its")
+    said = f"The shaped land in {str(shaped)!r} is damaged, and is made again from its"
+    assert line.startswith(f"Adaptive Terrain: {said}")
     assert "samples.npy is damaged (it has" in line and line.endswith(").")
     state = shaped_land.state_of(terrain)
     assert (state.shown, session.record_of(terrain).status.error) == ("Shaped" if mode == "RENDER" else "Preview", "")
-    assert len(list(Path(folder).glob("data-*"))) == (mode == "RENDER"), "what is damaged takes no room"
+    assert len(list(shaped.glob("data-*"))) == (mode == "RENDER"), "what is damaged takes no room"
     session.update_object(terrain, mode="RENDER")
-    assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
-    assert land_request.made["stores"] == 2 and not capsys.readouterr().out
+    assert next(shaped.glob("data-*/samples.npy")).read_bytes() == whole
+    assert land_request.made["stores"] == 1 and not capsys.readouterr().out
 
 
 def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp_path):
@@ -94,31 +111,27 @@ def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
 
 
 @pytest.mark.parametrize("other", ["Thumbs.db", "data/Thumbs.db", "data/samples.npy/more"])
-def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, other):
+def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, shaped, other):
     """What a file browser leaves in a folder, and a folder where an array was."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    folder = Path(shaped_land.store_of(terrain))
-    whole = cut_off(folder)
-    [data] = folder.glob("data-*")
-    file = folder / other.replace("data", data.name)
+    whole = cut_off(shaped)
+    [data] = shaped.glob("data-*")
+    file = shaped / other.replace("data", data.name)
     if file.parent.is_file():
         file.parent.unlink()
     file.parent.mkdir(exist_ok=True)
     file.write_text("not ours")
     session.update_object(terrain, mode="RENDER")
-    [data] = folder.glob("data-*")
-    assert (data / "samples.npy").read_bytes() == whole and not list(folder.rglob("Thumbs.db"))
+    [data] = shaped.glob("data-*")
+    assert (data / "samples.npy").read_bytes() == whole and not list(shaped.rglob("Thumbs.db"))
 
 
-def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain):
+def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain, shaped):
     """The system kills who reads a mapped file beyond its end, so nobody does."""
-    add("thermal")
     session.update_object(terrain, mode="RENDER")
-    [file] = Path(shaped_land.store_of(terrain)).glob("data-*/samples.npy")
+    [file] = shaped.glob("data-*/samples.npy")
     os.truncate(file, PAGE_BYTES)
     session.update_object(terrain, mode="RENDER")
-    assert session.record_of(terrain).status.error == "" and land_request.made["stores"] == 2
+    assert session.record_of(terrain).status.error == "" and land_request.made["stores"] == 1
 
 
 @pytest.mark.parametrize("array", ["error_c", "error_m1"])
@@ -146,11 +159,9 @@ def test_a_source_that_is_cut_off_while_it_is_open_is_an_error(terrain):
     session.update_object(terrain)
 
 
-def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, monkeypatch):
+def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, shaped, monkeypatch):
     """As where another user has made it."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    cut_off(shaped_land.store_of(terrain))
+    cut_off(shaped)
 
     def unlink(path, missing_ok=False):
         raise PermissionError(errno.EACCES, "Permission denied")
@@ -166,11 +177,9 @@ def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, monkeypa
 
 
 @pytest.mark.parametrize("action", ["export", "bake"])
-def test_damage_to_a_by_product_is_neither_exported_nor_baked(terrain, tmp_path, action):
+def test_damage_to_a_by_product_is_neither_exported_nor_baked(terrain, shaped, tmp_path, action):
     """Meshes do not read it: nothing has found it before."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    scree = next(Path(shaped_land.store_of(terrain)).glob("data-*/layer_scree.npy"))
+    scree = next(shaped.glob("data-*/layer_scree.npy"))
     session.clear()
     whole = scree.read_bytes()
     scree.unlink()
@@ -182,14 +191,12 @@ def test_damage_to_a_by_product_is_neither_exported_nor_baked(terrain, tmp_path,
         assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
         scree = next(Path(terrain.adaptive_terrain.store).glob("data-*/layer_scree.npy"))
         assert scree.read_bytes() == whole
-    assert land_request.made["stores"] == 2
+    assert land_request.made["stores"] == 1
 
 
-def test_what_blender_is_short_of_is_no_damage(terrain, monkeypatch):
+def test_what_blender_is_short_of_is_no_damage(terrain, shaped, monkeypatch):
     """With too many files open no store can be read; the land is whole, and is not taken away."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    file = Path(shaped_land.store_of(terrain)) / "store.json"
+    file = shaped / "store.json"
     text = file.read_text()
     session.clear()
     short, opened = [True], store_arrays.open_regular
@@ -208,18 +215,15 @@ def test_what_blender_is_short_of_is_no_damage(terrain, monkeypatch):
     assert file.read_text() == text and shaped_land.state_of(terrain).shown == "Shaped"
 
 
-def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain):
+def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain, shaped):
     """No stack of the file makes it again."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    folder = shaped_land.store_of(terrain)
     bpy.ops.adaptive_terrain.land_remove()
-    terrain.adaptive_terrain.store = folder
-    cut_off(folder)
+    terrain.adaptive_terrain.store = str(shaped)
+    cut_off(shaped)
     for mode in ("RENDER", "VIEWPORT"):
         with pytest.raises(session.TerrainError, match=r"samples.npy is damaged .*import the terrain"):
             session.update_object(terrain, mode=mode)
-    assert (Path(folder) / "store.json").is_file()
+    assert (shaped / "store.json").is_file()
 
 
 @pytest.mark.parametrize("level", ["[[99999, 0.0]]", "[[1e400, 1.0]]", "[" * 20000])
@@ -242,10 +246,8 @@ def test_a_damaged_baked_store_is_an_error(terrain):
     assert (Path(baked) / "store.json").is_file()
 
 
-def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain):
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    file = Path(shaped_land.store_of(terrain)) / "store.json"
+def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain, shaped):
+    file = shaped / "store.json"
     file.unlink()
     (file / "more").mkdir(parents=True)
     session.update_object(terrain)
@@ -254,10 +256,8 @@ def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain):
     assert shaped_land.state_of(terrain).shown == "Shaped" and file.is_file()
 
 
-def test_a_damaged_shaped_store_is_made_again(terrain):
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    file = Path(shaped_land.store_of(terrain)) / "store.json"
+def test_a_damaged_shaped_store_is_made_again(terrain, shaped):
+    file = shaped / "store.json"
     file.write_text("{}")
     session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Preview"
@@ -265,21 +265,18 @@ def test_a_damaged_shaped_store_is_made_again(terrain):
     assert shaped_land.state_of(terrain).shown == "Shaped"
 
 
-def test_land_that_another_blender_is_writing_is_not_cleared(terrain):
+def test_land_that_another_blender_is_writing_is_not_cleared(terrain, shaped):
     """Its draft stays when the version before is removed, and is published."""
-    add("thermal")
-    bpy.ops.adaptive_terrain.shape()
-    folder = Path(shaped_land.store_of(terrain))
-    draft = Draft(folder)
+    draft = Draft(shaped)
     samples = draft.allocate("samples", (5, 5), np.float32)
     field = build(samples, 8.0, 8.0, missing=0, allocate=draft.allocate)
     terrain.adaptive_terrain.land.entries[0].on = False
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-    assert [entry.name for entry in folder.iterdir()] == [draft.folder.name]
+    assert [entry.name for entry in shaped.iterdir()] == [draft.folder.name]
     draft.publish(field, "", {})
-    assert open_store(folder).samples.shape == (5, 5)
-    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not folder.exists()
+    assert open_store(shaped).samples.shape == (5, 5)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not shaped.exists()
 
 
 def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeypatch):

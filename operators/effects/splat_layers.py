@@ -116,7 +116,7 @@ def _assignments(path: str, group) -> list[str]:
         if item.type == "POINTER":
             if isinstance(value, bpy.types.PropertyGroup):
                 lines += _assignments(f"{path}.{item.identifier}", value)
-        elif group.is_property_set(item.identifier) and not item.is_readonly:
+        elif group.is_property_set(item.identifier) and not (item.is_readonly or item.is_hidden):
             value = tuple(value) if getattr(item, "is_array", False) else value
             lines.append(f"{path}.{item.identifier} = {_shown(value)}")
     return lines

@@ -11,6 +11,7 @@ from ..text.numbers import time_text
 from ..text.shown_bounds import bound_text
 from .layers_panel import draw_rules
 from .panel_parts import TerrainSubpanel, figures
+from .status_row import draw_failure
 
 LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
 STANDING = Matrix()  # where a scatter stands in its terrain's space: points are written in that
@@ -54,6 +55,8 @@ class ScatterPanel(bpy.types.Panel):
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
         box = self.layout.box().column(align=True)
         figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        if not draw_failure(box, terrain):
+            box.label(text=f"On {terrain.name}", icon="CHECKMARK")
         column = self.layout.column()
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
             column.prop(settings, name, **LABELS.get(name, {}))

@@ -13,7 +13,8 @@ from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
 from adaptive_terrain.operators.properties.scatter_properties import scatter_of
 from adaptive_terrain.operators.request import scatters
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.ui.scatter_panel import scatter_lines, summary
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH
+from adaptive_terrain.operators.ui.scatter_panel import ORPHAN, ScatterPanel, scatter_lines, summary
 from adaptive_terrain.operators.ui.status_row import ShowMessage, draw_failure
 from adaptive_terrain.operators.viewport import live
 from demand_trees import put
@@ -192,6 +193,16 @@ def test_the_panel_of_a_scatter_opens_what_went_wrong(scene, terrain, scatter):
     assert text == session.record_of(terrain).status.error
     scatter.parent = None
     assert not bpy.ops.adaptive_terrain.show_message.poll()
+
+
+def test_a_scatter_whose_terrain_is_gone_says_so(terrain, scatter):
+    shown, context = Mock(), SimpleNamespace(object=scatter)
+    assert ScatterPanel.poll(context)
+    bpy.data.objects.remove(terrain)
+    assert ScatterPanel.poll(context)
+    ScatterPanel.draw(SimpleNamespace(layout=shown), context)
+    said = [call.kwargs["text"] for call in shown.box().label.call_args_list]
+    assert " ".join(said) == ORPHAN and all(len(line) <= LINE_LENGTH for line in said)
 
 
 def test_a_layer_that_is_renamed_keeps_its_scatters_and_its_masks(terrain, scatter):

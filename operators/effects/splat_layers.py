@@ -7,7 +7,7 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.effects.splat_rules import MOST_LAYERS
-from ..scene import session
+from ..scene.polls import on_terrain
 
 PRESETS = "adaptive_terrain/layers"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_layer_presets"
@@ -20,7 +20,7 @@ class _LayerOperator:
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
 
 class AddLayer(_LayerOperator, bpy.types.Operator):
@@ -92,7 +92,7 @@ class AddPreset(AddPresetBase, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def add(self, context, filepath: str) -> None:
         Path(filepath).write_text(preset_text(context.object.adaptive_terrain.layers), encoding="utf-8")

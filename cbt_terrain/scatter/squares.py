@@ -24,7 +24,7 @@ from .tile import FINEST, POINTS, shifts, tile
 
 FEW = 64  # points of a square that is not worth cutting
 EVEN = 1.5  # times the least that is wanted of a square, the most of one that is not cut
-MOST_CANDIDATES = 1 << 26  # 5 GB
+MOST_CANDIDATES = 1 << 26  # 3.4 GB
 MOST_CUT = MOST_CANDIDATES // (4 * FEW)  # of a size; each has more points than a few
 TOO_MANY = (
     "The scatter has {} points in view{}: make its spacing larger, or let its full density end nearer to the camera "

@@ -124,7 +124,13 @@ def all_terrains() -> list:
 
 
 def terrains_of(scene) -> list:
-    return [obj for obj in all_terrains() if scene.objects.get(obj.name) == obj]
+    return [obj for obj in all_terrains() if _is_in(scene, obj)]
+
+
+def _is_in(scene, obj) -> bool:
+    """By its name, which is fast; but what is linked from a library may have the same."""
+    found = scene.objects.get(obj.name)
+    return found == obj or found is not None and any(other == obj for other in scene.objects)
 
 
 def record_of(obj) -> Record:

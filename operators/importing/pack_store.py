@@ -268,7 +268,8 @@ def _restore_paths() -> None:
 
 @persistent
 def on_append(imported, _unused=None) -> None:
-    """The path of a terrain that is appended goes from the folder of the file that it comes from."""
+    """The path of a terrain that is appended goes from the folder of the file that it comes from; unless that is of a
+    copy (Ctrl C), which Blender keeps elsewhere with paths as they were."""
     for item in imported.import_items:
         if (
             item.id_type != "OBJECT"
@@ -278,8 +279,8 @@ def on_append(imported, _unused=None) -> None:
         ):
             continue
         settings = item.id.adaptive_terrain
-        if settings.store.startswith(RELATIVE):
-            folder = bpy.path.abspath(settings.store, library=item.source_library)
+        folder = bpy.path.abspath(settings.store, library=item.source_library)
+        if settings.store.startswith(RELATIVE) and Path(folder).is_dir():
             try:
                 settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
             except ValueError:  # another drive

@@ -98,7 +98,10 @@ def plant(terrain) -> None:
     settings.spacing, settings.full_until, settings.layer = SPACING_M, FULL_UNTIL_M, "Forest"
     settings.size, settings.margin_m = TREE_M, 2 * TREE_M
     sockets = {item.name: item.identifier for item in modifier.node_group.interface.items_tree}
-    modifier[sockets["Collection"]] = trees
+    if hasattr(modifier, "properties"):  # Blender 5.2
+        getattr(modifier.properties.inputs, sockets["Collection"]).value = trees
+    else:
+        modifier[sockets["Collection"]] = trees
 
 
 def run(out: Path, blender: list[str], frames: int) -> dict:

@@ -13,9 +13,9 @@ from .tiles import Level, Window
 
 HEIGHT, SLOPE, ASPECT = ("height", "slope", "aspect")
 UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""} | {name: effect.unit for name, effect in ATTRIBUTES.items()}
-LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(ATTRIBUTES, 1e15)
-# Of these an edge is in powers of ten: they go from a square metre to a continent.
+# Of these an edge is in powers of ten: they go from a square metre to a continent, and a panel's to float32's end.
 BY_TENS = ("flow", "discharge")
+LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(ATTRIBUTES, 1e15) | dict.fromkeys(BY_TENS, 1e39)
 STEEPEST = 1e30  # metres a metre
 BAND_ROWS = 256
 

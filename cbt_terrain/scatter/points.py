@@ -34,7 +34,7 @@ from ..run.buffers import Buffers, flat, shared
 from ..terrain import Terrain, box_of
 from .kept import Kept
 from .scatter import MOST_TILES, Scatter
-from .squares import Squares, squares_wanted
+from .squares import TOO_MANY, Squares, squares_wanted
 from .tile import FINEST, POINTS, tile
 
 SPARE = 1.25  # times what is wanted of a square, that is put on the ground: a camera that creeps wants a little more
@@ -106,14 +106,19 @@ class Scatterer:
         return self._ground.nbytes + self._buffers.nbytes
 
     def points(
-        self, views: Sequence[View] = (), placement: np.ndarray | None = None, horizon: "Asked | None" = None
+        self,
+        views: Sequence[View] = (),
+        placement: np.ndarray | None = None,
+        horizon: "Asked | None" = None,
+        most: tuple[int, str] | None = None,
     ) -> Points:
         """The points that views see, the terrain standing at `placement` (4 x 4, to the world).
 
         `horizon`: of Terrain.horizon for the same views; squares of the plan that are hidden from all of them, with
-        what reaches `margin_m` out of them, have no points then. Those that are left are as they are without.
+        what reaches `margin_m` out of them, have no points then. Those that are left are as they are without. `most`:
+        how many points there may be, and whose limit that is, for the message.
         Raises TerrainError for a view that cannot be, for another's horizon, for more candidates than memory should
-        hold and for heights that are not finite.
+        hold, for more points than may be and for heights that are not finite.
         """
         seen, pattern = self._seen(views, placement, horizon), self._pattern
         placed = pattern.west, pattern.south, pattern.side, self.scatter.seed
@@ -129,6 +134,8 @@ class Scatterer:
             kernels.choose, [[*piece, seen, pattern, listed, kept, chosen] for piece in pieces], step="choose"
         )
         counts = self._buffers.numpy("counts")[: len(runs)].astype(np.int64)
+        if most is not None and counts.sum() > most[0]:
+            raise TerrainError(TOO_MANY.format(f"{counts.sum():,}", f", expected {most[0]:,} at most, {most[1]}"))
         points = _empty(int(counts.sum()), tested)
         first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
         inputs = [listed, first, kept, chosen, self._look, _packed(points)]

@@ -24,11 +24,11 @@ from .tile import FINEST, POINTS, shifts, tile
 
 FEW = 64  # points of a square that is not worth cutting
 EVEN = 1.5  # times the least that is wanted of a square, the most of one that is not cut
-MOST_CANDIDATES = 1 << 26  # 2 GB
+MOST_CANDIDATES = 1 << 26  # 3.4 GB
 MOST_CUT = MOST_CANDIDATES // (4 * FEW)  # of a size; each has more points than a few
 TOO_MANY = (
-    "The scatter has more than {} points in view: make its spacing larger, or let its full density end nearer to the "
-    "camera."
+    "The scatter has {} points in view{}: make its spacing larger, or let its full density end nearer to the camera "
+    "(Full Until; at 0 it never ends)."
 )
 NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int64), np.empty(0, bool)
 
@@ -89,12 +89,12 @@ def squares_wanted(
             taken = ~cut & (count > 0)
             found.append((depth[taken], numbers[taken], count[taken], least[taken] > 0))
         if cut.sum() > MOST_CUT:
-            raise TerrainError(TOO_MANY.format(f"{MOST_CANDIDATES:,}"))
+            raise TerrainError(TOO_MANY.format(f"more than {MOST_CANDIDATES:,}", ""))
         numbers = _children(numbers[cut])
         halvings += 1
     squares = Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
     if squares.count.sum() > MOST_CANDIDATES:
-        raise TerrainError(TOO_MANY.format(f"{MOST_CANDIDATES:,}"))
+        raise TerrainError(TOO_MANY.format(f"more than {MOST_CANDIDATES:,}", ""))
     return squares
 
 

@@ -13,6 +13,7 @@ from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
 from ..request.land_request import whole_raster_of
 from ..scene import session
+from ..scene.polls import on_terrain
 from ..viewport import live
 from . import map_images
 from .map_baking import MapRequest, carry_out, summary
@@ -82,7 +83,7 @@ class BakeMaps(bpy.types.Operator):
         if _job is not None:
             cls.poll_message_set("Maps are being baked")
             return False
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def execute(self, context):
         obj, job = context.object, Job(context.object.session_uid)

@@ -7,7 +7,7 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.effects.splat_rules import MOST_LAYERS
-from ..scene import session
+from ..scene.polls import on_terrain
 
 PRESETS = "adaptive_terrain/layers"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_layer_presets"
@@ -20,7 +20,7 @@ class _LayerOperator:
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
 
 class AddLayer(_LayerOperator, bpy.types.Operator):
@@ -92,7 +92,7 @@ class AddPreset(AddPresetBase, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def add(self, context, filepath: str) -> None:
         Path(filepath).write_text(preset_text(context.object.adaptive_terrain.layers), encoding="utf-8")
@@ -116,7 +116,7 @@ def _assignments(path: str, group) -> list[str]:
         if item.type == "POINTER":
             if isinstance(value, bpy.types.PropertyGroup):
                 lines += _assignments(f"{path}.{item.identifier}", value)
-        elif group.is_property_set(item.identifier) and not item.is_readonly:
+        elif group.is_property_set(item.identifier) and not (item.is_readonly or item.is_hidden):
             value = tuple(value) if getattr(item, "is_array", False) else value
             lines.append(f"{path}.{item.identifier} = {_shown(value)}")
     return lines

@@ -42,6 +42,7 @@ class SubmitToFarm(bpy.types.Operator):
         if not bpy.data.filepath:
             cls.poll_message_set("Save the file first")
             return False
+        cls.poll_message_set("The scene has no terrain; add one")
         return bool(session.terrains_of(context.scene))
 
     def invoke(self, context, event):

@@ -131,7 +131,10 @@ class _Import:
 
     @classmethod
     def poll(cls, context):
-        return on_terrain(cls, context) and context.object.session_uid not in _jobs
+        if not on_terrain(cls, context):
+            return False
+        cls.poll_message_set("A height map is being imported already: wait for it, or cancel that beside its bar")
+        return context.object.session_uid not in _jobs
 
     def invoke(self, context, event):
         obj = context.object

@@ -266,7 +266,30 @@ def _restore_paths() -> None:
     _paths_before.clear()
 
 
+@persistent
+def on_append(imported, _unused=None) -> None:
+    """The path of a terrain that is appended goes from the folder of the file that it comes from; unless that is of a
+    copy (Ctrl C), which Blender keeps elsewhere with paths as they were."""
+    for item in imported.import_items:
+        if (
+            item.id_type != "OBJECT"
+            or item.id is None
+            or item.source_library is None
+            or not session.is_terrain(item.id)
+        ):
+            continue
+        settings = item.id.adaptive_terrain
+        folder = bpy.path.abspath(settings.store, library=item.source_library)
+        if settings.store.startswith(RELATIVE) and Path(folder).is_dir():
+            try:
+                settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
+            except ValueError:  # another drive
+                settings.store = folder
+
+
 HANDLERS = {"save_pre": on_save_pre, "save_post": on_save_post, "save_post_fail": on_save_failed}
+if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
+    HANDLERS["blend_import_post"] = on_append
 CLASSES = (PackStore, CancelPack, OfferPack)
 
 

@@ -76,7 +76,10 @@ class ShapeLand(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return on_terrain(cls, context) and context.object.session_uid not in running
+        if not on_terrain(cls, context):
+            return False
+        cls.poll_message_set("This land is being shaped already: wait for it, or end that beside its bar")
+        return context.object.session_uid not in running
 
     def invoke(self, context, event):
         obj = context.object
@@ -98,6 +101,13 @@ class ShapeLand(bpy.types.Operator):
             self.work.stop()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
+        try:
+            return self._turn(context)
+        except Exception:  # Blender takes it off without a word, and it would count as running for ever
+            self.cancel(context)
+            raise
+
+    def _turn(self, context):
         live.redraw_panels()
         obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
         if obj is None:

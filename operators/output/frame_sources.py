@@ -133,7 +133,8 @@ class SceneFrames:
             _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
         self.camera = None
         if camera is not None:
-            self.camera = self.scene.objects.get(camera)
+            own = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
+            self.camera = next(own, self.scene.objects.get(camera))  # a library's may have the same name
             if self.camera is None or self.camera.type != "CAMERA":
                 cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
                 raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")

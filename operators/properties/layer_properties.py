@@ -103,10 +103,26 @@ def _is_gray(_settings, image) -> bool:
     return image.source in {"FILE", "GENERATED"}
 
 
+def _renamed(self, context) -> None:
+    """What names the layer follows it: masks of the terrain's other layers, and scatters."""
+    terrain, before = self.id_data, self.last_name
+    self.last_name = self.name
+    layers = terrain.adaptive_terrain.layers
+    if before and before not in [layer.name for layer in layers]:
+        for layer in layers:
+            if layer.mask == before:
+                layer.mask = self.name
+        for child in terrain.children:
+            if child.adaptive_scatter.layer == before:
+                child.adaptive_scatter.layer = self.name
+    changed(self, context)
+
+
 class LayerSettings(bpy.types.PropertyGroup):
     """A splat layer: how it looks, and where it lies."""
 
-    name: StringProperty(name="Name", default="Layer", update=changed)
+    name: StringProperty(name="Name", default="Layer", update=_renamed)
+    last_name: StringProperty(options={"HIDDEN"})
     color: FloatVectorProperty(
         name="Color",
         description="Of the terrain's material, where the layer lies",

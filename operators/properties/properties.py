@@ -56,6 +56,17 @@ def _source_chosen(self, _context) -> None:
         self.use_extent, self.height_scale = False, 1.0
 
 
+def _overlay_chosen(self, context) -> None:
+    """After the last overlay, viewports that drew its colours would draw those of another attribute: they draw the
+    material's again."""
+    changed(self, context)
+    if any(obj.adaptive_terrain.overlay != NO_OVERLAY for obj in bpy.data.objects):
+        return
+    for area in (area for window in bpy.context.window_manager.windows for area in window.screen.areas):
+        if area.type == "VIEW_3D" and area.spaces.active.shading.color_type == "VERTEX":
+            area.spaces.active.shading.color_type = "MATERIAL"
+
+
 class CleanupSettings(bpy.types.PropertyGroup):
     """What is cut away from the finished mesh."""
 
@@ -186,7 +197,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
                (ERROR_OVERLAY, "Screen Error", "Each triangle's largest error, as the camera sees it; takes longer"),
                (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
-        update=changed,
+        update=_overlay_chosen,
     )  # fmt: skip
     effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)

@@ -12,6 +12,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..scene import session
+from ..scene.polls import on_terrain
 from ..viewport import live
 
 POLL_S = 0.02  # what a job asks of the main thread waits as long
@@ -131,7 +132,7 @@ class MeasuringOperator:
         if _job is not None:
             cls.poll_message_set("A measurement is under way: two at once would be in each other's times")
             return False
-        return context.object is not None and session.is_terrain(context.object)
+        return on_terrain(cls, context)
 
     def invoke(self, context, event):
         global _job

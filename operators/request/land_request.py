@@ -145,7 +145,7 @@ def is_in_use(folder: Path) -> bool:
 def _source_key(store: str) -> str:
     changed = stores.changed_ns(store)
     if not changed:
-        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.")
+        raise TerrainError(f"There is no terrain store at {store!r}: choose its folder under Store, or import again.")
     return _key_of(store, changed)
 
 

@@ -124,7 +124,13 @@ def all_terrains() -> list:
 
 
 def terrains_of(scene) -> list:
-    return [obj for obj in all_terrains() if scene.objects.get(obj.name) == obj]
+    return [obj for obj in all_terrains() if _is_in(scene, obj)]
+
+
+def _is_in(scene, obj) -> bool:
+    """By its name, which is fast; but what is linked from a library may have the same."""
+    found = scene.objects.get(obj.name)
+    return found == obj or found is not None and any(other == obj for other in scene.objects)
 
 
 def record_of(obj) -> Record:
@@ -250,7 +256,7 @@ def open_field(store: str):
     """The height field of a store folder, opened once for as long as the folder is the same and no file is cut off."""
     changed = changed_ns(store)
     if not changed:
-        raise TerrainError(f"There is no terrain store at {store!r}; import the height map again.")
+        raise TerrainError(f"There is no terrain store at {store!r}: choose its folder under Store, or import again.")
     key = str(Path(store).resolve()), changed
     if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:

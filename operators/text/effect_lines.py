@@ -37,19 +37,20 @@ def _parameter(parameter) -> str:
 def status_line(name: str, status) -> str:
     """`slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
     said = readers_text(status)
-    said = said[0].lower() + said[1:]
+    said = said if status.note else said[0].lower() + said[1:]
     return f"{name}: {said}" if status.skipped else f"{name}: {said}; {figures(status)}"
 
 
 def readers_text(status) -> str:
-    """Who reads an effect, or why it was skipped; `status`: an EffectStatus, None before the first update."""
+    """Why it is nothing, where there is a note of that, and who reads an effect, or why it was skipped; `status`: an
+    EffectStatus, None before the first update."""
     if status is None:
         return "No update yet"
     if status.skipped:
         return f"Skipped, {status.skipped}"
     scale = ", at one scale" if status.family == GEOMETRY else ""
-    note = f"; {status.note}" if status.note else ""
-    return f"Read by {' and '.join(status.readers)}{scale}{note}"
+    read = f"ead by {' and '.join(status.readers)}{scale}"
+    return f"{status.note}; r{read}" if status.note else f"R{read}"
 
 
 def cost_text(status) -> str:

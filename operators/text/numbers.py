@@ -3,7 +3,7 @@
 
 from decimal import Decimal
 
-SMALLEST = 0.001  # what is less is said to be less
+SMALLEST, SHORTEST_MS = 0.001, 0.1  # what is less is said to be less
 
 
 def plain(value: float, digits: int = 3) -> str:
@@ -18,9 +18,11 @@ def plain(value: float, digits: int = 3) -> str:
 
 
 def time_text(ms: float | None) -> str:
-    """`35 ms`, `4.2 s`; `-` where it is not known."""
+    """`35 ms`, `4.2 s`; `< 0.1 ms`, as a narrow column has no more room; `-` where it is not known."""
     if ms is None:
         return "-"
+    if 0.0 < ms < SHORTEST_MS:
+        return f"< {SHORTEST_MS:g} ms"
     return f"{plain(ms)} ms" if ms < 1000.0 else f"{plain(ms / 1000.0)} s"
 
 

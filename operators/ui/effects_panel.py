@@ -13,12 +13,12 @@ from ..properties.effect_properties import is_number
 from ..properties.map_properties import label
 from ..scene import session
 from ..text.effect_lines import cost_text, readers_text
-from ..text.numbers import plain, time_text
+from ..text.numbers import plain, time_text, unit_text
 from ..viewport import live
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
 NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # parts of a row, and of what is left of it
-ABOUT_LINES, READER_LINES = 3, 3
+ABOUT_LINES, READER_LINES = 5, 4
 _shown = next(iter(EFFECTS))
 
 
@@ -60,10 +60,15 @@ def _draw_row(rows, settings, name: str, status) -> None:
 
 def _draw_details(box, name: str, status) -> None:
     column = box.column(align=True)
-    effect = EFFECTS[name]
-    fixed_lines(column, f"{label(name)}{f' ({effect.unit})' if effect.unit else ''}: {effect.about}", ABOUT_LINES)
+    fixed_lines(column, about_text(name), ABOUT_LINES)
     fixed_lines(column, readers_text(status), READER_LINES)
     column.label(text=cost_text(status))
+
+
+def about_text(name: str) -> str:
+    """`Slope (rad): how steep ...`; a share has no unit."""
+    unit = EFFECTS[name].unit
+    return f"{label(name)}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {EFFECTS[name].about}"
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:

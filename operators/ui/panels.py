@@ -6,6 +6,7 @@ import bpy
 from ...cbt_terrain.run import warmup
 from ..properties.properties import CHOSEN_CAMERA
 from ..scene import session
+from ..scene.polls import LEFT_ALONE
 from . import (
     detail_panel,
     effects_panel,
@@ -18,7 +19,7 @@ from . import (
     scatter_panel,
     statistics_panel,
 )
-from .panel_parts import TerrainSubpanel, figures, switched
+from .panel_parts import TerrainSubpanel, figures, message, switched
 from .status_row import draw_preparation, draw_status
 
 
@@ -46,7 +47,7 @@ class TerrainPanel(bpy.types.Panel):
             draw_status(box, context, obj)
             return
         if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
-            layout.label(text="Linked from a library: left alone", icon="LINKED")
+            message(layout, LEFT_ALONE, "LINKED")
         layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
         draw_preparation(layout)
 

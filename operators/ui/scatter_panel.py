@@ -10,8 +10,10 @@ from ..scene import session
 from ..text.numbers import time_text
 from ..text.shown_bounds import bound_text
 from .layers_panel import draw_rules
-from .panel_parts import TerrainSubpanel, figures
+from .panel_parts import TerrainSubpanel, figures, message
+from .status_row import draw_failure
 
+ORPHAN = "It stands on no terrain, so its points stay as they are: parent it to one, or delete it."
 LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
 STANDING = Matrix()  # where a scatter stands in its terrain's space: points are written in that
 
@@ -46,14 +48,19 @@ class ScatterPanel(bpy.types.Panel):
     @classmethod
     def poll(cls, context):
         obj = context.object
-        return obj is not None and is_scatter(obj) and obj.parent is not None and session.is_terrain(obj.parent)
+        return obj is not None and is_scatter(obj)
 
     def draw(self, context):
         obj, terrain = context.object, context.object.parent
+        if terrain is None or not session.is_terrain(terrain):
+            message(self.layout, ORPHAN, "ERROR")
+            return
         settings, record = obj.adaptive_scatter, session.record_of(terrain)
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
         box = self.layout.box().column(align=True)
         figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        if not draw_failure(box, terrain):
+            box.label(text=f"On {terrain.name}", icon="CHECKMARK")
         column = self.layout.column()
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
             column.prop(settings, name, **LABELS.get(name, {}))

@@ -11,6 +11,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..importing import import_terrain, pack_store
 from ..request import camera as cameras
+from ..request.scatters import is_scatter
 from ..scene import session
 from ..viewport import sight
 from .panel_parts import wrapped
@@ -26,10 +27,9 @@ def draw_status(layout, context, obj) -> None:
     status = session.record_of(obj).status
     if _draw_progress(row, obj):
         return
-    if status.error:
-        row.alert = True
-        row.operator("adaptive_terrain.show_message", text="Not up to date: read why", icon="ERROR")
-    elif obj.mode != "OBJECT":
+    if draw_failure(row, obj):
+        return
+    if obj.mode != "OBJECT":
         row.label(text="Stands still in Edit Mode", icon="PAUSE")
     elif not obj.adaptive_terrain.store:
         row.label(text="No height map yet: import one", icon="INFO")
@@ -99,6 +99,22 @@ def _viewport_cuts(context, box: np.ndarray) -> bool:
     return sight.is_cut_off(box, cameras.view_from_region(space, region, space.region_3d))
 
 
+def draw_failure(layout, terrain) -> bool:
+    """The button that opens what went wrong with a terrain's update, if anything has; returns whether it has."""
+    if session.record_of(terrain).status.error:
+        row = layout.row(align=True)
+        row.alert = True
+        row.operator("adaptive_terrain.show_message", text="Not up to date: read why", icon="ERROR")
+        return True
+    return False
+
+
+def _concerned(obj):
+    """The terrain that an object is, or that it is a scatter of; None for any other."""
+    terrain = obj.parent if obj is not None and is_scatter(obj) else obj
+    return terrain if terrain is not None and session.is_terrain(terrain) else None
+
+
 class ShowMessage(bpy.types.Operator):
     """Show what went wrong, and what to do"""
 
@@ -107,16 +123,17 @@ class ShowMessage(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return _concerned(context.object) is not None
 
     def execute(self, context):
-        lines = wrapped(session.record_of(context.object).status.error, POPUP_LINE)
+        terrain = _concerned(context.object)
+        lines = wrapped(session.record_of(terrain).status.error, POPUP_LINE)
 
         def draw(popup, _context):
             for line in lines:
                 popup.layout.label(text=line)
 
-        context.window_manager.popup_menu(draw, title=context.object.name, icon="ERROR")
+        context.window_manager.popup_menu(draw, title=terrain.name, icon="ERROR")
         return {"FINISHED"}
 
 

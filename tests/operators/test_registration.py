@@ -57,6 +57,13 @@ def test_a_terrain_survives_disabling_the_extension(scene, add_terrain):
     assert len(terrain.data.polygons) == triangles > 100
 
 
+def test_what_acts_on_a_terrain_says_that_it_has_none(scene):
+    bpy.context.view_layer.objects.active = None
+    for name in ("update", "freeze", "shape", "layer_add", "scatter_add", "bake_maps", "measure_accuracy", "land_add"):
+        with pytest.raises(RuntimeError, match="Make a terrain the active object"):
+            getattr(bpy.ops.adaptive_terrain, name)()
+
+
 def test_no_panel_takes_the_name_of_another(empty):
     from adaptive_terrain.operators.ui import panels
 

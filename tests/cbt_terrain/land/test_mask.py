@@ -51,6 +51,15 @@ def test_limits_with_next_to_no_edge_are_inside_however_far(edge):
     assert (ruled(plane(0.0, 0.0), GroundRule("slope", 0.0, 0.0, 0.0)) == 1.0).all(), "level ground"
 
 
+@pytest.mark.parametrize("edge", [0.0, 1.0])
+def test_a_limit_of_flow_may_be_as_far_as_a_panel_lets_it(edge):
+    flow = np.tile(np.float32([0.0, 1.0, 1e6, 1e15]), (300, 50))
+    low, high = GroundRule("flow", low=3.4e38, edge=edge), GroundRule("flow", high=3.4e38, edge=edge)
+    for rule, inside in ((low, 0.0), (high, 1.0)):
+        rule.check("The mask")
+        assert (whole_mask(Mask("", (rule,)), None, LEVEL, None, {"flow": flow}) == inside).all()
+
+
 @pytest.mark.parametrize(("east", "north"), [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
 def test_slopes_in_degrees(east, north):
     heights = plane(east, north)

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scatters in Blender: objects whose points follow their terrain, and cost nothing while nobody sees them."""
 
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import bpy
 import numpy as np
 import pytest
@@ -8,8 +11,11 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
 from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
 from adaptive_terrain.operators.properties.scatter_properties import scatter_of
+from adaptive_terrain.operators.request import scatters
 from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.ui.scatter_panel import scatter_lines, summary
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH
+from adaptive_terrain.operators.ui.scatter_panel import ORPHAN, ScatterPanel, scatter_lines, summary
+from adaptive_terrain.operators.ui.status_row import ShowMessage, draw_failure
 from adaptive_terrain.operators.viewport import live
 from demand_trees import put
 
@@ -154,6 +160,61 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     bpy.context.view_layer.update()
     lines = dict(scatter_lines(scatter.adaptive_scatter, record_of(terrain, scatter), record.status))
     assert lines["Off the mesh"].startswith("moved")
+
+
+def test_the_viewport_refuses_more_points_than_it_draws_and_a_render_does_not(scene, terrain, scatter, monkeypatch):
+    monkeypatch.setattr(scatters, "MOST_IN_VIEWPORT", 100)
+    with pytest.raises(TerrainError, match=r"has [\d,]+ points in view, expected 100 at most, as many as a viewport"):
+        session.update_object(terrain)
+    assert len(scatter.data.vertices) == 0
+    session.update_object(terrain, mode="RENDER")
+    assert len(scatter.data.vertices) > 100
+    monkeypatch.setattr(scatters, "physical_memory", lambda: 4 * scatters.POINT_BYTES * 60 // 3)
+    for mode in "VIEWPORT", "RENDER":
+        scatter.adaptive_scatter.seed += 1
+        with pytest.raises(TerrainError, match="expected 60 at most, as many as this machine's memory holds"):
+            session.update_object(terrain, mode=mode)
+
+
+def test_the_panel_of_a_scatter_opens_what_went_wrong(scene, terrain, scatter):
+    shown, manager, lines = Mock(), Mock(), Mock()
+    bpy.context.view_layer.objects.active = scatter
+    assert not draw_failure(shown, terrain) and shown.mock_calls == []
+    scatter.adaptive_scatter.layer = "Gone"
+    with pytest.raises(TerrainError, match="stands on the layer 'Gone'"):
+        session.update_object(terrain)
+    assert draw_failure(shown, terrain)
+    (name,), button = shown.row().operator.call_args
+    assert (name, button["text"]) == ("adaptive_terrain.show_message", "Not up to date: read why")
+    assert bpy.ops.adaptive_terrain.show_message.poll()
+    ShowMessage.execute(None, SimpleNamespace(object=scatter, window_manager=manager))
+    manager.popup_menu.call_args.args[0](lines, None)
+    text = " ".join(call.kwargs["text"] for call in lines.layout.label.call_args_list)
+    assert text == session.record_of(terrain).status.error
+    scatter.parent = None
+    assert not bpy.ops.adaptive_terrain.show_message.poll()
+
+
+def test_a_scatter_whose_terrain_is_gone_says_so(terrain, scatter):
+    shown, context = Mock(), SimpleNamespace(object=scatter)
+    assert ScatterPanel.poll(context)
+    bpy.data.objects.remove(terrain)
+    assert ScatterPanel.poll(context)
+    ScatterPanel.draw(SimpleNamespace(layout=shown), context)
+    said = [call.kwargs["text"] for call in shown.box().label.call_args_list]
+    assert " ".join(said) == ORPHAN and all(len(line) <= LINE_LENGTH for line in said)
+
+
+def test_a_layer_that_is_renamed_keeps_its_scatters_and_its_masks(terrain, scatter):
+    layers = terrain.adaptive_terrain.layers
+    for name in "Rock", "Snow":
+        layers.add().name = name
+    layers["Snow"].mask = scatter.adaptive_scatter.layer = "Rock"
+    layers["Rock"].name = "Basalt"
+    assert layers["Snow"].mask == scatter.adaptive_scatter.layer == "Basalt"
+    layers.add().name = "Basalt"
+    layers[0].name = "Stone"
+    assert layers["Snow"].mask == scatter.adaptive_scatter.layer == "Basalt", "there is one of that name still"
 
 
 def test_points_that_are_there_are_neither_made_nor_written_again(terrain, scatter, monkeypatch):

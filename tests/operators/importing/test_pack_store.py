@@ -49,6 +49,36 @@ def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, 
     assert open_store(wanted).key == key != open_store(absolute(other)).key
 
 
+@pytest.mark.skipif(bpy.app.version < (4, 3, 0), reason="Blender tells of appending from 4.3 on")
+@pytest.mark.parametrize("saved", [True, False])
+def test_an_appended_terrain_finds_its_store(scene, add_terrain, tmp_path, saved):
+    terrain, library = add_terrain(), tmp_path / "library" / "valley.blend"
+    library.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(library))
+    bpy.ops.adaptive_terrain.pack_store()
+    folder = absolute(terrain)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    with bpy.data.libraries.load(str(library)) as (_there, here):
+        here.objects = ["Terrain"]
+    [appended] = here.objects
+    assert appended.adaptive_terrain.store.startswith("//") is saved and absolute(appended) == folder
+
+
+def test_a_terrain_that_is_copied_and_pasted_keeps_its_path(scene, add_terrain, tmp_path):
+    """Blender appends it from a file elsewhere, beside which there is no store."""
+    terrain, buffer = add_terrain(), tmp_path / "buffer" / "copybuffer.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    bpy.ops.adaptive_terrain.pack_store()
+    buffer.parent.mkdir()
+    bpy.data.libraries.write(str(buffer), {terrain})
+    with bpy.data.libraries.load(str(buffer)) as (_there, here):
+        here.objects = ["Terrain"]
+    assert here.objects[0] != terrain and here.objects[0].adaptive_terrain.store == terrain.adaptive_terrain.store
+
+
 def test_an_absolute_path_beside_the_file_becomes_relative(scene, add_terrain, tmp_path):
     terrain = add_terrain()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))

@@ -5,6 +5,7 @@ import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -21,6 +22,8 @@ from adaptive_terrain.operators.ui.land_panel import NOTE_LINES, status_lines, t
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
 from land_scenes import add
 from modal_runs import running, to_the_end
+
+NAMES = ("invoke", "modal", "cancel", "_turn", "_look", "_start", "_end", "_failed", "_take")
 
 
 def test_a_file_that_cannot_be_exported_is_told_of_before_the_land_is_shaped(terrain, tmp_path):
@@ -267,7 +270,14 @@ def only_shaped(terrain) -> str:
 
 
 def test_times_are_short():
-    assert [time_text(ms) for ms in (None, 0.4, 35.2, 4200.0)] == ["-", "0.4 ms", "35.2 ms", "4.2 s"]
+    assert [time_text(ms) for ms in (None, 0.0, 0.0814, 0.4, 35.2, 4200.0)] == [
+        "-",
+        "0 ms",
+        "< 0.1 ms",
+        "0.4 ms",
+        "35.2 ms",
+        "4.2 s",
+    ]
 
 
 @pytest.mark.parametrize("by", ["ESC", "cross"])
@@ -279,8 +289,7 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
     scene.frame_start, scene.frame_end = 1, 500
     scene.frame_set(450)  # further than a turn gets
     monkeypatch.setattr(shape_land, "TURN_S", 0.02)
-    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
-    operator = running(shape_land.ShapeLand, terrain, names)
+    operator = running(shape_land.ShapeLand, terrain, NAMES)
     assert operator.began == {"RUNNING_MODAL"}
     assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
     assert scene.frame_current != 450 and land_jobs.progress_of(terrain)[1] == "Looking at frames"
@@ -301,8 +310,7 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
     scene.frame_start, scene.frame_end = 1, 500
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "land.blend"))
     monkeypatch.setattr(shape_land, "TURN_S", 0.02)
-    names = ("invoke", "modal", "cancel", "_look", "_start", "_end", "_failed", "_take")
-    operator = running(shape_land.ShapeLand, terrain, names)
+    operator = running(shape_land.ShapeLand, terrain, NAMES)
     assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
     assert bpy.context.scene.frame_current != 1 and land_jobs.running
     if by == "file":
@@ -315,6 +323,26 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
         assert bpy.ops.ed.undo() == {"FINISHED"}
         assert to_the_end(operator) == {"CANCELLED"}
     assert not land_jobs.running and land_request.made["stores"] == 0
+
+
+def test_shaping_says_why_it_does_not_begin(terrain):
+    add("thermal", scree_angle=0.4)
+    land_jobs.running[terrain.session_uid] = land_jobs.Work()
+    with pytest.raises(RuntimeError, match="This land is being shaped already"):
+        bpy.ops.adaptive_terrain.shape()
+    land_jobs.running.clear()
+    bpy.context.view_layer.objects.active = None
+    with pytest.raises(RuntimeError, match="Make a terrain the active object"):
+        bpy.ops.adaptive_terrain.shape()
+
+
+def test_shaping_that_fails_unexpectedly_can_begin_again(terrain, monkeypatch):
+    add("thermal", scree_angle=0.4)
+    operator = running(shape_land.ShapeLand, terrain, NAMES)
+    monkeypatch.setattr(shape_land, "wanted_tiles", Mock(side_effect=OSError("no such device")))
+    with pytest.raises(OSError, match="no such device"):
+        to_the_end(operator)
+    assert land_jobs.running == {}
 
 
 def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):

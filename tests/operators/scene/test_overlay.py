@@ -207,6 +207,22 @@ def test_the_button_shows_the_colours_in_every_viewport(scene, add_terrain):
     assert [(space.shading.type, space.shading.color_type) for space in spaces] == [("SOLID", "VERTEX")] * 2
 
 
+def test_after_the_last_overlay_viewports_show_materials_again(scene, add_terrain):
+    """Not the layers of the terrain, which are colours, too."""
+    terrains = [add_terrain(name) for name in ("A", "B")]
+    [space, *_] = [
+        area.spaces.active for area in bpy.data.window_managers[0].windows[0].screen.areas if area.type == "VIEW_3D"
+    ]
+    space.shading.color_type = "VERTEX"
+    for terrain in terrains:
+        terrain.adaptive_terrain.overlay = "LEVEL"
+    shown = []
+    for terrain in terrains:
+        terrain.adaptive_terrain.overlay = "NONE"
+        shown.append(space.shading.color_type)
+    assert shown == ["VERTEX", "MATERIAL"]
+
+
 def test_an_export_carries_the_overlay(scene, add_terrain, tmp_path):
     terrain = add_terrain()
     terrain.adaptive_terrain.overlay = "ERROR"

@@ -134,6 +134,24 @@ def test_a_linked_duplicate_gets_a_mesh_of_its_own(scene, add_terrain):
     assert len(other.data.polygons) < len(terrain.data.polygons)
 
 
+@pytest.mark.parametrize("first", ["linked", "own"])
+def test_a_terrain_is_found_beside_a_linked_one_of_its_name(scene, add_terrain, tmp_path, first):
+    """Else neither the viewport nor a render would refine it."""
+    terrain, path = add_terrain("Hills"), str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {terrain})
+    with bpy.data.libraries.load(path, link=True) as (_there, here):
+        here.objects = ["Hills"]
+    [linked] = here.objects
+    if first == "linked":
+        scene.collection.objects.unlink(terrain)
+    scene.collection.objects.link(linked)
+    if first == "linked":
+        scene.collection.objects.link(terrain)
+    assert linked.name == terrain.name and {linked, terrain} <= set(scene.objects)
+    assert session.terrains_of(scene) == [terrain]
+    assert session.terrains_of(bpy.data.scenes.new("Other")) == []
+
+
 def test_an_ordinary_object_keeps_the_mesh_that_it_shares(scene, add_terrain):
     terrain = add_terrain()
     shared = terrain.data

@@ -11,7 +11,7 @@ from adaptive_terrain.operators.demand.trees import tree_of_new
 from adaptive_terrain.operators.effects import material, terrain_material
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui import effects_panel
-from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
 
 
 class Layout:
@@ -90,6 +90,18 @@ def test_the_details_are_those_of_the_effect_that_was_clicked(terrain):
     assert all(len(text) <= LINE_LENGTH + 4 for text in lines(terrain))
     with pytest.raises(RuntimeError, match="There is no effect 'erosion'"):
         bpy.ops.adaptive_terrain.show_effect(name="erosion")
+
+
+def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
+    assert all(
+        len(wrapped(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in EFFECTS
+    )
+    read_by_material(terrain, "sun")
+    terrain.data.materials[0].name = "The northern cliffs, whose rock is of another kind than all of the others"
+    session.update_object(terrain)
+    bpy.ops.adaptive_terrain.show_effect(name="sun")
+    said = " ".join(lines(terrain))
+    assert "0, since no sun lamp shines in the scene; read by material The northern cliffs" in said
 
 
 def test_the_button_reads_the_layers_and_nothing_else(terrain):

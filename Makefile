@@ -46,9 +46,10 @@ test-all: $(READY)
 	ADAPTIVE_TERRAIN_BLENDER=$(CURDIR)/.cache/blender.run $(PY) -m pytest tests
 	$(MAKE) VENV=.venv-3.13 PYTHON=$$(command -v python3.13 || ls "$$(pyenv root)"/versions/3.13.*/bin/python) test
 
+# Two processes: of two cores neither waits for the other.
 kernels: $(READY)
-	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup as w; w.start(); w.wait(overlay=True); \
-	list(map(w.load, w.other_modules()))"
+	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup as w; list(map(w.load, w.other_modules()))" & \
+	$(PY) -c "from adaptive_terrain.cbt_terrain.run import warmup as w; w.start(); w.wait(overlay=True)" && wait $$!
 
 fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "random_views_keep or every_format_in_every_order"

@@ -143,7 +143,7 @@ def everything(
     yield partial(hidden_row.hidden_row, folder)
     yield partial(morph_rows.morph_rows, rough)
     yield partial(maps_rows.maps_row)
-    yield detail_rows.detail_rows
+    yield from (detail_rows.from_air_row, detail_rows.from_ground_row, detail_rows.displacement_row)
     yield query_rows.query_rows
     store = in_blender.keep(rough, folder / "rough")
     if not quick:

@@ -52,7 +52,8 @@ MEANING = {
     "ranges that an import makes of them; both by all threads.",
     "light_rays": "The sky from 300 vertices of the built-in island's mesh at 1 px, 16 azimuths each, by max mipmap, "
     "one thread: the same bits as with every crossing.",
-    "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full, all threads.",
+    "light_preview": "The sky at all its vertices, first asked for: from coarse heights beside in full (four times "
+    "a quarter of its azimuths), all threads.",
     "land_relief": "Fine relief of the built-in island, 1,025 x 1,025 samples, waves of 128 m and less led by slope "
     "and bend, beside numpy's plain octaves of the same noise; one thread.",
     "land_water": "Depth, speed and discharge of steady rain on the built-in island, 257 x 257 samples, beside an hour "

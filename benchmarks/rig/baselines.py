@@ -32,7 +32,6 @@ class RoamRebuild:
     def timer(self, leaves: int) -> Callable[[], float]:
         """A function that rebuilds about that many leaves once and returns the milliseconds."""
         if leaves not in self._running:
-            self.close()
             command = [str(self.program), "--depth", str(DEPTH), "--leaves", str(leaves), "--runs", "1", "--serve"]
             process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             json.loads(process.stdout.readline())  # it has found its camera

@@ -61,7 +61,7 @@ def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] 
     `ours` returns milliseconds by step."""
     first, first_other = ours(), theirs() if theirs else 0.0
     longest = max(first.values())
-    own, others = (max(1, min(RUNS, int(BLOCK_MS / max(ms, SHORT_MS)))) for ms in (longest, first_other))
+    own, others = runs_of(longest), runs_of(first_other)
     blocks = SHORT_BLOCKS if longest < SHORT_MS else BLOCKS
     every = 1 if first_other < SHORT_MS else blocks // BLOCKS  # blocks of ours to one of a baseline that is not short
     mine, other = [], []
@@ -70,6 +70,11 @@ def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] 
             other += [theirs() for _ in range(others)]
         mine += [ours() for _ in range(own)]
     return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
+
+
+def runs_of(ms: float) -> int:
+    """How many runs that take so long are a block."""
+    return max(1, min(RUNS, int(BLOCK_MS / max(ms, SHORT_MS))))
 
 
 @contextmanager

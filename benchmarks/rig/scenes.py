@@ -48,12 +48,12 @@ def rough() -> HeightField:
 
 
 def built_in_island() -> HeightField:
-    """The same one for every row that asks."""
-    return _island(SAMPLES)
+    return island_of(SAMPLES)
 
 
 @cache
-def _island(samples: int) -> HeightField:
+def island_of(samples: int) -> HeightField:
+    """The same one for every row that asks."""
     return from_array(island.island(samples), island.SIDE / (samples - 1))
 
 

@@ -5,6 +5,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
 from ..rig.measure import Row, alternate, stopwatch
+from . import engine
 
 UPDATE = "the engine's update of a million triangles in a flight"
 MILLION = 1_000_000
@@ -76,7 +77,7 @@ def material(nodes: int):
 def updates(rough: HeightField):
     """Returns what makes the next update of a flight and says how many milliseconds it took."""
     terrain, frame = Terrain(rough), 0
-    px = scenes.pixels_for(rough, scenes.over, scenes.errors, MILLION)
+    px = engine.error_px(rough, MILLION, 0)
     terrain.update(scenes.errors(px), [scenes.over(0)])
 
     def update() -> float:

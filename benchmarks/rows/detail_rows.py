@@ -16,17 +16,22 @@ AMPLITUDE = 0.05  # metres
 UNSEEN = 1e-5
 
 
-def detail_rows():
-    """Of the built-in island at 1 px, seen from over its rim and from two metres above its ground."""
+def from_air_row() -> Row:
+    """Of the built-in island at 1 px, as the other rows, seen from over its rim."""
+    return _triangles("detail_from_air", scenes.built_in_island(), _from_air())
+
+
+def from_ground_row() -> Row:
+    """Seen from two metres above its ground."""
     field = scenes.built_in_island()
     last = len(field.samples) - 1
-    from_air = View.look(scenes.eye_over(0, SIDE), (0, 0, 0), clip=(0.1, 1e6))
     eye = np.array([0.05, -0.1, 0.0]) * SIDE
     eye[2] = field.samples[round(0.4 * last), round(0.55 * last)] + 2.0
-    from_ground = View.look(eye, (0.0, 0.0, 0.1 * SIDE), clip=(0.1, 1e6))
-    yield _triangles("detail_from_air", field, from_air)
-    yield _triangles("detail_from_ground", field, from_ground)
-    yield _displacement(field, from_air)
+    return _triangles("detail_from_ground", field, View.look(eye, (0.0, 0.0, 0.1 * SIDE), clip=(0.1, 1e6)))
+
+
+def _from_air() -> View:
+    return View.look(scenes.eye_over(0, SIDE), (0, 0, 0), clip=(0.1, 1e6))
 
 
 def _triangles(name: str, field: HeightField, view: View) -> Row:
@@ -39,8 +44,9 @@ def _triangles(name: str, field: HeightField, view: View) -> Row:
     return row
 
 
-def _displacement(field: HeightField, view: View) -> Row:
+def displacement_row() -> Row:
     """All vertices anew, on one thread: the camera comes back from where it has seen nothing of it."""
+    field, view = scenes.built_in_island(), _from_air()
     away = View.look((0.0, 0.0, 1e3 * SIDE), (0.0, 0.0, 0.0))
     surfaces = field, with_detail(field, Detail(UNSEEN))
     plain, detailed = (Terrain(surface, 1) for surface in surfaces)

@@ -42,7 +42,7 @@ def error_flight(rough: HeightField, size: int, threads: int | None = None, mesh
 
 
 @cache
-def error_px(rough: HeightField, size: int, meshlet: int = 0) -> float:
+def error_px(rough: HeightField, size: int, meshlet: int) -> float:
     """Pixels of error that give so many triangles where that flight begins."""
     return scenes.pixels_for(rough, lambda _px: scenes.over(0), partial(scenes.errors, meshlet=meshlet), size)
 

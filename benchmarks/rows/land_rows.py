@@ -15,6 +15,7 @@ from ...cbt_terrain.land_effects.relief import RELIEF
 from ...cbt_terrain.land_effects.rivers import RIVERS
 from ...cbt_terrain.run import launch
 from ...operators.demo.stack import STACK
+from ..rig import scenes
 from ..rig.measure import Row, alternate, stopwatch
 
 SAMPLES = 1025
@@ -50,7 +51,7 @@ def relief_row() -> Row:
 def demanded_row() -> Row:
     """Relief on one tile of the finest level, with all that it starts from, beside every tile; one thread each."""
     size = 2 * SAMPLES - 1
-    field = from_array(island(size), SIDE / (size - 1))
+    field = scenes.island_of(size)
     stack, every = Stack((Entry("relief", {"wave": WAVE}),)), whole_land(field.lattice)
     some = [{levels_of(field.lattice)[0].tile_count // 2: 0.0}, *({} for _ in every[1:])]
     made = []

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ...cbt_terrain.effects.effect import Asked
-from ...cbt_terrain.field.build import from_array
-from ...cbt_terrain.field.island import SIDE, island
 from ...cbt_terrain.maps.bake import bake
+from ..rig import scenes
 from ..rig.measure import Row, alternate, stopwatch
 
 SAMPLES, TEXELS = 2049, 2048
@@ -20,9 +19,8 @@ ASKED = (Asked("detail_normal", ("this benchmark",)),)
 def maps_row() -> Row:
     """The normals of an island of as many samples as texels, from heights to a complete PNG file. Its first run makes
     the pyramid as well."""
-    step = SIDE / (SAMPLES - 1)
-    heights = island(SAMPLES)
-    field = from_array(heights, step)
+    field = scenes.island_of(SAMPLES)
+    heights, step = field.samples, field.lattice.step_x
 
     def baked() -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder, stopwatch() as elapsed:

@@ -20,7 +20,7 @@ FAR_PX = 64.0
 
 def morph_rows(rough: HeightField) -> Iterator[Row]:
     """Whole updates of a rough terrain for an error on screen, one thread."""
-    plain = scenes.errors(engine.error_px(rough, TRIANGLES))
+    plain = scenes.errors(engine.error_px(rough, TRIANGLES, 0))
     rising = replace(plain, morph=SMOOTH)
     yield _row("morph_flight", *(_flight(rough, criterion) for criterion in (rising, plain)))
     yield _row("morph_cut", *(_cut(rough, criterion) for criterion in (rising, plain)))

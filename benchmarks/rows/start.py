@@ -17,13 +17,13 @@ RUNS = 9
 
 def warm_row(rough: HeightField, store: Path) -> Row:
     """With the kernels of earlier runs in Warp's cache."""
-    px = engine.error_px(rough, SIZE)
+    px = engine.error_px(rough, SIZE, 0)
     return _row("cold_start", [run_child("rig.first_mesh", store, px, time.time()) for _ in range(RUNS)])
 
 
 def no_cache_row(rough: HeightField, store: Path) -> Row:
     """With an empty kernel cache for each run; `files` is how many each run put into it."""
-    px, runs, files = engine.error_px(rough, SIZE), [], 0
+    px, runs, files = engine.error_px(rough, SIZE, 0), [], 0
     for _ in range(RUNS):
         with tempfile.TemporaryDirectory() as cache:
             runs.append(run_child("rig.first_mesh", store, px, time.time(), WARP_CACHE_PATH=cache))

@@ -13,7 +13,7 @@ from adaptive_terrain.benchmarks.rows import in_program
 from hostile_files import source, vrt
 from PIL import Image
 from program_window import read_screen, wait_for, window
-from real_program import EXTENSION, SCRIPTS, lend_kernels
+from real_program import EFFECT, EXTENSION, FRAME, SCRIPTS, lend_kernels
 
 
 def test_zip_holds_the_package_and_its_wheels_but_no_tests(extension_zip):
@@ -135,7 +135,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     arguments = ["--python", str(SCRIPTS / "click_panel.py"), "--", str(tmp_path)]
     # As in a fresh install: what every frame needs is not compiled yet.
     kernels = tmp_path / "kernels"
-    lend_kernels(kernels)
+    lend_kernels(kernels, EFFECT, FRAME)
     with window(program, arguments, tmp_path, kernels) as blender:
         try:
             for moment in ("updated", "sweeping", "reported", "budget", "measured"):

@@ -54,14 +54,16 @@ def test_case_57_tile_by_tile_equals_the_whole(monkeypatch, name):
     assert moved > 0.05 and off <= BOUNDS[name] * moved + ROUNDING
 
 
-@pytest.mark.parametrize(("waves", "noise"), [("samples", 2.0), ("metres", 0.3)])
-def test_case_57_rivers_on_young_land_full_of_pits(waves, noise):
+@pytest.mark.parametrize(
+    ("waves", "noise", "part"), [("samples", 2.0, np.s_[:, 256:1281]), ("metres", 0.3, np.s_[:513, :1025])]
+)
+def test_case_57_rivers_on_young_land_full_of_pits(waves, noise, part):
     """A lake wider than a tile, and a chain of lakes, whose outlets lie in other tiles: all tiles together are off by
     5 % of what the levels moved at most, the worst of them by a tenth."""
     y, x = np.indices((700, 1300)) * (np.array([9.0, 8.0])[:, None, None] if waves == "metres" else 1.0)
     land = 300 + 60 * np.sin(x / 190) * np.sin(y / 230) + 20 * np.sin(x / 37) * np.sin(y / 41)
     land += noise * np.random.default_rng(3 if waves == "metres" else 0).standard_normal(land.shape)
-    field = from_array(land.astype(np.float32), 8.0, 9.0)
+    field = from_array(land[part].astype(np.float32), 8.0, 9.0)
     off, moved = off_and_moved(field, Stack((Entry("rivers", {"years": 3e5}),)))
     level = levels_of(field.lattice)[0]
     parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]
@@ -89,7 +91,7 @@ def test_case_57_rivers_out_of_lakes_whose_outlets_are_almost_alike(noise, step_
     y, x = np.indices((560, 930))
     land = 300 + 160 * np.sin(x / 60) * np.cos(y / 47)
     land += noise * np.random.default_rng(7 if noise > 1 else 5).standard_normal(land.shape)
-    field = from_array(land.astype(np.float32), 10.0, step_y)
+    field = from_array(land[:, :769].astype(np.float32), 10.0, step_y)
     off, moved = off_and_moved(field, Stack((Entry("rivers"),)))
     level = levels_of(field.lattice)[0]
     parts = [rms(off[level.window(tile)]) / rms(moved[level.window(tile)]) for tile in range(level.tile_count)]

@@ -20,9 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 MARK = "RESULT "
 EXTENSION = "bl_ext.user_default.adaptive_terrain"
-# Kernels that the program compiles itself, as in a fresh install: of a frame, at its start, and of an effect, when one
-# is asked for.
-COMPILES = "mesh.", "effects.jet"
+# Kernels that the program compiles itself, as in a fresh install: of an effect, when one is asked for, and in the test
+# of its panel those of a frame, at its start.
+EFFECT, FRAME = "effects.jet", "mesh."
 
 
 class Program:
@@ -65,14 +65,15 @@ class Program:
         return [json.loads(line[len(MARK) :]) for line in results]
 
 
-def lend_kernels(cache: Path) -> None:
-    """Copy what this Python has compiled already into the program's cache, but for `COMPILES`: compiling all takes a
-    minute of a core. The same source is the same object; only its name says whose package it belongs to."""
+def lend_kernels(cache: Path, *missing: str) -> None:
+    """Copy what this Python has compiled already into the program's cache, but what is `missing`, by how names begin:
+    compiling all takes a minute of a core. The same source is the same object; only its name says whose package it
+    belongs to."""
     from adaptive_terrain.cbt_terrain.run import warmup
 
     for module in [*warmup.kernel_modules(), *warmup.overlay_modules(), *warmup.other_modules()]:
         compiled, short = warmup.compiled_file(module), module.__name__.removeprefix(warmup.HOUSE)
-        if compiled.exists() and not short.startswith(COMPILES):
+        if compiled.exists() and not short.startswith(missing):
             for file in compiled.parent.iterdir():
                 lent = [part.replace(warmup.child.PACKAGE, EXTENSION) for part in file.parts[-2:]]
                 copy = cache.joinpath(compiled.parts[-3], *lent)
@@ -121,7 +122,7 @@ def program(bare_program, extension_zip):
     quiet = "import bpy; preferences = bpy.context.preferences; preferences.view.show_splash = False; "
     quiet += "preferences.system.viewport_aa = 'OFF'; bpy.ops.wm.save_userpref()"
     bare_program.run("-b", "--python-expr", quiet)
-    lend_kernels(bare_program.kernels)
+    lend_kernels(bare_program.kernels, EFFECT)
     return bare_program
 
 

@@ -89,13 +89,13 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
     ),
     ("refine_1t", 1_000_000): (
         0.35,
-        "0.34 to 0.36 on an Intel Xeon: 16 ms beside 47; below the goal on an AMD EPYC.",
+        "0.33 to 0.36 on an Intel Xeon: 16 ms beside 47; below the goal on an AMD EPYC.",
     ),
     ("refine_2t", 500_000): (
         0.36,
         "what refine_1t is at this size, on two threads; from machine to machine 0.22 to 0.36.",
     ),
-    ("refine_2t", 1_000_000): (0.18, "from machine to machine 0.165 to 0.18: 8.2 ms beside 48."),
+    ("refine_2t", 1_000_000): (0.18, "from machine to machine 0.165 to 0.18: 8.2 ms beside 48; once 13."),
     ("frame", 1_000_000): (
         0.28,
         "from machine to machine 28 to 42 ms, beside 125 to 188 of the plain ingest: 0.17 to 0.33. A third to a half "
@@ -140,8 +140,8 @@ RECORDED: dict[tuple[str, int], tuple[float, str]] = {
         "Python that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
     ),
     ("surface", 1_000_000): (
-        0.75,
-        "from machine to machine 0.33 to 0.75, 27 to 33 ms: half of it is the refinement for an error, on two threads: "
+        0.57,
+        "from machine to machine 0.33 to 0.57, once 0.75: half of it is the refinement for an error, on two threads: "
         "nine leaves in ten are taken from the last frame, most of the rest measures diamonds of the others and reads "
         "their errors. The other half is welding and displacement, with normals and uv, most of that the latency of "
         "reading samples.",

@@ -150,7 +150,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
 
     camera_source: EnumProperty(
         name="Seen From",
-        items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera"),
+        items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera; without one, for the viewports"),
                (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
                (VIEWPORT_VIEW, "Viewport", "Refine for what the 3D viewports show; a render uses the scene camera")],
         update=changed,

@@ -22,7 +22,7 @@ from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, plan_triangles
 from ..properties.land_properties import SEEN
-from ..properties.properties import CHOSEN_CAMERA, VIEWPORT_VIEW
+from ..properties.properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
 from .evaluated import found_in
@@ -252,9 +252,17 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
+def follows_viewport(settings, scene) -> bool:
+    """Whether what the viewport shows is for its own views: where that is asked, and in a window whose scene has no
+    camera. Without a window nobody looks through a viewport, and that there is no camera is an error."""
+    if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
+        return cameras.active_camera(scene) is None
+    return settings.camera_source == VIEWPORT_VIEW
+
+
 def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
     scene = depsgraph.scene
-    if camera is None and settings.camera_source == VIEWPORT_VIEW and mode == VIEWPORT:
+    if camera is None and mode == VIEWPORT and follows_viewport(settings, scene):
         views = cameras.views_from_windows(bpy.context.window_manager)
         if views:
             return views

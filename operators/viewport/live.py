@@ -20,10 +20,9 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
 from ..ground import keep_ground
-from ..properties.properties import VIEWPORT_VIEW
 from ..request import land_request
 from ..request.kernels_asked import kernels_for
-from ..request.request import RENDER, VIEWPORT, Request, gather
+from ..request.request import RENDER, VIEWPORT, Request, follows_viewport, gather
 from ..scene import land_jobs, session
 from . import previews, resting_land
 
@@ -126,7 +125,9 @@ def _next_job() -> Job | None:
         if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
             mark_dirty()
     shown = _shown()
-    _follows_viewport = any(obj.adaptive_terrain.camera_source == VIEWPORT_VIEW for _, obj in shown)
+    _follows_viewport = any(
+        depsgraph is not None and follows_viewport(obj.adaptive_terrain, depsgraph.scene) for depsgraph, obj in shown
+    )
     for depsgraph, obj in shown:
         record = session.record_of(obj)
         wanted = obj.adaptive_terrain.live or record.status.mode == RENDER

@@ -170,6 +170,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert 0 < said["baked"]["True"] < said["baked"]["False"]
     assert 0.0 < said["error_px"] <= 2.0
     assert said["viewport_triangles"] > said["further_triangles"] > 0, "the terrain follows the viewport's own view"
+    assert said["cameraless_triangles"] == said["viewport_triangles"], "so does it where the scene has no camera"
     assert said["import_started_s"] < 0.5, "an import does not hold the window up"
     assert said["could_cancel"] and said["can_import_again"] and said["store_after_cancel"] == said["store"]
     assert min(said["rendered_triangles"]) > said["before_render_triangles"]

@@ -274,7 +274,14 @@ def follow_the_viewport():
     yield from until(lambda: len(terrain().data.polygons) != result["viewport_triangles"])
     yield 1.0
     result["further_triangles"] = len(terrain().data.polygons)
-    settings.camera_source = "SCENE"
+    scene = parts()[0].scene
+    settings.camera_source, camera, scene.camera = "SCENE", scene.camera, None
+    parts()[1].spaces.active.region_3d.view_distance /= 4.0
+    parts()[1].tag_redraw()
+    yield from until(lambda: len(terrain().data.polygons) != result["further_triangles"])
+    yield 1.0
+    result["cameraless_triangles"] = len(terrain().data.polygons)
+    scene.camera = camera
     yield 1.0
 
 

@@ -31,8 +31,8 @@ def fields(kinds=KINDS, shapes=SHAPES, interpolations=("bilinear", "bilinear", "
 def views(kinds=VIEW_KINDS):
     """One view of a scenario: from anywhere in and about the terrain."""
     share = st.floats(-2, 2).map(lambda value: round(value, 6))
-    # What measures errors looks at each pixel: one is spread over three decades, and errors come as near to bounds.
-    sides = st.tuples(st.integers(1, 4000), magnitudes(0, 3.0).map(int))
+    # What measures errors looks at each pixel: one side is spread over the decades, and errors come as near to bounds.
+    sides = st.tuples(st.integers(1, 4000), magnitudes(0, 3.602).map(int))
     return st.fixed_dictionaries(
         {
             "kind": st.sampled_from(kinds),

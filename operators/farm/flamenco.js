@@ -19,6 +19,12 @@ const JOB_TYPE = {
     ],
 };
 
+// Return the output path with the time of the job's creation: the add-on leaves {timestamp} in it, and Blender would
+// take it for a folder's name (4.x) or for a template that it does not know (5.x).
+function outputPath(job) {
+    return job.settings.render_output_path.replaceAll("{timestamp}", formatTimestampLocal(job.created));
+}
+
 function compileJob(job) {
     const settings = job.settings;
     // Neither the manager's ranges nor Blender's --render-frame, where -3 counts from the last frame, can say them.
@@ -43,7 +49,7 @@ function compileJob(job) {
             blendfile: settings.blendfile,
             args: [
                 "--python-exit-code", "1", "--python-expr", GUARD,
-                "--render-output", settings.render_output_path, "--render-format", settings.format,
+                "--render-output", outputPath(job), "--render-format", settings.format,
                 "--render-frame", chunk.replaceAll("-", ".."),
             ],
         }));

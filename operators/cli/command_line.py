@@ -23,7 +23,7 @@ from .argument_types import MAX_INT, argument, count, pair, parse_effects, part,
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_ERROR_M, MAX_DETAIL_M = 1e6, 1e9, 1e6
-MAX_BUDGET_MB = 1e9
+MAX_BUDGET_MB, MAX_MEMORY_GIB = 1e9, 1e6
 FRAMES = "A,B-C,D-E:STEP"
 CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
 SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is below 900 m, and the result for QGIS
@@ -313,6 +313,8 @@ def _add_farm(subparsers) -> None:
     verb.add_argument(
         "--extension", metavar="ZIP", help="install this zip for the job alone; installed: pack the one that runs"
     )
+    memory = positive(MAX_MEMORY_GIB)
+    verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")
 
     verb = _verb(subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare)
     verb.add_argument("--scene", **scene)

@@ -62,5 +62,6 @@ def run_submit(arguments) -> None:
         chunk=arguments.chunk,
         formats=() if arguments.render else arguments.format,
         extension=arguments.extension,
+        min_memory_gib=arguments.min_memory,
     ):
         print(line)

@@ -3,7 +3,9 @@
 Flamenco. JSON is YAML, so what is made of values is written as JSON; what is written by hand are files beside this."""
 
 import json
+import math
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,17 @@ from ..output.exporting import write_files
 
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
-GUARD, FLAMENCO = "guard.py", "adaptive_terrain_render.js"
+OPENJD_VALUES = "openjd_parameters.json"  # the same values as `openjd run` reads them
+GUARD, FLAMENCO, CONTAINER = "guard.py", "adaptive_terrain_render.js", "Containerfile"
+# An extension's platforms by Blender's names, and the same in the words of Open Job Description.
+PLATFORMS = {
+    "linux-x64": ("linux", "x86_64"),
+    "linux-arm64": ("linux", "arm64"),
+    "windows-x64": ("windows", "x86_64"),
+    "windows-arm64": ("windows", "arm64"),
+    "macos-x64": ("macos", "x86_64"),
+    "macos-arm64": ("macos", "arm64"),
+}
 NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # what JSON may hold as it is, and YAML drops or refuses
 MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
@@ -22,7 +34,8 @@ MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any othe
 class Job:
     """What a farm is asked for: all paths absolute. `formats`: of the meshes; none for pictures. `zip_path`: of the
     extension, None where workers have it. `files`, `folders`: that a worker reads; `made`: folders it writes before
-    the frames, which go to `out`."""
+    the frames, which go to `out`. `platforms`: those of the zip, by Blender's names. `min_memory_gib`: memory of a
+    worker, 0 for any."""
 
     name: str
     blend: Path
@@ -35,6 +48,8 @@ class Job:
     files: Sequence[Path]
     folders: Sequence[Path]
     made: Sequence[Path]
+    platforms: Sequence[str] = ()
+    min_memory_gib: float = 0.0
 
 
 def write_bundle(job: Job, folder: Path) -> None:
@@ -43,9 +58,11 @@ def write_bundle(job: Job, folder: Path) -> None:
         raise TerrainError("The frames are in too many pieces for one job; expected ranges: make a job of each part.")
     guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
-    files = {TEMPLATE: template(job, guard), VALUES: _values(job), ASSETS: _assets(job)}
+    values = _values(job)
+    listed = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
+    files = {TEMPLATE: template(job, guard), VALUES: _json(listed), OPENJD_VALUES: _json(values), ASSETS: _assets(job)}
     try:
-        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco})
+        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: _text(CONTAINER)})
     except UnicodeEncodeError as reason:
         path = shown(reason.object[max(0, reason.start - 60) : reason.end])
         raise TerrainError(f"A path of the job is not UTF-8 ({path}); rename the file or its folder.") from None
@@ -55,7 +72,31 @@ def template(job: Job, guard: str) -> str:
     """The job's template: its beginning, and the steps of meshes or of pictures."""
     steps = _text("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8
-    return _text("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
+    text = _text("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
+    return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
+
+
+def host_requirements(job: Job) -> str:
+    """Return the line of each step that says which workers may run it; empty where any may.
+
+    A zip holds libraries of its platforms alone, so a worker of another one could not install it.
+    """
+    known = [PLATFORMS[name] for name in job.platforms if name in PLATFORMS]
+    names = ("attr.worker.os.family", "attr.worker.cpu.arch")
+    requirements = {}
+    if known:
+        values = [sorted(set(column)) for column in zip(*known, strict=True)]
+        requirements["attributes"] = [{"name": n, "anyOf": v} for n, v in zip(names, values, strict=True)]
+    if job.min_memory_gib:
+        memory_mib = math.ceil(job.min_memory_gib * 1024)
+        requirements["amounts"] = [{"name": "amount.worker.memory", "min": memory_mib}]
+    return f"  hostRequirements: {json.dumps(requirements)}\n" if requirements else ""
+
+
+def openjd_command(folder: Path) -> str:
+    """Return the shell command that runs the whole job in `folder` on this machine."""
+    values = shlex.quote(f"file://{folder / OPENJD_VALUES}")
+    return f"openjd run {shlex.quote(str(folder / TEMPLATE))} --step Verify --run-dependencies --job-param {values}"
 
 
 def range_text(frames: Sequence[int]) -> str:
@@ -74,17 +115,17 @@ def range_text(frames: Sequence[int]) -> str:
     return ",".join(parts)
 
 
-def _values(job: Job) -> str:
-    values = {
+def _values(job: Job) -> dict[str, str]:
+    """Return the values of the template's parameters by their names."""
+    return {
         "JobName": shown(job.name)[:MOST_NAME],  # without line breaks, which a name must not have
         "BlenderFile": str(job.blend),
         "Frames": range_text(job.frames),
-        "ChunkSize": job.chunk,
+        "ChunkSize": str(job.chunk),
         "Format": ",".join(job.formats),
         "OutputDir": str(job.out),
         "ExtensionZip": "" if job.zip_path is None else str(job.zip_path),
     }
-    return _json({"parameterValues": [{"name": name, "value": value} for name, value in values.items()]})
 
 
 def _assets(job: Job) -> str:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The job of a scene: what a worker needs beside the .blend file, found in Blender."""
 
+import tomllib
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..output.preparing import is_missing, store_of
 from ..properties.properties import land_of
 from ..request.land_request import folder_beside
 from ..scene.shot import frames_of
-from .bundle import Job, write_bundle
+from .bundle import Job, openjd_command, write_bundle
 
 FRAMES, INSTALLED = "frames", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -35,11 +36,13 @@ def submit(
     chunk: int,
     formats: Sequence[str],
     extension: str | None,
+    min_memory_gib: float = 0.0,
 ) -> list[str]:
     """Write the job of the saved file that is open into the folder `out`; returns lines that say what to know of it.
 
     frames: None for the scene's. formats: of meshes; none for pictures. extension: a zip that workers install for the
-    job alone, INSTALLED for the one that runs, None where they have it. Raises TerrainError.
+    job alone, INSTALLED for the one that runs, None where they have it. min_memory_gib: of a worker, 0 for any. Raises
+    TerrainError.
     """
     blend, out = Path(bpy.data.filepath).resolve(), Path(out).resolve()
     files, folders, made, notes = _listed_files(), [], [], []
@@ -63,10 +66,13 @@ def submit(
         files=files + ([] if zip_path is None else [zip_path]),
         folders=folders,
         made=made,
+        platforms=() if zip_path is None else _platforms(zip_path),
+        min_memory_gib=min_memory_gib,
     )
     write_bundle(job, out)
-    said = f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"
-    return [said, *(NOTE + note for note in notes)]
+    lines = [f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"]
+    lines.append(f"to run it on this machine: {openjd_command(out)}")
+    return lines + [NOTE + note for note in notes]
 
 
 def _listed_files() -> list[Path]:
@@ -97,6 +103,18 @@ def _add_terrain(obj, files: list[Path], folders: list[Path], made: list[Path]) 
     derived += [map_folder(obj)] if read_as_images(obj) else []
     made += derived
     folders += [folder for folder in derived if folder.is_dir()]
+
+
+def _platforms(zip_path: Path) -> list[str]:
+    """Return the platforms that the extension's zip is built for; none where its manifest names none."""
+    try:
+        with zipfile.ZipFile(zip_path) as archive:
+            found = tomllib.loads(archive.read("blender_manifest.toml").decode()).get("platforms", [])
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise TerrainError(
+            f"{zip_path} is not the extension's zip ({error}); expected one of `make extension`."
+        ) from None
+    return [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
 
 
 def _zip_path(extension: str, out: Path) -> Path:

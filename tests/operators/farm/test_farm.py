@@ -160,12 +160,50 @@ def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
         and "not installed from a zip" in said[1]
         and all("is no zip" in line for line in said[2:])
     )
+    for manifest in (None, "platforms = [", b"\xff"):
+        with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
+            archive.writestr(*(("other", "") if manifest is None else ("blender_manifest.toml", manifest)))
+        assert run("submit", *where, shot.parent / "ext.zip") == 1
+        assert "is not the extension's zip" in capsys.readouterr().err
     with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
         archive.writestr("blender_manifest.toml", "")
     assert run("submit", *where, shot.parent / "ext.zip") == 0
     _, values, assets = read(tmp_path / "out")
+    assert all(step.hostRequirements is None for step in job_of(tmp_path / "out", values).steps)
     assert values["Frames"] == "5-8" and values["ExtensionZip"] in assets["inputs"]["filenames"]
     assert [step.name for step in job_of(tmp_path / "out", values).steps][2:] == ["Render", "Verify"]
+
+
+def test_a_zip_goes_to_workers_of_its_platform(shot, tmp_path):
+    import zipfile
+
+    with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
+        archive.writestr("blender_manifest.toml", 'platforms = ["macos-arm64"]')
+    where = "--scene", shot, "--out", tmp_path / "out", "--extension", shot.parent / "ext.zip"
+    assert run("submit", *where, "--min-memory", "12.5") == 0
+    for step in job_of(tmp_path / "out", read(tmp_path / "out")[1]).steps:
+        attributes = {item.name: item.anyOf for item in step.hostRequirements.attributes}
+        assert attributes == {"attr.worker.os.family": ["macos"], "attr.worker.cpu.arch": ["arm64"]}
+        [memory] = step.hostRequirements.amounts
+        assert (memory.name, memory.min) == ("amount.worker.memory", 12_800)
+
+
+def test_the_printed_command_is_one_that_openjd_takes(shot, tmp_path, capsys):
+    """The worker's own parser reads the template and the values from the words that a shell makes of it."""
+    import shlex
+
+    from openjd.cli._common import get_job_params, read_job_template
+
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out dir's", "--frames", "6,5") == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("to run it on this machine: ")]
+    words = shlex.split(line.split(": ", 1)[1])
+    assert words[:2] == ["openjd", "run"] and words[3:6] == ["--step", "Verify", "--run-dependencies"]
+    template = read_job_template(Path(words[2]), supported_extensions=["TASK_CHUNKING"])
+    values = get_job_params([words[words.index("--job-param") + 1]])
+    folders = {"job_template_dir": Path(words[2]).parent, "current_working_dir": tmp_path}
+    checked = preprocess_job_parameters(job_template=template, job_parameter_values=values, **folders)
+    job = create_job(job_template=template, job_parameter_values=checked)
+    assert job.parameters["Frames"].value == "5-6" and job.parameters["BlenderFile"].value == str(shot)
 
 
 def test_frames_in_too_many_pieces_are_refused(shot, tmp_path, capsys):
@@ -349,11 +387,12 @@ class Task {
 }
 global.author = { Task: (name, kind) => new Task(name, kind), Command: (name, parameters) => ({ name, parameters }) };
 global.frameChunker = (frames, size) => frames.split(",");
+global.formatTimestampLocal = (date) => `local ${date.toISOString()}`;
 const globals = ";globalThis.compileJob = compileJob; globalThis.type = JOB_TYPE;";
 (0, eval)(fs.readFileSync(process.argv[1], "utf8") + globals);
 const [, , frames, format] = process.argv;
-const settings = { frames, format, blendfile: "/x/a.blend", render_output_path: "/o/#" };
-compileJob({ settings, addTask: (task) => tasks.push(task) });
+const settings = { frames, format, blendfile: "/x/a.blend", render_output_path: "/o {timestamp}/{x}/#" };
+compileJob({ settings, created: new Date(0), addTask: (task) => tasks.push(task) });
 console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) => item.key) }));
 """
 
@@ -376,6 +415,7 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     ]
     arguments = chunks[0]["commands"][0]["parameters"]["args"]
     assert arguments[-2:] == ["--render-frame", "1..10"]
+    assert arguments[arguments.index("--render-output") + 1] == "/o local 1970-01-01T00:00:00.000Z/{x}/#"
     assert arguments[arguments.index("--python-expr") + 1] == (tmp_path / "out" / "guard.py").read_text()
 
 

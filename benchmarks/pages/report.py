@@ -111,9 +111,13 @@ MEANING = {
     "cycles_error_memory": "Peak memory of the two processes.",
     "same_picture": "The same of the built-in island, shaded by a baked map of its normals, at the coarsest error_px "
     "(in steps of a quarter octave) whose picture is as like that of the whole grid as dicing's, within an SSIM of "
-    "0.002; ms are of processor time. Not in it: the map is baked once, as the store is imported once.",
+    "0.002; ms are of processor time. Not in it: the map is baked once (bake_cpu_s), as the store is imported once.",
     "same_picture_memory": "Peak memory of the two processes above that of one that renders a flat plane. Ours has "
     "baked its map as well.",
+    "same_picture_2px": "As same_picture, against dicing at 2 px.",
+    "same_picture_2px_memory": "As same_picture_memory, against dicing at 2 px.",
+    "same_picture_4px": "As same_picture, against dicing at 4 px.",
+    "same_picture_4px_memory": "As same_picture_memory, against dicing at 4 px.",
 }
 
 

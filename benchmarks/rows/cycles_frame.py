@@ -34,6 +34,10 @@ COARSE_PX = 100.0
 def main(mode: str, store: str, tiff: str, px: float, picture: str, sun: float) -> dict:
     bpy = need_bpy("The row cycles")
     scene, obj = render_scene(mode, store, tiff, px, sun)
+    bake_start = time.process_time()
+    if mode == MAPPED:
+        _shade_by_map(obj.data.materials[0], obj)
+    bake_cpu_s = time.process_time() - bake_start
     rendered = []
     bpy.app.handlers.render_post.append(lambda *_: rendered.append(len(obj.data.polygons)))
     times, processor = [], []
@@ -48,7 +52,8 @@ def main(mode: str, store: str, tiff: str, px: float, picture: str, sun: float) 
             with quiet():
                 bpy.data.images["Render Result"].save_render(picture)
     said = {"ms": statistics.median(times[1:] or times), "first_ms": times[0], "triangles": rendered[0]}
-    return said | {"cpu_s": statistics.median(processor[1:] or processor), "peak_mb": peak_mb()}
+    cpu_s = statistics.median(processor[1:] or processor)
+    return said | {"cpu_s": cpu_s, "peak_mb": peak_mb(), "bake_cpu_s": bake_cpu_s}
 
 
 def render_scene(mode: str, store: str, tiff: str, px: float, sun: float = HIGH):
@@ -63,8 +68,6 @@ def render_scene(mode: str, store: str, tiff: str, px: float, sun: float = HIGH)
         _dice(obj, px)
     material = _material(tiff if mode == ADAPTIVE else None)
     obj.data.materials.append(material)
-    if mode == MAPPED:
-        _shade_by_map(material, obj)
     return scene, obj
 
 
@@ -167,7 +170,8 @@ def _dice(obj, px: float) -> None:
     scene = bpy.context.scene
     modifier = obj.modifiers.new("Dicing", "SUBSURF")
     modifier.subdivision_type = "SIMPLE"
-    scene.cycles.feature_set = "EXPERIMENTAL"
+    if hasattr(scene.cycles, "feature_set"):  # Blender 5.0 and later offer dicing without it
+        scene.cycles.feature_set = "EXPERIMENTAL"
     scene.cycles.dicing_rate = px
     (modifier if hasattr(modifier, "use_adaptive_subdivision") else obj.cycles).use_adaptive_subdivision = True
 

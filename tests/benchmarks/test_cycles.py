@@ -37,21 +37,29 @@ def test_a_picture_is_like_itself_and_less_like_a_shifted_one():
     assert 0.0 < similarity(picture, np.roll(picture, 2, axis=1)) < similarity(picture, np.roll(picture, 1, axis=1)) < 1
 
 
-@pytest.mark.parametrize(("least", "step"), [(0.06, 17), (1.0, 0), (2**-5.75, 23), (1e-3, 24)])
-def test_the_same_picture_is_the_coarsest_that_is_as_alike(monkeypatch, least, step):
-    """Pictures are numbers here: how alike they are to the grid's."""
+@pytest.mark.parametrize(("coarsest_px", "step"), [(0.06, 29), (8.0, 0), (1.0, 12), (1e-3, 36)])
+def test_the_same_picture_is_the_coarsest_alike(monkeypatch, coarsest_px, step):
+    """Pictures are numbers here: their likeness to the grid's."""
     rendered = []
 
     def render(mode, px):
         rendered.append((mode, px))
-        alike = {"grid": 1.0, "adaptive": 0.993, "bare": 0.5}.get(mode, 0.9911 if px <= least else 0.95)
-        said = {"ms": 9.0, "cpu_s": 2.0 if mode == "mapped" else 8.0, "triangles": int(1000 / px)}
-        return said | {"peak_mb": {"mapped": 900.0, "adaptive": 1300.0, "bare": 500.0}.get(mode)}, alike
+        alike = {"grid": 1.0, "adaptive": {1.0: 0.993, 2.0: 0.97, 4.0: 0.95}.get(px), "bare": 0.5}
+        likeness = alike.get(mode, 0.9911 if px <= coarsest_px else 0.9485 if px <= 5.0 else 0.9)
+        costs = {"ms": 9.0, "cpu_s": 2.0 if mode == "mapped" else 8.0, "triangles": int(1000 / px), "bake_cpu_s": 3.0}
+        return costs | {"peak_mb": {"mapped": 900.0, "adaptive": 1300.0, "bare": 500.0}.get(mode)}, likeness
 
     monkeypatch.setattr(cycles_likeness, "_island", lambda folder: render)
     monkeypatch.setattr(cycles_likeness, "similarity", lambda one, other: one)
-    time, memory = cycles_likeness.same_picture_rows(None)
-    assert time.figures["error_px"] == pytest.approx(2 ** (-step / 4)) and time.ratio == 0.25
-    assert time.figures["ssim"] == (0.9911 if step < 24 else 0.95), "a miss is told"
+    rows = list(cycles_likeness.same_picture_rows(None))
+    time, memory = rows[:2]
+    assert time.figures["error_px"] == pytest.approx(8.0 * 2 ** (-step / 4)) and time.ratio == 0.25
+    assert time.figures["ssim"] == (0.9911 if step < 36 else 0.9485), "a miss shows"
+    assert time.figures["bake_cpu_s"] == 3.0
     assert memory.ratio == 0.5 and time.size == memory.size == int(1000 / time.figures["error_px"])
-    assert len(rendered) == len(set(rendered)) <= 9, "each error once"
+    assert [row.name for row in rows[2:]] == [
+        *("same_picture_2px", "same_picture_2px_memory", "same_picture_4px", "same_picture_4px_memory")
+    ]
+    expected_4px = 8.0 if coarsest_px >= 8.0 else 8.0 * 2**-0.75
+    assert rows[4].figures["error_px"] == pytest.approx(expected_4px)
+    assert len(rendered) == len(set(rendered)) <= 23, "each picture once"

@@ -18,11 +18,10 @@ import os
 import platform
 import re
 import secrets
-import shutil
 import stat
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 try:
@@ -30,6 +29,9 @@ try:
 except ImportError:  # Windows
     fcntl = None
     import msvcrt
+
+from . import owned_files
+from .owned_files import NotOursError, open_folder
 
 PREFIX, LOCK = ".partial-", "lock"
 STALE_SECONDS = 86_400.0
@@ -51,7 +53,8 @@ def written_beside(path: Path) -> Iterator[Path]:
     check_replaceable(path)
     with private_folder(path.parent) as folder:
         yield folder / path.name
-        os.replace(folder / path.name, path)
+        with open_folder(folder) as inner, open_folder(path.parent, may_be_link=True) as parent:
+            parent.replace(path.name, inner, path.name)
 
 
 @contextmanager
@@ -63,9 +66,10 @@ def written_among(path: Path) -> Iterator[Path]:
         partial = folder.with_name(f"{folder.name}-{path.name}")
         try:
             yield partial
-            os.replace(partial, path)
+            with open_folder(path.parent, may_be_link=True) as parent:
+                parent.replace(path.name, parent, partial.name)
         finally:
-            partial.unlink(missing_ok=True)
+            owned_files.remove_file(partial)
 
 
 def check_replaceable(path: Path) -> None:
@@ -86,7 +90,8 @@ def private_folder(parent: Path) -> Iterator[Path]:
         yield folder
     finally:
         os.close(lock)
-        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError, NotOursError):
+            owned_files.remove_tree(folder)
 
 
 def is_partial_name(name: str) -> bool:
@@ -115,19 +120,16 @@ def _machine() -> str:
 
 
 def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
-    """Make a folder as `Path.mkdir` does; returns its lock, an open file: until it is closed, the folder is at work.
+    """Make a folder; returns its lock, an open file: until it is closed, the folder is at work.
 
-    Raises OSError, FileExistsError among others.
+    parents: make the folders above it too, of which the last may then be no link. Raises OSError, FileExistsError among
+    others, and NotOursError.
     """
     for attempt in range(ATTEMPTS):
         try:
-            folder.mkdir(mode, parents=parents, exist_ok=attempt > 0)
-            lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | NO_LINK, 0o600)
+            lock = _make_locked(folder, mode, parents, attempt > 0)
         except FileNotFoundError:
             if attempt == ATTEMPTS - 1:
-                raise
-        except FileExistsError:  # later: pathlib found it, and then no folder, since it was taken away in between
-            if attempt in (0, ATTEMPTS - 1):
                 raise
         else:
             if _take(lock) is not False and _is_there(folder / LOCK, lock):
@@ -137,10 +139,22 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
     raise FileExistsError(f"{folder} is held by another process")
 
 
+def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int:
+    """Make a folder and open the lock in it. Raises as `make_folder`."""
+    with open_folder(folder.absolute().parent, make=parents, may_be_link=not parents) as above:
+        try:
+            os.mkdir(**above.at(folder.name), mode=mode)
+        except FileExistsError:
+            if not may_exist:
+                raise
+        with above.open(folder.name) as inner:
+            return os.open(**inner.at(LOCK), flags=os.O_RDWR | os.O_CREAT | NO_LINK, mode=0o600)
+
+
 def end_work(folder: Path, lock: int) -> None:
     """The folder is no longer at work, and stays."""
     os.close(lock)
-    (folder / LOCK).unlink(missing_ok=True)
+    owned_files.remove_file(folder / LOCK)
 
 
 def remove_abandoned(parent: Path) -> None:
@@ -154,10 +168,15 @@ def remove_abandoned(parent: Path) -> None:
         remove_if_abandoned(folder, folder.name.removeprefix(PREFIX))
 
 
-def remove_if_abandoned(folder: Path, token: str, is_needed: Callable[[], bool] = lambda: False) -> None:
+def remove_if_abandoned(
+    folder: Path,
+    token: str,
+    is_needed: Callable[[], bool] = lambda: False,
+    is_own: Callable[[str, bool], bool] | None = None,
+) -> None:
     """Remove a folder that `make_folder` made, of a name with this token, if it is no living process's work.
 
-    `is_needed` is asked when that is known: what has ended may have ended well.
+    `is_needed` is called when that is known: what has ended may have ended well. is_own: as of `remove_tree`.
     """
     try:
         if not _is_ours(folder):
@@ -168,19 +187,19 @@ def remove_if_abandoned(folder: Path, token: str, is_needed: Callable[[], bool] 
             if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
                 return  # what was taken may be the lock of what another has removed, and its maker made again
             if is_needed():
-                (folder / LOCK).unlink(missing_ok=True)  # its process had no time to
+                owned_files.remove_file(folder / LOCK)  # its process had no time to
             elif (free and token.startswith(_machine())) or _age(folder) > STALE_SECONDS:
                 if fcntl is None and lock is not None:  # Windows removes no open file
                     os.close(lock)
                     lock = None
                 for file in folder.parent.glob(f"{folder.name}-*"):
-                    file.unlink()
-                shutil.rmtree(folder, ignore_errors=True)
+                    owned_files.remove_file(file)
+                owned_files.remove_tree(folder, is_own)
         finally:
             if lock is not None:
                 os.close(lock)
-    except OSError:
-        return  # its process, or another that looks for abandoned ones, has just renamed or removed it
+    except (OSError, NotOursError):
+        return  # its process, or another that looks for abandoned ones, has just renamed or removed it; or a link
 
 
 def _take(lock: int) -> bool | None:
@@ -205,7 +224,9 @@ def _open_lock(folder: Path) -> int | None:
         except FileNotFoundError:
             found = os.listdir(folder)
             if not found:
-                folder.rmdir()  # it has just been made, which is then done again, or its maker was killed
+                owned_files.remove_empty(
+                    folder
+                )  # it has just been made, which is then done again, or its maker was killed
                 raise
             if LOCK not in found:  # whoever writes into it has one
                 return None

@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -62,7 +63,6 @@ def _belongs(wheel: str, versions: dict[str, str]) -> bool:
 
 def stage(platform: str, wheels: list[Path], folder: Path) -> Path:
     """Copy the package and link its wheels into an empty `folder`; returns it."""
-    shutil.rmtree(folder, ignore_errors=True)
     (folder / "wheels").mkdir(parents=True)
     for name in PACKAGE:
         source = ROOT / name
@@ -92,16 +92,17 @@ def build(platform: str, output: Path, lock: Path, cache: Path, blender: list[st
     """Build the zip for `platform` in `output`; returns its path."""
     version = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"]
     wheels = fetch_wheels(platform, lock, cache / "wheels" / platform)
-    folder = stage(platform, wheels, cache / "stage" / platform)
     output.mkdir(parents=True, exist_ok=True)
     zip_path = output / f"adaptive_terrain-{version}-{platform}.zip"
-    if not blender:
-        pack(folder, zip_path)
-        return zip_path
-    extension = [*blender, "--command", "extension"]
-    subprocess.run([*extension, "validate", str(folder)], check=True)
-    build_command = [*extension, "build", "--source-dir", str(folder), "--output-filepath", str(zip_path)]
-    subprocess.run(build_command, check=True)
+    with tempfile.TemporaryDirectory(prefix=f"stage-{platform}-", dir=cache) as empty:
+        folder = stage(platform, wheels, Path(empty))
+        if not blender:
+            pack(folder, zip_path)
+            return zip_path
+        extension = [*blender, "--command", "extension"]
+        subprocess.run([*extension, "validate", str(folder)], check=True)
+        build_command = [*extension, "build", "--source-dir", str(folder), "--output-filepath", str(zip_path)]
+        subprocess.run(build_command, check=True)
     return zip_path
 
 

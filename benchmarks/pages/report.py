@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.owned_files import remove_file
 from ...operators.text.numbers import number
 from ..rig.measure import Row
 from .goals import goal_of, missed_by
@@ -176,7 +177,7 @@ def write_text(path: Path, text: str) -> None:
                 part.replace(target)
         finally:
             if whole:
-                part.unlink(missing_ok=True)
+                remove_file(part)
     except OSError as reason:
         raise _unwritable(path, reason) from reason
 

@@ -12,8 +12,10 @@ import numpy as np
 from ...cbt_terrain.field.build import build
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import Draft, open_store
+from ...cbt_terrain.field.store_folder import remove_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.run.owned_files import remove_file
 from ..rig import scenes
 from ..rig.child import run_child
 from ..rig.measure import BLOCKS, RUNS, Row, stopwatch
@@ -30,7 +32,7 @@ def import_rows(tiff: Path, folder: Path) -> Iterator[Row]:
     """The GeoTIFF to a store, hierarchy included, in the import's own process as users have it; and opening that."""
     store, times = folder / "imported", []
     for _ in range(IMPORT_RUNS):
-        shutil.rmtree(store, ignore_errors=True)  # an import of what is there already would do nothing
+        remove_store(store)  # an import of what is there already would do nothing
         with stopwatch() as elapsed:
             import_source(ImportSettings(source=str(tiff)), store)
         times += elapsed
@@ -47,7 +49,7 @@ def write_tiff(field: HeightField, path: Path) -> Path:
     array = path.with_suffix(".npy")
     np.save(array, field.heights())
     run_child("rig.tiff", array, path, field.lattice.step_x)
-    array.unlink()
+    remove_file(array)
     return path
 
 
@@ -68,7 +70,7 @@ def large_rows(small_store: Path, folder: Path, note: Callable[[str], None]) -> 
         for size in LARGE_SIZES:
             yield from _large_frames(store, small_store, size)
     finally:
-        shutil.rmtree(store, ignore_errors=True)
+        remove_store(store)
 
 
 def build_large(store: Path) -> int:

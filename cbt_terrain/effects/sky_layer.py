@@ -15,8 +15,9 @@ import warp as wp
 from ...kernels.effects import sweep as kernels
 from ..field import store
 from ..field.heightfield import HeightField
-from ..run import launch
+from ..run import launch, owned_files
 from ..run.buffers import flat
+from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with, shapes
 from .whole import file_of, read_kept
@@ -108,10 +109,12 @@ def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
     file = file_of(LAYER, VERSION, (scale,))
     store.keep(field, file, sky)
     folder = store.data_folder(field)
-    with suppress(OSError):  # another process may do the same
-        others = [] if folder is None else [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
+    if folder is None or not owned_files.is_real_folder(field.path):
+        return  # through a link that leads to a store nothing is removed
+    with suppress(OSError, NotOursError):  # another process may do the same
+        others = [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
         for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: len(others) + 1 - MOST_SCALES]:
-            old.unlink()
+            owned_files.remove_file(old)
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:

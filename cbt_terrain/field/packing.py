@@ -8,12 +8,13 @@ nothing ever writes into an array of a published store.
 
 import filecmp
 import os
-import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import TerrainError
 from ..run import partial_files
+from ..run.owned_files import NotOursError
 from . import store as stores
 from . import store_folder
 
@@ -50,7 +51,7 @@ def copy_store(
         lock = partial_files.make_folder(part, parents=True)
         store_folder.remove_abandoned(target)
         _copy_arrays(source / name, part, on_progress)
-        shutil.rmtree(target / name, ignore_errors=True)  # what a copy that was killed has left
+        store_folder.remove_arrays(target / name)  # what a copy that was killed has left
         os.rename(part, target / name)
         text = (source / stores.JSON_NAME).read_bytes()
         draft = target / name / stores.JSON_NAME
@@ -67,7 +68,8 @@ def copy_store(
         if lock is not None:
             os.close(lock)
         if not (target / stores.JSON_NAME).exists():
-            shutil.rmtree(target / name, ignore_errors=True)
+            with suppress(OSError, NotOursError):
+                store_folder.remove_arrays(target / name)
             store_folder.discard(target, part.name, made)
     stores.open_store(target)
 

@@ -21,7 +21,6 @@ import hashlib
 import json
 import math
 import os
-import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -29,11 +28,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..run import partial_files
+from ..run import owned_files, partial_files
+from ..run.owned_files import NotOursError, open_folder
 from . import codes
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
+    AGAIN,
     PAGE_BYTES,
     all_checksums,
     file_bytes,
@@ -47,19 +48,18 @@ from .store_arrays import (
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
     JSON_NAME,
+    MOST_JSON_BYTES,
     discard,
-    is_own,
     is_own_entry,
     missing_folders,
     named_folder,
     new_data_name,
     remove_abandoned,
+    remove_arrays,
 )
 from .store_layers import LayerFiles, layer_name
 
 VERSION = 6
-# More than any store's: coordinate systems and warnings are texts of some thousand characters.
-MOST_JSON_BYTES = 1 << 22
 
 # What an import needs on its way.
 _SCRATCH = ("raster", "errors")
@@ -81,6 +81,7 @@ def changed_ns(path: str | os.PathLike) -> int:
 def read_json(path: Path) -> dict:
     """The content of a store's JSON file, checked entry by entry."""
     file = path / JSON_NAME
+    owned_files.check_no_link(file, AGAIN)
     try:
         with open_regular(file) as handle:
             text = handle.read(MOST_JSON_BYTES + 1)
@@ -127,8 +128,7 @@ def _open(path: Path) -> HeightField:
     lattice = fit(**content["lattice"])
     shape = lattice.height, lattice.width
     folder = path / content["data"]
-    if folder.is_symlink():
-        raise TerrainError(f"{folder} is a link, expected a folder of arrays: import the terrain again.")
+    owned_files.check_no_link(folder, AGAIN)
     steps = codes.Steps(*content["steps"]) if content["steps"] else None
     kind = np.uint16 if steps else np.float32
     return HeightField(
@@ -274,7 +274,7 @@ class Draft:
 
     def remove(self, name: str) -> None:
         del self._arrays[name]
-        (self.folder / f"{name}.npy").unlink()
+        owned_files.remove_file(self.folder / f"{name}.npy")
 
     def rename(self, name: str, new: str) -> None:
         self._arrays[new] = self._arrays.pop(name)
@@ -308,12 +308,13 @@ class Draft:
         part = self.folder / JSON_NAME
         part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
         previous = named_folder(self.path)
-        os.replace(part, self.path / JSON_NAME)
+        with open_folder(self.path) as store, store.open(self.folder.name) as arrays:
+            store.replace(JSON_NAME, arrays, JSON_NAME)
         self.published = True
         partial_files.end_work(self.folder, self._lock)
-        with suppress(OSError):
-            if previous is not None and is_own(previous):
-                shutil.rmtree(previous, ignore_errors=True)
+        with suppress(OSError, NotOursError):  # what is not the program's keeps its folder
+            if previous is not None:
+                remove_arrays(previous)
         remove_abandoned(self.path)
 
     def discard_unless_published(self) -> None:

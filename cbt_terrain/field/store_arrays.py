@@ -20,12 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..run import launch, partial_files
+from ..run import launch, owned_files, partial_files
 
 PAGE_BYTES = 4096
 BLOCK_BYTES = 1 << 18
 # Blocks of each array that are checked when it is opened: the first, the last, and evenly between. 4 x 0.1 ms.
 SAMPLED = 4
+
+AGAIN = "import or shape the terrain again"
 
 
 def header(shape: tuple[int, ...], dtype) -> bytes:
@@ -115,6 +117,7 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.n
     """The array and its checksums, uint32, as the file has them."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    owned_files.check_no_link(file, AGAIN)
     try:
         with open_regular(file) as handle:
             if handle.read(PAGE_BYTES) != header(shape, dtype):

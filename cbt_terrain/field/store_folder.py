@@ -1,19 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The folder of a store (store.py): what may lie there, where one may be written, and what of it may be taken away."""
 
+import functools
 import json
 import os
 import re
-import shutil
 from contextlib import suppress
 from pathlib import Path
 
 from ..errors import TerrainError, shown
-from ..run import partial_files
+from ..run import owned_files, partial_files
+from ..run.owned_files import NotOursError
+from .store_arrays import open_regular
 from .store_entries import is_data_name
 
 JSON_NAME = "store.json"
 DATA_PREFIX = "data-"
+# More than any store's: coordinate systems and warnings are texts of some thousand characters.
+MOST_JSON_BYTES = 1 << 22
 TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
@@ -34,12 +38,15 @@ def check_target(path: str | os.PathLike) -> None:
             f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
         )
     try:
+        if not owned_files.is_real_file(folder):
+            with suppress(FileNotFoundError, NotADirectoryError), owned_files.open_folder(folder):
+                owned_files.check_no_link(folder / JSON_NAME)
         if not os.path.lexists(folder) or (folder / JSON_NAME).exists():
             folder.exists()  # says here what is wrong with the name
             return
         if not folder.is_dir():
             raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
-        found = foreign(folder)
+        found = [] if is_land(folder) else foreign(folder)  # a user's file beside shaped land stays there
         if found and (folder / JSON_NAME).exists():
             return  # another process has made a store of it meanwhile
     except OSError as reason:
@@ -52,12 +59,17 @@ def check_target(path: str | os.PathLike) -> None:
         )
 
 
+def is_land(folder: Path) -> bool:
+    """Return whether a folder has the name of shaped land, in a folder beside a store (`STORE_land/HASH`)."""
+    return owned_files.derived(folder.absolute()) > 1 and not is_data_name(folder.name)
+
+
 def foreign(folder: Path) -> list[Path]:
     """What lies in the folder of a store, or in one of arrays in it, and was not made by this program."""
     found = []
     with suppress(FileNotFoundError):  # another import has just removed it
         for entry in folder.iterdir():
-            if is_data_name(entry.name) and entry.is_dir() and not entry.is_symlink():
+            if is_data_name(entry.name) and owned_files.is_real_folder(entry):
                 with suppress(FileNotFoundError):
                     found += [inner for inner in entry.iterdir() if not is_own_entry(inner)]
             elif not is_own(entry) and os.path.lexists(entry):
@@ -67,9 +79,9 @@ def foreign(folder: Path) -> list[Path]:
 
 def is_own(folder: Path) -> bool:
     """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
-    if folder.name == TILES and not folder.is_symlink() and folder.is_dir():
-        return all(_KEPT_TILE.fullmatch(entry.name) or is_own_entry(entry) for entry in folder.iterdir())
-    if not is_data_name(folder.name) or folder.is_symlink() or not folder.is_dir():
+    if folder.name == TILES and owned_files.is_real_folder(folder):
+        return all(is_tile_name(entry.name) or is_own_entry(entry) for entry in folder.iterdir())
+    if not is_data_name(folder.name) or not owned_files.is_real_folder(folder):
         return False
     try:
         return all(map(is_own_entry, folder.iterdir()))
@@ -78,10 +90,27 @@ def is_own(folder: Path) -> bool:
 
 
 def is_own_entry(entry: Path) -> bool:
-    """Whether something in a folder of arrays is what this program writes there, by its name."""
-    if entry.is_dir():
-        return partial_files.is_partial_name(entry.name)
-    return _OWN_FILE.fullmatch(entry.name) is not None
+    """Return whether something in a folder of arrays is what this program writes there: by its name, and no link."""
+    is_folder = owned_files.is_real_folder(entry)
+    return is_own_name(entry.name, is_folder) and (is_folder or owned_files.is_real_file(entry))
+
+
+def is_own_name(name: str, is_folder: bool) -> bool:
+    """Return whether this program gives a file, or a folder, in a folder of arrays this name."""
+    return partial_files.is_partial_name(name) if is_folder else _OWN_FILE.fullmatch(name) is not None
+
+
+def is_tile_name(name: str) -> bool:
+    """Return whether a file in the folder of tiles has the name of one."""
+    return _KEPT_TILE.fullmatch(name) is not None
+
+
+def remove_arrays(folder: Path) -> None:
+    """Remove a folder of arrays; a missing one is no error. Raises NotOursError, before anything is removed, where it
+    or something in it is a link or not the program's, and OSError."""
+    if not is_data_name(folder.name):
+        raise NotOursError(f"{folder} is no folder of arrays; expected a name of data- and 32 hex digits: keep it.")
+    owned_files.remove_tree(folder, is_own_name)
 
 
 def missing_folders(path: Path) -> list[Path]:
@@ -95,20 +124,26 @@ def discard(path: Path, folder: str, made: list[Path]) -> None:
     been published stays, whatever has failed since."""
     if named_folder(path) == path / folder:
         return
-    shutil.rmtree(path / folder, ignore_errors=True)
-    with suppress(OSError):  # another import has put something there
+    with suppress(OSError, NotOursError):
+        remove_arrays(path / folder)
+    with suppress(OSError, NotOursError):  # another import has put something there
         for parent in made:
-            parent.rmdir()
+            owned_files.remove_empty(parent)
 
 
 def named_folder(path: Path) -> Path | None:
     """The folder of arrays that store.json names; None without one, or of a damaged store."""
     file = path / JSON_NAME
     try:
-        name = json.loads(file.read_text(encoding="utf-8"))["data"] if file.is_file() else ""
+        with open_regular(file) as handle:
+            name = json.loads(handle.read(MOST_JSON_BYTES).decode("utf-8"))["data"]
         return path / name if is_data_name(name) else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
+
+
+def _is_named(path: Path, folder: Path) -> bool:
+    return named_folder(path) == folder
 
 
 def new_data_name() -> str:
@@ -118,21 +153,41 @@ def new_data_name() -> str:
 
 def remove_abandoned(path: Path) -> None:
     """Take away the folders of arrays that neither a living process nor store.json has use for."""
-    if (path / JSON_NAME).exists() and named_folder(path) is None:
+    if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
         return  # of a damaged store nobody knows what it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
         with suppress(OSError):
             if is_own(folder):
                 token = folder.name.removeprefix(DATA_PREFIX)
-                partial_files.remove_if_abandoned(folder, token, lambda folder=folder: named_folder(path) == folder)
+                is_needed = functools.partial(_is_named, path, folder)
+                partial_files.remove_if_abandoned(folder, token, is_needed, is_own_name)
 
 
 def take_away(path: Path) -> None:
-    """Make a store no store any more, and free its arrays. What another process writes there meanwhile stays, and so
-    does what is not of this program. Raises OSError where what says that it is a store cannot be removed."""
-    file, arrays = path / JSON_NAME, named_folder(path)
-    shutil.rmtree(file) if file.is_dir() and not file.is_symlink() else file.unlink(missing_ok=True)
+    """Remove a store's JSON file, so that it is no store any more, and its arrays. What another process is writing
+    there stays, and so does what this program did not make. Raises OSError and NotOursError where the JSON file cannot
+    be removed."""
+    arrays = named_folder(path)
+    owned_files.remove_file(path / JSON_NAME)
+    with suppress(OSError, NotOursError):
+        if arrays is not None:
+            remove_arrays(arrays)
     with suppress(OSError):
-        if arrays is not None and is_own(arrays):
-            shutil.rmtree(arrays, ignore_errors=True)
         remove_abandoned(path)
+
+
+def remove_tiles(folder: Path) -> None:
+    """Remove the tiles in a folder, and the folder if nothing else is in it. Raises NotOursError for a link, and
+    OSError."""
+    owned_files.remove_entries(folder, is_tile_name)
+    partial_files.remove_abandoned(folder)
+    with suppress(OSError):
+        owned_files.remove_empty(folder)
+
+
+def remove_store(path: Path) -> None:
+    """Remove a store with its tiles, and its folder if nothing else is in it. Raises as `take_away`."""
+    take_away(path)
+    remove_tiles(path / TILES)
+    with suppress(OSError):
+        owned_files.remove_empty(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..errors import TerrainError
 from ..field import store_folder
 from ..run.memory import physical_memory
+from ..run.owned_files import open_folder
 from . import sandbox
 from .gdal_source import DRIVERS, keep_only_drivers
 from .raster import ImportSettings
@@ -40,7 +41,8 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
         launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
     store_folder.check_target(path)
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        with open_folder(path, make=True):
+            pass
     except OSError as reason:
         raise TerrainError(
             f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."

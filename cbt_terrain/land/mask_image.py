@@ -12,7 +12,7 @@ from ..importing.guard import guard
 from ..importing.raster import ImportSettings
 from ..importing.sources import check_file, open_source
 from ..importing.store_job import ask, serve
-from ..run import child
+from ..run import child, owned_files
 from .tile_cache import content_key
 
 MODULE = "cbt_terrain.land.mask_image"
@@ -31,7 +31,7 @@ def load_image(file: str, folder: Path) -> np.ndarray:
     request = {"file": file, "folder": str(folder.absolute()), "key": key}
     kept = folder / f"{key}.npy"
     shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
-    os.utime(kept)
+    owned_files.touch(kept)
     return map_array(kept, shape, np.float32)
 
 

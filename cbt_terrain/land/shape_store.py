@@ -23,7 +23,7 @@ from .level_plan import MOST_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
-from .stack import Stack, check_by_products, stack_content, stack_from
+from .stack import Stack, check_by_products, land_name, stack_content, stack_from
 from .stack_layers import joined, key_with
 from .tile_cache import TileCache
 from .tiles import Wanted, levels_of, whole_land
@@ -31,6 +31,7 @@ from .tiles import Wanted, levels_of, whole_land
 # The part of the work that effects are taken for; the rest is that of an import.
 SHAPING = 0.8
 ROWS = 256
+RECORD = 1  # raised when the provenance of shaped land says more, so that older land is made again
 BUILDING = "Measuring errors"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
@@ -67,7 +68,8 @@ def run_shape(
     report = finished_before(path, digest)
     if report is not None:
         return report
-    wanted = whole_land(heights.lattice) if wanted is None else wanted
+    everywhere = wanted is None
+    wanted = whole_land(heights.lattice) if everywhere else wanted
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
         room = room_for(heights.lattice, len(units))
@@ -86,7 +88,7 @@ def run_shape(
         field = _build(heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (1 - SHAPING) * f, BUILDING))
         layers = _write_layers(heights, shaped, draft)
         field.key = key_with(field.key, layers)
-        field.provenance = heights.provenance | {"shaped": _provenance(source, heights, stack, shaped)}
+        field.provenance = heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)}
         report = _report(field, source, heights, stack, shaped)
         report["seconds"] = round(time.monotonic() - started, 3)
         # What stopped early is not what was asked for.
@@ -109,7 +111,7 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
     """Of all that decides what the store will hold."""
     tiles = wanted and [None if some is None else sorted((t, float(m)) for t, m in some.items()) for some in wanted]
-    content = METHOD, store.VERSION, heights.key, stack.key(), tiles
+    content = METHOD, RECORD, store.VERSION, heights.key, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
@@ -169,10 +171,14 @@ def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> d
     return written
 
 
-def _provenance(source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
+def _provenance(
+    source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped, everywhere: bool
+) -> dict:
     return {
         "source": str(source),
         "source_key": heights.key,
+        "land": land_name(heights.key, stack),
+        "everywhere": everywhere,
         "stack": stack_content(stack),
         "tiles": shaped.tiles,
         "tile_counts": shaped.tile_counts,

@@ -90,6 +90,15 @@ class Stack:
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
 
 
+def land_name(source_key: str, stack: Stack) -> str:
+    """Return 16 hexadecimal digits that name what a stack makes of a source: of the folder, and in the store's record.
+
+    source_key: key of the source's store. Numbers count as JSON keeps them, which the process that shapes reads.
+    """
+    same = stack_from(stack_content(stack))
+    return hashlib.blake2b(f"{source_key} {same.key()}".encode(), digest_size=8).hexdigest()
+
+
 def check_by_products(stack: Stack, source: Iterable[str]) -> None:
     """Raise TerrainError where a mask asks for a by-product that neither an effect before it leaves nor `source`, the
     names of the layers of what is shaped, has."""

@@ -6,8 +6,6 @@ shape, or with a block that differs from its checksum, is made again.
 """
 
 import hashlib
-import os
-import re
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -19,11 +17,12 @@ import numpy as np
 from ..errors import TerrainError
 from ..field.store_arrays import map_array as map_checked
 from ..field.store_arrays import verify_array, write_array
-from ..run import partial_files
+from ..field.store_folder import is_tile_name
+from ..run import owned_files, partial_files
+from ..run.owned_files import NotOursError, open_folder
 
 # Beyond this, files that were not used longest are removed; what the last run has used always stays.
 MOST_BYTES = 4 << 30
-_NAME = re.compile(r"[0-9a-f]{32}\.npy")
 
 
 class TileCache:
@@ -35,7 +34,8 @@ class TileCache:
         self.made, self.kept = Counter(), Counter()
         self._used: set[str] = set()
         if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+            with open_folder(folder, make=True):
+                pass
             partial_files.remove_abandoned(folder)
 
     def take(self, effect: str, key: str, shape: tuple[int, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
@@ -61,14 +61,14 @@ class TileCache:
         with suppress(OSError):
             for file in self.folder.iterdir():
                 with suppress(OSError):
-                    files.append((file.stat().st_mtime, file.stat().st_size, file))
+                    files.append((file.lstat().st_mtime, file.lstat().st_size, file))
         total = sum(size for _, size, _ in files)
         for _, size, file in sorted(files):
             if total <= most_bytes:
                 break
-            if file.name not in self._used and _NAME.fullmatch(file.name):
-                with suppress(OSError):
-                    file.unlink()
+            if file.name not in self._used and is_tile_name(file.name):
+                with suppress(OSError, NotOursError):
+                    owned_files.remove_file(file)
                     total -= size
 
 
@@ -88,7 +88,7 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     try:
         verify_array(file, shape, np.float32)
         found = map_checked(file, shape, np.float32)
-        os.utime(file)
+        owned_files.touch(file)
     except (OSError, TerrainError):
         return None
     return found if np.isfinite(found).all() else None
@@ -97,7 +97,8 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
 def _write(file: Path, array: np.ndarray, room: int) -> None:
     """Keep an array where that leaves so much room; a folder that cannot be written is left as it is."""
     with suppress(OSError):
-        file.parent.mkdir(exist_ok=True)  # another Blender may have cleared it meanwhile
+        with open_folder(file.parent, make=True):  # another Blender may have cleared it meanwhile
+            pass
         if shutil.disk_usage(file.parent).free < array.nbytes + room:
             return
     with suppress(OSError):

@@ -28,8 +28,9 @@ from ..evaluate.evaluate import values_at
 from ..evaluate.plan import plan
 from ..evaluate.scale import STEPS_PER_LEVEL
 from ..field.heightfield import HeightField
-from ..run import launch, partial_files
+from ..run import launch, owned_files, partial_files
 from ..run.buffers import shared
+from ..run.owned_files import open_folder
 from . import exr, png
 from .coding import PNG, Coding, coding_of
 from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
@@ -90,19 +91,24 @@ def bake(
         for item in sorted(asked, key=lambda item: item.name)
     ]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        with open_folder(folder, make=True, may_be_link=True):
+            pass
         partial_files.remove_abandoned(folder)
         before = read_index(folder)
+        listed = files_of(before or {"maps": {}})
         missing = [image for image in images if _key_in(folder / image.file) != image.key]
+        for image in missing:
+            _check_replaceable(folder / image.file, listed)
         index = _index(place, images, before)
         with partial_files.private_folder(folder) as partial:
             _bake_images(place, missing, partial, on_progress, lock or nullcontext())
             (partial / JSON_NAME).write_text(json.dumps(index, indent=1), encoding="utf-8")
-            for image in missing:
-                os.replace(partial / image.file, folder / image.file)
-            os.replace(partial / JSON_NAME, folder / JSON_NAME)
-        for file in files_of(before or {"maps": {}}) - files_of(index):
-            (folder / file).unlink(missing_ok=True)
+            with open_folder(folder, may_be_link=True) as target, open_folder(partial) as made:
+                for file in [image.file for image in missing] + [JSON_NAME]:
+                    target.replace(file, made, file)
+        for file in listed - files_of(index):
+            if _key_in(folder / file) is not None:  # else it is not the image that was baked
+                owned_files.remove_file(folder / file)
     except OSError as reason:
         raise TerrainError(
             f"The maps cannot be written into {folder} ({reason.strerror or reason}); choose another folder."
@@ -146,8 +152,20 @@ def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Ima
     return _Image(tile, asked, coding, side, file_name(asked.name, coding.form, number), key)
 
 
+def _check_replaceable(file: Path, listed: set[str]) -> None:
+    """Raise TerrainError where something stands in the place of an image that no bake has put there. listed: names of
+    the images in the folder's maps.json."""
+    if os.path.lexists(file) and file.name not in listed and _key_in(file) is None:
+        raise TerrainError(
+            f"{file} was not baked by Adaptive Terrain; expected a folder without other images of that name: move it, "
+            "or choose another folder."
+        )
+
+
 def _key_in(file: Path) -> str | None:
-    """The key that a complete image carries."""
+    """Return the key that a complete image carries; None of anything else, as of a link."""
+    if not owned_files.is_real_file(file):
+        return None
     return png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
 
 

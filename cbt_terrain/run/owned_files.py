@@ -5,9 +5,9 @@ A project may come from a stranger. A link in it could send a write or a removal
 module does all deleting of the product, and opens the folders that the program derives from a user's path.
 
 Which components of a path may be links: those that the user chose (`/home`, the project folder, the folder of an
-export). Those that the program derives may not (`derived`): `STORE_land` and all below it, `tiles`, `masks`, `data-*`
-and `.partial-*`. The last component of a folder to write into or to delete from may never be one, except that a folder
-the user chose to export into may (`private_folder` in partial_files.py).
+export). Those that the program derives may not (`derived`): `STORE_land` and all below it, `STORE_maps`, `tiles`,
+`masks`, `data-*` and `.partial-*`. A store that is written or removed may not be reached by a link as its last
+component either: it is read and cached through one, never replaced.
 
 How: each folder is opened relative to the descriptor of the one above it (`O_NOFOLLOW | O_DIRECTORY`, `dir_fd`), and
 its entries are made, renamed and removed relative to that descriptor. A link that is put in place between a check and a
@@ -34,6 +34,7 @@ from typing import NamedTuple
 from ..errors import TerrainError, shown
 
 LAND = "_land"  # ends the name of the folder beside a store that holds its shaped land
+MAPS = "_maps"  # ends the name of the folder beside a store that holds its baked maps
 _DERIVED = re.compile(r"tiles|masks|data-[0-9a-f]{32}|\.partial-[0-9a-f]{32}|[0-9a-f]{16}(_views)?")
 _BY_DESCRIPTOR = {os.open, os.mkdir, os.unlink, os.rmdir, os.stat, os.rename} <= os.supports_dir_fd
 _FOLDER, _NO_LINK = getattr(os, "O_DIRECTORY", 0), getattr(os, "O_NOFOLLOW", 0)
@@ -98,7 +99,9 @@ def derived(path: Path) -> int:
     parts, count = path.parts, 0
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
-    return count + (count < len(parts) - 1 and parts[-1 - count].endswith(LAND))
+    if not count and len(parts) > 2 and parts[-2].endswith(MAPS):
+        count = 1  # the maps of one terrain
+    return count + (count < len(parts) - 1 and parts[-1 - count].endswith((LAND, MAPS)))
 
 
 @contextmanager
@@ -176,13 +179,29 @@ def is_real_file(path: str | os.PathLike) -> bool:
     return stat.S_ISREG(found.st_mode) and not is_link(found)
 
 
-def _not_ours(path: Path, found: os.stat_result, expected: str) -> NotOursError:
+def check_no_link(path: str | os.PathLike, then: str = "try again") -> None:
+    """Raise NotOursError where a link stands in place of a file or a folder of this program. then: what the user does
+    once the link is gone."""
+    try:
+        found = os.lstat(path)
+    except (OSError, ValueError):
+        return
+    if is_link(found):
+        raise _not_ours(Path(path), found, "a file or a folder", then)
+
+
+def touch(path: str | os.PathLike) -> None:
+    """Note that a file or a folder was used just now; of a link, the link alone. Raises OSError."""
+    os.utime(path, follow_symlinks=os.utime not in os.supports_follow_symlinks)
+
+
+def _not_ours(path: Path, found: os.stat_result, expected: str, then: str = "try again") -> NotOursError:
     what = "a link" if is_link(found) else "a folder" if stat.S_ISDIR(found.st_mode) else "a file"
     if not is_link(found) and not stat.S_ISDIR(found.st_mode) and not stat.S_ISREG(found.st_mode):
         what = "a device or a pipe"
     return NotOursError(
-        f"{shown(path)} is {what}; expected {expected} of Adaptive Terrain, which follows no links there: move it away "
-        "and try again."
+        f"{shown(path, 1000)} is {what}; expected {expected} of Adaptive Terrain, which follows no links there: "
+        f"move it away and {then}."
     )
 
 
@@ -248,8 +267,8 @@ def _check_own(folder: OpenFolder, name: str, is_own: Callable[[str, bool], bool
     is_folder = stat.S_ISDIR(found.st_mode)
     if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not is_own(name, is_folder):
         raise NotOursError(
-            f"{shown(folder.path)} holds {shown(name)!r}; expected only files that Adaptive Terrain made: move it away "
-            "and try again."
+            f"{shown(folder.path, 1000)} holds {shown(name)!r}; expected only files that Adaptive Terrain made: "
+            "move it away and try again."
         )
 
 

@@ -10,6 +10,7 @@ from mathutils import Matrix, Vector
 
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import written_beside
 from ..demand.trees import tree_of_new
 from ..effects.material import dress
@@ -76,7 +77,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
         settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
-    Path(file + "1").unlink(missing_ok=True)  # Blender's backup of the first
+    remove_file(file + "1")  # Blender's backup of the first
     return scene, obj
 
 

@@ -10,6 +10,7 @@ from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.owned_files import check_folder
 from ..properties.map_properties import CHOSEN, FRAME, SHOT
 from ..request.request import RENDER, Overrides, gather
 from ..scene.shot import frames_of, look_through
@@ -58,6 +59,8 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
     map_images.own_folder(obj)
+    for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
+        check_folder(folder)  # a scene's own: what it is baked into must not lead elsewhere
     names = known(names_of(obj, depsgraph) if names is None else names)
     if settings.folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(

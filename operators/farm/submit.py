@@ -17,7 +17,7 @@ from ..importing.import_terrain import settings_of
 from ..output.exporting import make_folder
 from ..output.preparing import is_missing, store_of
 from ..properties.properties import land_of
-from ..request.land_request import folder_beside
+from ..request.land_folders import folder_beside
 from ..scene.shot import frames_of
 from .bundle import Job, openjd_command, write_bundle
 

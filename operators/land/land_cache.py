@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clear Land Cache: what shaped land takes on disk, and room for other things."""
 
-import shutil
 from pathlib import Path
 
 import bpy
@@ -9,7 +8,9 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field import store_folder
-from ..request.land_request import bytes_in, folder_beside, is_in_use, remove, shaped_stores
+from ...cbt_terrain.run.owned_files import check_folder
+from ..request.land_folders import bytes_in, folder_beside, remove, shaped_stores
+from ..request.land_request import is_in_use
 from ..scene import land_jobs, session
 from ..scene.polls import on_terrain
 from ..text.numbers import plain
@@ -17,12 +18,13 @@ from ..text.numbers import plain
 
 def held(store: str) -> list[tuple[str, Path, int]]:
     """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
-    its bytes."""
+    its bytes. Raises TerrainError for a link."""
     session.all_terrains()  # what is gone shows nothing any more
     found = []
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
         tiles = folder_beside(source) / store_folder.TILES
+        check_folder(tiles)
         found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
     return found
 
@@ -70,7 +72,11 @@ class ClearLandCache(bpy.types.Operator):
         return True
 
     def invoke(self, context, _event):
-        self.said = lines(self._store(context))
+        try:
+            self.said = lines(self._store(context))
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
 
     def draw(self, _context):
@@ -79,12 +85,16 @@ class ClearLandCache(bpy.types.Operator):
 
     def execute(self, context):
         freed = 0
-        for what, folder, size in held(self._store(context)):
-            if what == "tiles":
-                shutil.rmtree(folder, ignore_errors=True)
-            elif what != "shown":
-                remove(folder)
-            freed += size - bytes_in(folder)
+        try:
+            for what, folder, size in held(self._store(context)):
+                if what == "tiles":
+                    store_folder.remove_tiles(folder)
+                elif what != "shown":
+                    remove(folder)
+                freed += size - bytes_in(folder)
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         self.report({"INFO"}, f"{megabytes(freed)} freed")
         return {"FINISHED"}
 

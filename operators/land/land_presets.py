@@ -10,6 +10,7 @@ from bl_operators.presets import AddPresetBase
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.fitted import fitted
 from ...cbt_terrain.land.stack import read_stack, write_stack
+from ...cbt_terrain.run.owned_files import remove_file
 from ..properties.land_properties import BY_OBJECT
 from ..request import land_stack
 from ..request.imported import imported_of
@@ -92,7 +93,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
             raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays.")
-        os.remove(found)
+        remove_file(found)
         return {"FINISHED"}
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.archive import write_npz
 from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import (
     final_names,
     private_folder,
@@ -76,12 +77,23 @@ def write_frames(
         summary = complete if resume else None
         if summary is None:
             if complete is None:  # else it says of the files to come what it says of those that stand
-                summary_path.unlink(missing_ok=True)
+                _remove_summary(summary_path)
             summary = {"frame": frame, "settings": settings, **write(frame)}
             write_text(summary_path, json.dumps(summary, indent=1) + "\n")
             on_frame(frame, summary, False)
         else:
             on_frame(frame, summary, True)
+
+
+def _remove_summary(path: Path) -> None:
+    """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
+    try:
+        remove_file(path)
+    except OSError as error:
+        raise TerrainError(
+            f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "
+            "another."
+        ) from None
 
 
 def summary_name(frame: int) -> str:
@@ -230,7 +242,7 @@ def _written_by_blender(path: Path, written=written_beside):
     """
     with written(path) as partial, paused():
         partial.touch()
-        partial.unlink()
+        remove_file(partial)
         yield partial
 
 

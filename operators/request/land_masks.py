@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.owned_files import is_real_file, open_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..mesh.cleanup import plan_triangles
 from ..properties.layer_images import painted_of
@@ -38,10 +39,11 @@ def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Pa
 
 def _written(folder: Path, digest: str, make) -> str:
     path = folder / f"{digest}.npy"
-    if path.exists():
+    if is_real_file(path):
         return str(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        with open_folder(folder, make=True):
+            pass
         with written_beside(path) as partial, open(partial, "wb") as file:
             np.save(file, np.ascontiguousarray(make(), np.float32))
     except OSError as reason:

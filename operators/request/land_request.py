@@ -8,10 +8,8 @@ share it. Nothing here touches Blender but `land_of`.
 
 import errno
 import functools
-import hashlib
 import os
 import re
-import shutil
 import threading
 from collections import Counter
 from contextlib import suppress
@@ -27,16 +25,24 @@ from ...cbt_terrain.field import store_folder
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.land.preview import Preview, preview
 from ...cbt_terrain.land.shape_process import shape_store
-from ...cbt_terrain.land.stack import Stack
-from ...cbt_terrain.run import launch
+from ...cbt_terrain.land.stack import Stack, land_name
+from ...cbt_terrain.run import launch, owned_files
+from ...cbt_terrain.run.owned_files import NotOursError
 from ..properties.land_properties import SEEN
 from . import land_stack, land_tiles
+from .land_folders import (
+    MASKS,
+    OF_VIEWS,
+    check_folders,
+    folder_beside,
+    is_land_name,
+    is_of_views,
+    records,
+    shaped_stores,
+)
+from .land_folders import remove as remove_land
 
-MASKS = "masks"
 MOST_BYTES = 8 << 30  # of the shaped stores of a source, which spare steps of Undo their time
-OF_VIEWS = "_views"  # ends the names of stores that are fine only where some views looked
-BESIDE = "_land"  # ends the name of the folder beside a source's store
-_NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
 MOST_PREVIEWS = 4  # a preview holds about 12 MB
 _SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # what this process lacks, and no fault of a file
 MOST_REPAIRS = 3  # of one land: a disk that damages all that is written would keep a viewport at it for ever
@@ -86,22 +92,12 @@ class Land:
 
     @property
     def is_shaped(self) -> bool:
-        """Whether the store is there, and of this version."""
+        """Return whether the store is there, of this version, and records that it is this land."""
         changed = stores.changed_ns(self.folder)
         try:
-            return bool(changed and _key_of(self.folder, changed))
+            return bool(changed) and _is_recorded(self.folder, changed, _source_key(self.source))
         except TerrainError:
             return False
-
-
-def is_of_views(folder: str) -> bool:
-    """Whether a store is fine only where some views looked."""
-    return folder.endswith(OF_VIEWS)
-
-
-def folder_beside(source: str) -> Path:
-    """The folder of all that was made of a source's store by stacks."""
-    return Path(source.rstrip("/\\") + BESIDE)
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
@@ -115,11 +111,12 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
         return None
     source = bpy.path.abspath(settings.store)
     folder = folder_beside(source)
+    owned_files.check_folder(folder / MASKS)
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
     if not stack.active:
         return None
-    name = hashlib.blake2b(f"{_source_key(source)} {stack.key()}".encode(), digest_size=8).hexdigest()
-    land = Land(source, str(folder / name), waits, stack)
+    land = Land(source, str(folder / land_name(_source_key(source), stack)), waits, stack)
+    check_folders(Path(land.folder))
     _note_use(obj.session_uid, land)
     return land.of_views_alone if settings.land.where == SEEN else land
 
@@ -129,7 +126,7 @@ def _note_use(uid: int, land: Land) -> None:
         _in_use[uid] = land.folder
         for folder in (land.folder, land.of_views_alone.folder):
             with suppress(OSError):
-                os.utime(folder)  # it was used just now: see `remove_old`
+                owned_files.touch(folder)  # it was used just now: see `remove_old`
 
 
 def release(uid: int) -> None:
@@ -147,6 +144,11 @@ def _source_key(store: str) -> str:
     if not changed:
         raise TerrainError(f"There is no terrain store at {store!r}: choose its folder under Store, or import again.")
     return _key_of(store, changed)
+
+
+@functools.lru_cache(maxsize=64)
+def _is_recorded(folder: str, _changed_ns: int, source_key: str) -> bool:
+    return records(stores.read_json(Path(folder))["provenance"], folder, source_key)
 
 
 @functools.lru_cache(maxsize=64)
@@ -208,23 +210,16 @@ def _opened(store: str, open_field) -> HeightField:
 
 
 def is_whole(land: Land, open_field) -> bool:
-    """Whether the shaped store is there and can be opened. One that cannot is taken away, and whatever else lies in its
-    folder, so that it is made again."""
+    """Return whether the shaped store is there, can be opened and records that it is this land. One that cannot be
+    opened is removed, so that it is made again; files of others in its folder stay. Raises TerrainError for a link, and
+    for the store of another terrain."""
     changed = stores.changed_ns(land.folder)
     try:
-        if changed:
-            return open_field(land.folder) is not None
+        field = open_field(land.folder) if changed else None
     except TerrainError as error:
-        if not _take_away(land.folder, changed, error):
-            return False
-    _remove_foreign(Path(land.folder))
-    return False
-
-
-def _remove_foreign(folder: Path) -> None:
-    with suppress(OSError):
-        for other in store_folder.foreign(folder):
-            shutil.rmtree(other) if other.is_dir() and not other.is_symlink() else other.unlink()
+        _take_away(land.folder, changed, error)
+        return False
+    return field is not None and records(field.provenance, land.folder, _source_key(land.source))
 
 
 def check_blocks(store: str, error: TerrainError) -> None:
@@ -253,7 +248,9 @@ def _fault_in(store: str) -> TerrainError | None:
 def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
     """Make what was shaped no store any more, unless it has changed since, and say so: nothing of it is anyone's own.
     What others have mapped of it stays theirs. Returns whether it is none now; any other store is left alone, and land
-    that was made again often enough."""
+    that was made again often enough. Raises NotOursError where `why` is that a link stands there."""
+    if isinstance(why, NotOursError):
+        raise why
     if not _is_made_here(store) or _is_short(why):
         return False
     if changed_ns and stores.changed_ns(store) == changed_ns:
@@ -282,7 +279,7 @@ def _fault(why: TerrainError) -> str:
 
 def _is_made_here(store: str) -> bool:
     """Whether a stack of the open file makes a store. One that a user has chosen as a source nobody makes again."""
-    return is_in_use(Path(store)) and _NAME.fullmatch(Path(store).name) is not None
+    return is_in_use(Path(store)) and is_land_name(Path(store).name)
 
 
 def wanted_tiles(land: Land, open_field) -> land_tiles.Tiles | None:
@@ -301,26 +298,6 @@ def previewed(land: Land, open_field) -> Preview:
     return found
 
 
-def shaped_stores(source: str) -> list[tuple[Path, int]]:
-    """The shaped stores of a source with their bytes, the one that was not used for longest first."""
-    found = []
-    with suppress(OSError):
-        for folder in folder_beside(source).iterdir():
-            if _NAME.fullmatch(folder.name) and (folder / stores.JSON_NAME).exists():
-                found.append((folder.stat().st_mtime, folder, bytes_in(folder)))
-    return [(folder, size) for _, folder, size in sorted(found)]
-
-
-def bytes_in(folder: Path) -> int:
-    """Of all files below a folder; another Blender may take some away meanwhile."""
-    found = 0
-    for inner, _, names in os.walk(folder):
-        for name in names:
-            with suppress(OSError):
-                found += os.lstat(os.path.join(inner, name)).st_size
-    return found
-
-
 def remove_old(land: Land) -> None:
     """Keep no more than MOST_BYTES of the shaped stores of a source: those that were used last. What is in use stays,
     and so does `land`; what is removed can be shaped again."""
@@ -328,17 +305,8 @@ def remove_old(land: Land) -> None:
     total = sum(size for _, size in kept)
     for folder, size in kept:
         if total > MOST_BYTES and not is_in_use(folder) and str(folder) != land.folder:
-            remove(folder)
+            remove_land(folder)
             total -= size
-
-
-def remove(folder: Path) -> None:
-    """Take shaped land away; what another Blender is writing there stays."""
-    land_tiles.forget(str(folder))
-    _remove_foreign(folder)
-    with suppress(OSError):
-        store_folder.take_away(folder)
-        folder.rmdir()
 
 
 def _images_of(stack: Stack) -> dict[str, np.ndarray]:

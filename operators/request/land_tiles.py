@@ -11,7 +11,9 @@ import numpy as np
 
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.store_arrays import open_regular
 from ...cbt_terrain.land.tiles import tiles_seen
+from ...cbt_terrain.run import owned_files
 from ...cbt_terrain.run.partial_files import written_beside
 
 # By level: of each tile, metres by which its heights may be off.
@@ -40,7 +42,8 @@ def _file(folder: str) -> Path:
 def known(folder: str) -> Tiles:
     """What the store in `folder` was asked for; [] where that is not known, or damaged."""
     try:
-        digest, text = _file(folder).read_text().split("\n", 1)
+        with open_regular(_file(folder)) as handle:
+            digest, text = handle.read().decode().split("\n", 1)
         levels = json.loads(text) if digest == _digest(text) else []
     except (OSError, ValueError):
         return []
@@ -85,4 +88,4 @@ def note(folder: str, wanted: Tiles | None) -> None:
 
 def forget(folder: str) -> None:
     with suppress(OSError):
-        _file(folder).unlink()
+        owned_files.remove_file(_file(folder))

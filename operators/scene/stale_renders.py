@@ -15,6 +15,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.owned_files import remove_empty
 
 EXIT_CODE = 1
 FRAMES_NAMED = 10
@@ -69,8 +70,8 @@ def leave() -> None:
     """End the process if a render was stopped; called again when Blender has closed what it was writing."""
     if not _ending:
         return
-    with suppress(OSError):
-        os.rmdir(bpy.app.tempdir)  # as Blender does at its end; only if nothing is in it
+    with suppress(OSError, TerrainError):
+        remove_empty(bpy.app.tempdir)  # as Blender does at its end; only if nothing is in it
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(EXIT_CODE)

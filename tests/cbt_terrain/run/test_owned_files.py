@@ -50,6 +50,7 @@ def content(folder: Path) -> dict[str, str]:
         ("/p/st_land/masks", 2),
         (f"/p/st_land/tiles/.partial-{'0' * 32}", 3),
         ("/p/st_land/chosen", 0),
+        ("/p/st_maps/Terrain_1", 2),
         (f"/{LAND}", 1),
     ],
 )

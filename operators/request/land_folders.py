@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The folder beside a source's store with all that stacks made of it: shaped stores, tiles and masks.
+
+    STORE_land/NAME          a shaped store; NAME is the hash of the source and the stack, which the store records too
+    STORE_land/NAME_views    the same, fine only where some views looked
+    STORE_land/NAME.json     the tiles that a store was made for (land_tiles.py)
+    STORE_land/tiles, masks  results by tile, images of masks
+
+It is a cache. But it may come with a stranger's project, and users may put files there: nothing in it is read, written
+or removed through a link, and what this program did not make stays.
+"""
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field import store_folder
+from ...cbt_terrain.run import owned_files
+from . import land_tiles
+
+MASKS = "masks"
+OF_VIEWS = "_views"  # ends the names of stores that are fine only where some views looked
+_NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
+
+
+def folder_beside(source: str) -> Path:
+    """Return the folder of all that stacks made of a source's store."""
+    return Path(source.rstrip("/\\") + owned_files.LAND)
+
+
+def is_of_views(folder: str) -> bool:
+    """Return whether a store is fine only where some views looked."""
+    return folder.endswith(OF_VIEWS)
+
+
+def is_land_name(name: str) -> bool:
+    """Return whether a folder of shaped land can have this name."""
+    return _NAME.fullmatch(name) is not None
+
+
+def check_folders(folder: Path) -> None:
+    """Raise TerrainError where a link or a file stands in place of the folders of shaped land `folder`."""
+    for used in (folder, folder.with_name(folder.name.removesuffix(OF_VIEWS) + OF_VIEWS)):
+        owned_files.check_folder(used)
+    for used in (store_folder.TILES, MASKS):
+        owned_files.check_folder(folder.with_name(used))
+
+
+def records(provenance: dict, folder: str, source_key: str) -> bool:
+    """Return whether a store records that it is the land its folder is named for, and False for an older record.
+
+    provenance: the store's. source_key: of the source that the folder lies beside. Raises TerrainError for the store of
+    another terrain, which this program did not make for that folder.
+    """
+    shaped, name = provenance.get("shaped"), Path(folder).name
+    if isinstance(shaped, dict):
+        if shaped.get("land") == name.removesuffix(OF_VIEWS):
+            return is_of_views(name) or shaped.get("everywhere") is True
+        if "land" not in shaped and shaped.get("source_key") == source_key:
+            return False
+    raise TerrainError(
+        f"The folder {folder!r} holds the store of another terrain; expected land that was shaped from the store "
+        "beside it: move the folder elsewhere."
+    )
+
+
+def shaped_stores(source: str) -> list[tuple[Path, int]]:
+    """List the shaped stores of a source with their bytes, the one that was not used for longest first. Raises
+    TerrainError where that folder, or one in it, is a link."""
+    beside = folder_beside(source)
+    owned_files.check_folder(beside)
+    found = []
+    with suppress(OSError):
+        for folder in beside.iterdir():
+            if not is_land_name(folder.name):
+                continue
+            owned_files.check_folder(folder)
+            if _is_removable(folder):
+                found.append((folder.stat().st_mtime, folder, bytes_in(folder)))
+    return [(folder, size) for _, folder, size in sorted(found)]
+
+
+def _is_removable(folder: Path) -> bool:
+    """Return whether a folder holds a shaped store, or one that cannot be read any more."""
+    if not owned_files.is_real_file(folder / stores.JSON_NAME):
+        return False
+    try:
+        return "shaped" in stores.read_json(folder)["provenance"]
+    except TerrainError:
+        return True
+
+
+def bytes_in(folder: Path) -> int:
+    """Add up the sizes of all files below a folder; another Blender may remove some meanwhile."""
+    found = 0
+    for inner, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):
+                found += os.lstat(os.path.join(inner, name)).st_size
+    return found
+
+
+def remove(folder: Path) -> None:
+    """Remove shaped land; what another Blender is writing there stays, and so does what this program did not make."""
+    land_tiles.forget(str(folder))
+    with suppress(OSError):
+        store_folder.remove_store(folder)

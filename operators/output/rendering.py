@@ -12,7 +12,9 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.owned_files import NotOursError
 from ...cbt_terrain.run.partial_files import private_folder
+from ..request.land_request import land_of
 from ..request.request import RENDER
 from ..scene import session, stale_renders
 from ..scene.pauses import paused
@@ -52,6 +54,7 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
     scene, terrains = source.scene, []
     with paused():  # the render sets it again, and then updates each terrain once
         scene.frame_set(frame)
+    _check_land(source.objects, frame)
     with private_folder(out) as folder:
         partial = folder / "pictures"
         scene.render.filepath = _as_it_is(partial / f"frame_{frame:04d}")
@@ -73,6 +76,20 @@ def _render(source: SceneFrames, frame: int, out: Path) -> dict:
         raise TerrainError(f"Blender wrote no picture of frame {frame} into {out}; check the disk and its messages.")
     sizes = {file.name: (out / file.name).stat().st_size for file in files}
     return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
+
+
+def _check_land(objects: list, frame: int) -> None:
+    """Raise TerrainError where a link stands in place of a terrain's land: before a picture is begun, which may take
+    long."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    for obj in objects:
+        try:
+            if not obj.hide_render:
+                land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        except NotOursError as error:
+            raise TerrainError(f"Frame {frame} is not rendered, since its mesh would be stale. {error}") from None
+        except TerrainError:
+            pass  # the render finds it too, if it needs the land
 
 
 def _as_it_is(path: Path) -> str:

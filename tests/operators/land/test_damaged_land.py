@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store_arrays
 from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import Draft, data_folder, open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
-from adaptive_terrain.operators.request import land_request, land_tiles
+from adaptive_terrain.cbt_terrain.run import owned_files
+from adaptive_terrain.operators.request import land_folders, land_request, land_tiles
 from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
@@ -111,8 +112,8 @@ def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
 
 
 @pytest.mark.parametrize("other", ["Thumbs.db", "data/Thumbs.db", "data/samples.npy/more"])
-def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, shaped, other):
-    """What a file browser leaves in a folder, and a folder where an array was."""
+def test_damaged_land_is_made_again_beside_a_users_file(terrain, shaped, other):
+    """What a file browser leaves in a folder, and a folder where an array was: they stay."""
     whole = cut_off(shaped)
     [data] = shaped.glob("data-*")
     file = shaped / other.replace("data", data.name)
@@ -121,8 +122,12 @@ def test_damaged_land_is_made_again_whatever_else_lies_there(terrain, shaped, ot
     file.parent.mkdir(exist_ok=True)
     file.write_text("not ours")
     session.update_object(terrain, mode="RENDER")
-    [data] = shaped.glob("data-*")
-    assert (data / "samples.npy").read_bytes() == whole and not list(shaped.rglob("Thumbs.db"))
+    made = open_store(shaped)
+    assert (data_folder(made) / "samples.npy").read_bytes() == whole and file.read_text() == "not ours"
+    terrain.adaptive_terrain.land.entries[0].on = False
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
+    assert file.read_text() == "not ours" and not (shaped / "store.json").exists()
 
 
 def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain, shaped):
@@ -163,11 +168,11 @@ def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, shaped, 
     """As where another user has made it."""
     cut_off(shaped)
 
-    def unlink(path, missing_ok=False):
+    def remove_file(path):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     with monkeypatch.context() as context:
-        context.setattr(Path, "unlink", unlink)
+        context.setattr(owned_files, "remove_file", remove_file)
         with pytest.raises(
             session.TerrainError, match=r"samples.npy is damaged \(it has .*\)\. It is shaped land, which"
         ):
@@ -246,14 +251,15 @@ def test_a_damaged_baked_store_is_an_error(terrain):
     assert (Path(baked) / "store.json").is_file()
 
 
-def test_land_with_a_folder_in_place_of_its_file_is_made_again(terrain, shaped):
+def test_a_folder_in_place_of_store_json_is_refused_and_stays(terrain, shaped):
     file = shaped / "store.json"
     file.unlink()
     (file / "more").mkdir(parents=True)
     session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Preview"
-    session.update_object(terrain, mode="RENDER")
-    assert shaped_land.state_of(terrain).shown == "Shaped" and file.is_file()
+    with pytest.raises(session.TerrainError, match="store.json is a folder; expected a file of Adaptive Terrain"):
+        session.update_object(terrain, mode="RENDER")
+    assert (file / "more").is_dir()
 
 
 def test_a_damaged_shaped_store_is_made_again(terrain, shaped):
@@ -274,6 +280,7 @@ def test_land_that_another_blender_is_writing_is_not_cleared(terrain, shaped):
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert [entry.name for entry in shaped.iterdir()] == [draft.folder.name]
+    field.provenance = {"shaped": {}}
     draft.publish(field, "", {})
     assert open_store(shaped).samples.shape == (5, 5)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not shaped.exists()
@@ -286,7 +293,7 @@ def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeyp
 
     def cleared(folder, wanted):
         monkeypatch.setattr(land_tiles, "note", noted)
-        land_request.remove(Path(folder))
+        land_folders.remove(Path(folder))
 
     monkeypatch.setattr(land_tiles, "note", cleared)
     session.update_object(terrain, mode="RENDER")

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.land import land_cache, shape_land
-from adaptive_terrain.operators.request import land_request, land_stack
+from adaptive_terrain.operators.request import land_folders, land_request, land_stack
 from adaptive_terrain.operators.request.kernels_asked import kernels_for
 from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
@@ -173,7 +173,7 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     bpy.ops.adaptive_terrain.shape()
     shown = shaped_land.store_of(other)
     first, second = other_stores(shown, "0" * 16, "1" * 16 + land_request.OF_VIEWS)
-    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_request.bytes_in(Path(first))))
+    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_folders.bytes_in(Path(first))))
     bpy.context.view_layer.objects.active = terrain
     add("thermal", depth=10.0)
     bpy.ops.adaptive_terrain.shape()

@@ -10,6 +10,7 @@ from ...kernels.effects import flow as kernels
 from ..field.heightfield import HeightField, as_heights
 from ..run import launch
 from ..run.buffers import flat, shared
+from ..run.locks import cached
 from .effect import Effect, Evaluate, Places, Wanted
 from .pyramid import ground
 
@@ -49,9 +50,8 @@ def lacks(field: HeightField, name: str) -> str:
 
 def _as_field(field: HeightField, name: str) -> HeightField:
     """A layer as the samples of a field, which then has a pyramid, too."""
-    if ("layer", name) not in field.found:
-        field.found["layer", name] = as_heights(field, field.layers[name], f"{field.raster_key}-{name}")
-    return field.found["layer", name]
+    key = f"{field.raster_key}-{name}"
+    return cached(field.found, ("layer", name), lambda: as_heights(field, field.layers[name], key))
 
 
 def _example(name: str) -> Callable[[Evaluate], None]:

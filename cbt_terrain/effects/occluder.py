@@ -13,6 +13,7 @@ from ..field.codes import packed
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat, shared
+from ..run.locks import cached
 from .effect import Places
 
 # Rows of samples that are looked at together, whole blocks.
@@ -26,10 +27,8 @@ MARGIN = 1e-9
 def occluder_of(places: Places) -> kernels.Occluder:
     """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
-    reduce, kept = np.minimum if occluder.scale < 0.0 else np.maximum, places.field.found
-    if ("tops", reduce) not in kept:
-        kept["tops", reduce] = find_tops(places.field, reduce)
-    tops, first, wide = kept["tops", reduce]
+    reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
+    tops, first, wide = cached(field.found, ("tops", reduce), lambda: find_tops(field, reduce))
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
     occluder.levels = len(wide)
     return occluder

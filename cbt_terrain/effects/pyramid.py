@@ -15,6 +15,7 @@ from ..field.lattice import Lattice
 from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
 from ..run.buffers import flat
+from ..run.locks import caching
 
 
 def level_with(lattice: Lattice, most: int, finest: int = 0) -> int:
@@ -25,18 +26,24 @@ def level_with(lattice: Lattice, most: int, finest: int = 0) -> int:
 
 def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:
     """The pyramid as kernels read it; heights of the field become height * vertical_scale + vertical_offset."""
-    if not field.prefiltered:
-        count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
-        made = np.empty(max(count, 1), np.float32)
-        below = packed(field, made)
-        for level in range(1, below.levels):
-            rows, columns = shapes(field.lattice)[level]
-            inputs = [below, level, below.coarser]
-            launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
-        field.prefiltered.append(made)  # when it is complete: who is stopped leaves none
+    with caching:
+        if not field.prefiltered:
+            field.prefiltered.append(_halved(field, threads))  # when it is complete: who is stopped leaves none
     found = packed(field, field.prefiltered[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
+
+
+def _halved(field: HeightField, threads: int) -> np.ndarray:
+    """Compute the coarser levels, float32, one behind the other."""
+    count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
+    made = np.empty(max(count, 1), np.float32)
+    below = packed(field, made)
+    for level in range(1, below.levels):
+        rows, columns = shapes(field.lattice)[level]
+        inputs = [below, level, below.coarser]
+        launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
+    return made
 
 
 def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:

@@ -6,7 +6,6 @@ Kept with the field, and when it is complete in its store, under the last MOST_S
 between goes on from the last whole azimuth.
 """
 
-import threading
 from contextlib import suppress
 
 import numpy as np
@@ -17,6 +16,7 @@ from ..field import store
 from ..field.heightfield import HeightField
 from ..run import launch, owned_files
 from ..run.buffers import flat
+from ..run.locks import caching
 from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with, shapes
@@ -32,8 +32,6 @@ PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
 # Kinds of what is kept; LOOKED: the scales whose layers were looked for in the store.
 LAYER, PREVIEW, LOOKED = "sky", "coarse horizons", "looked for skies"
 
-_making = threading.Lock()
-
 
 def layer_level(field: HeightField) -> int:
     """The level of the pyramid that the layer is of: the raster's size alone decides."""
@@ -42,7 +40,7 @@ def layer_level(field: HeightField) -> int:
 
 def is_known(field: HeightField, scale: float) -> bool:
     """Whether the layer is complete, so that values from it take no time."""
-    with _making:
+    with caching:
         looked = field.found.setdefault((LOOKED,), set())
         if (LAYER, scale) not in field.found and scale not in looked:
             looked.add(scale)
@@ -65,23 +63,24 @@ def advance(field: HeightField, scale: float, threads: int) -> bool:
 
 def _advanced(field: HeightField, scale: float, threads: int) -> dict:
     """What there is of the layer then: `sky`, float32 [rows, columns], of so many `azimuths`."""
-    with _making:
+    with caching:
         state = _begun(field, scale)
         if state["azimuths"] < AZIMUTHS:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             heights = np.ascontiguousarray(level_of(field, level, threads))
             rows, columns = heights.shape
-            sums = state.setdefault("sky", np.zeros(heights.shape, np.float32))
             azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, found)
+            sums = state.pop("sky", None)  # while it changes there is none: a fork may come between
+            sums = np.zeros(heights.shape, np.float32) if sums is None else sums
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
             sky.per_cell, sky.azimuth = wp.vec2f(scale / steps[0], scale / steps[1]), wp.vec2f(*azimuth)
             sky.share = 1.0 / AZIMUTHS
             sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, found, sums))
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
-            state["azimuths"] += 1
+            state |= {"sky": sums, "azimuths": state["azimuths"] + 1}
             if state["azimuths"] == AZIMUTHS:
                 _keep_in_store(field, scale, sums)
         return state
@@ -92,7 +91,8 @@ def _begun(field: HeightField, scale: float) -> dict:
     if (LAYER, scale) not in field.found:
         _recall(field, scale)
     state = _kept(field, LAYER, scale)
-    state.setdefault("azimuths", 0)
+    if "sky" not in state:
+        state["azimuths"] = 0
     return state
 
 
@@ -120,7 +120,7 @@ def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
     """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
-    with _making:
+    with caching:
         state = _kept(field, PREVIEW, scale)
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field, level, threads))

@@ -7,7 +7,6 @@ is not finite, is made again.
 """
 
 import hashlib
-import threading
 from collections import OrderedDict
 from collections.abc import Callable
 
@@ -18,12 +17,12 @@ from ..field import store
 from ..field.heightfield import HeightField, as_heights
 from ..field.lattice import Lattice
 from ..field.store_arrays import verify_array
+from ..run.locks import caching
 
 # Bytes that results may hold in memory, the pyramids over them included; the last one stays whatever it holds.
 MOST_BYTES = 1 << 28
 
 _kept: OrderedDict[str, HeightField] = OrderedDict()
-_making = threading.RLock()
 
 
 def whole(
@@ -35,7 +34,7 @@ def whole(
     """
     file = file_of(name, version, parameters)
     key = f"{field.raster_key}-{file}"
-    with _making:  # whoever wants the same waits for it
+    with caching:  # whoever wants the same waits for it
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
@@ -57,7 +56,7 @@ def file_of(name: str, version: int, parameters: tuple) -> str:
 
 def forget() -> None:
     """Let go of what is in memory."""
-    with _making:
+    with caching:
         _kept.clear()
 
 

@@ -17,6 +17,7 @@ from ..field.coats import ALL, Coat, Coats, Ground, Mask
 from ..field.detail import Detail
 from ..field.heightfield import HeightField, with_detail
 from ..field.tiled import Tiled
+from ..run.locks import caching
 from .evaluate import on_samples
 
 MOST_SAMPLES = 1 << 26
@@ -65,14 +66,15 @@ def _masks(
     field: HeightField, layers: tuple[Layer, ...], numbers: tuple[int, ...], heights: tuple[float, float], threads: int
 ) -> list[Mask]:
     """Of these layers; kept with the field."""
-    kept = field.found.setdefault((KIND,), OrderedDict())
     key = layers, numbers, heights
-    if key not in kept:
-        kept[key] = _made(field, layers, numbers, heights, threads)
-        while len(kept) > MOST_KEPT:
-            kept.popitem(last=False)
-    kept.move_to_end(key)
-    return kept[key]
+    with caching:
+        kept = field.found.setdefault((KIND,), OrderedDict())
+        if key not in kept:
+            kept[key] = _made(field, layers, numbers, heights, threads)
+            while len(kept) > MOST_KEPT:
+                kept.popitem(last=False)
+        kept.move_to_end(key)
+        return kept[key]
 
 
 def _made(field, layers, numbers, heights, threads) -> list[Mask]:

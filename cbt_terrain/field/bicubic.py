@@ -34,6 +34,7 @@ from ...kernels.field import ranges as range_kernels
 from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import flat
+from ..run.locks import cached
 from . import codes, hierarchy, store
 from .codes import LEAST_EXPONENT, MOST_EXPONENT
 from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField, with_detail
@@ -59,9 +60,7 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         return field
     if field.detail:
         return with_detail(interpolated(with_detail(field, None), name), field.detail)
-    if name not in field.surfaces:
-        field.surfaces[name] = bicubic(field)
-    return field.surfaces[name]
+    return cached(field.surfaces, name, lambda: bicubic(field))
 
 
 def bicubic(field: HeightField) -> HeightField:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
+from ..run.locks import caching
 from . import codes
 from .coats import Ground, parts_of
 from .detail_bounds import Part, highest
@@ -134,19 +135,20 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     plain = field.surfaces["plain"] if field.detail else field
     if detail is None or not detail.amplitude:
         return plain
-    kept = plain.detailed.pop(detail, None)
-    if kept is None:
-        more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
-        kept = replace(
-            plain,
-            detail=detail,
-            min_height=plain.min_height - more,
-            max_height=plain.max_height + more,
-            key=plain.key + DETAIL_KEY + detail.key,
-            surfaces={"plain": plain},
-            detailed={},
-        )
-    plain.detailed[detail] = kept
-    while len(plain.detailed) > MOST_DETAILED:
-        del plain.detailed[next(iter(plain.detailed))]
-    return kept
+    with caching:
+        kept = plain.detailed.pop(detail, None)
+        if kept is None:
+            more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
+            kept = replace(
+                plain,
+                detail=detail,
+                min_height=plain.min_height - more,
+                max_height=plain.max_height + more,
+                key=plain.key + DETAIL_KEY + detail.key,
+                surfaces={"plain": plain},
+                detailed={},
+            )
+        plain.detailed[detail] = kept
+        while len(plain.detailed) > MOST_DETAILED:
+            del plain.detailed[next(iter(plain.detailed))]
+        return kept

@@ -4,6 +4,7 @@
 import numpy as np
 
 from ..run import launch
+from ..run.locks import cached
 from . import codes, hierarchy, store
 from .heightfield import HeightField
 
@@ -15,9 +16,7 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
     """
     if meshlet == 0:
         return field.error
-    if meshlet not in field.expanded:
-        field.expanded[meshlet] = _load_or_expand(field, meshlet)
-    return field.expanded[meshlet]
+    return cached(field.expanded, meshlet, lambda: _load_or_expand(field, meshlet))
 
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:

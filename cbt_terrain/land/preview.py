@@ -14,6 +14,7 @@ from ..field.build import from_array
 from ..field.heightfield import HeightField
 from ..land_effects.land_effect import Change, Ground, LandEffect
 from ..land_effects.levels import masked
+from ..run.locks import cached
 from .kernels_needed import prepare
 from .level_work import LevelGround
 from .mask import whole_mask
@@ -195,13 +196,15 @@ def _places(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
 def _shown(source: HeightField) -> np.ndarray:
     """float32, the source's heights at the places that are shown; kept for the next call."""
     key = (*_FOUND, "shown")
-    if key not in source.found:
+
+    def interpolate() -> np.ndarray:
         rows, columns = _places(source)
         low = np.minimum(rows.astype(np.int64), source.lattice.height - 2)
         pair = [_along(source.heights(low + more), columns) for more in (0, 1)]
         part = (rows - low)[:, None].astype(np.float32)
-        source.found[key] = pair[0] + part * (pair[1] - pair[0])
-    return source.found[key]
+        return pair[0] + part * (pair[1] - pair[0])
+
+    return cached(source.found, key, interpolate)
 
 
 def _between(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

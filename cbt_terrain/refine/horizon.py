@@ -16,6 +16,7 @@ from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, flat
+from ..run.locks import cached
 
 BIN_COST = 2000.0  # of a bin's rings, in lookups
 # Where points rise, ground gets coarser as rays to it pass deeper below what hides it, up to this slope (height over
@@ -77,9 +78,7 @@ def horizon_of(field: HeightField, domain: Domain, asked: Asked, max_depth: int,
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
     """The blocks of a field's surface: found once, and kept with the field."""
     key = "blocks", field.interpolation
-    if key not in field.found:
-        field.found[key] = _find_blocks(domain, threads)
-    least, first, wide = field.found[key]
+    least, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
     blocks = Blocks()
     blocks.least, blocks.first, blocks.wide = flat(least, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
     return blocks

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
-from . import stopping
+from . import locks, stopping
 from .buffers import shared
 
 DEVICE = "cpu"
@@ -26,6 +26,7 @@ DEVICE = "cpu"
 SLICE_ITEMS = 20_000
 
 _pool: ThreadPoolExecutor | None = None
+_starting = locks.SharedLock()
 _times = threading.local()
 
 
@@ -67,20 +68,35 @@ def ranges(count: int, pieces: int) -> list[tuple[int, int]]:
 def together(jobs: Sequence[Callable[[], None]]) -> None:
     """Run the jobs side by side, the first on the calling thread; the first exception is raised after all have
     ended."""
-    global _pool
     if len(jobs) < 2:
         for job in jobs:
             job()
         return
-    if _pool is None:
-        _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="adaptive_terrain")
-    futures = [_pool.submit(job) for job in jobs[1:]]
+    pool = _shared_pool()
+    futures = [pool.submit(job) for job in jobs[1:]]
     try:
         jobs[0]()
     finally:
         _wait_for(futures)
     for future in futures:
         future.result()
+
+
+def _shared_pool() -> ThreadPoolExecutor:
+    global _pool
+    with _starting:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="adaptive_terrain")
+        return _pool
+
+
+def _forget_pool() -> None:
+    """Start new threads when they are needed: a forked child has none of the pool's."""
+    global _pool
+    _pool = None
+
+
+locks.in_forked_child(_forget_pool)
 
 
 def _wait_for(futures: Sequence[Future]) -> None:
@@ -166,7 +182,9 @@ def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -
 
 
 _loaded: set = set()
-_loading = threading.Lock()
+_loading = threading.RLock()
+if hasattr(os, "register_at_fork"):  # a fork waits for a module that is being loaded: Warp could not load it again
+    os.register_at_fork(before=_loading.acquire, after_in_parent=_loading.release, after_in_child=_loading.release)
 
 
 def _load(kernel) -> None:

@@ -38,7 +38,7 @@ from ...kernels import (
     scatter,
 )
 from ..errors import TerrainError
-from . import child, launch, stopping
+from . import child, launch, locks, stopping
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
@@ -138,6 +138,15 @@ def stop() -> None:
         preparation.stopping.set()
     for preparation in begun:
         preparation.thread.join()
+
+
+def _forget() -> None:
+    """Forget the preparations of the parent process: their threads do not run in a forked child."""
+    global _current, _asked
+    _current = _asked = None
+
+
+locks.in_forked_child(_forget)
 
 
 def preparing() -> bool:

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Locks for state that several threads share, and their state in a forked child process.
+
+A child has the forking thread alone: a lock that another thread of the parent holds would stay locked for ever, and
+what that thread was changing is half changed.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Hashable, MutableMapping
+from typing import TypeVar
+from weakref import WeakSet
+
+Value = TypeVar("Value")
+
+
+class SharedLock:
+    """A reentrant lock, which no thread holds in a forked child.
+
+    `broken`: another thread held it at the fork, so its owner must make its state anew, and then set this to False.
+    """
+
+    def __init__(self):
+        self.broken = False
+        self._lock = threading.RLock()
+        _locks.add(self)
+
+    def __enter__(self) -> "SharedLock":
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, *_error) -> None:
+        self._lock.release()
+
+    def free(self) -> None:
+        """Free the lock in a forked child, unless the thread that forked holds it."""
+        if self._lock.acquire(blocking=False):
+            self._lock.release()
+        else:
+            self._lock, self.broken = threading.RLock(), True
+
+
+_locks: WeakSet[SharedLock] = WeakSet()
+# One lock for whatever is computed once and cached, so that no two threads wait for each other.
+caching = SharedLock()
+
+
+def cached(cache: MutableMapping[Hashable, Value], key: Hashable, make: Callable[[], Value]) -> Value:
+    """Return `cache[key]`. If it is missing, `make` it on this thread, while others that want any such value wait."""
+    try:
+        return cache[key]
+    except KeyError:
+        pass
+    with caching:
+        if key not in cache:
+            cache[key] = make()
+        return cache[key]
+
+
+def in_forked_child(reset: Callable[[], None]) -> None:
+    """Call `reset` in every child process that is forked from this one."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=reset)
+
+
+def _free_all() -> None:
+    for lock in list(_locks):
+        lock.free()
+
+
+in_forked_child(_free_all)

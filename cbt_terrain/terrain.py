@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain: one height field and what keeps its mesh up to date with the views."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from .ask.criterion import Criterion
 from .ask.linear import determinant
 from .ask.local_view import localise
 from .ask.spans import Plan, Spans, spans_of
-from .ask.view import View
+from .ask.view import View, listed_views
 from .errors import TerrainError
 from .field.heightfield import HeightField
 from .mesh.builder import SurfaceBuilder, TornMesh
@@ -27,12 +28,16 @@ from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
 from .run import launch
 from .run.buffers import Buffers
+from .run.locks import SharedLock
 from .tree.location import locate
 
 
 @dataclass(frozen=True)
 class Update:
     """What one update did. Bounds are None where nothing was asked of them.
+
+    The arrays of `surface` are read-only, and later updates do not change them: memory is reused once they are no
+    longer in use. `copy()` has arrays that can be written.
 
     `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
     (0: nothing is in view; 1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere.
@@ -60,25 +65,54 @@ class Update:
     def triangles(self) -> int:
         return len(self.surface.triangles)
 
+    def copy(self) -> "Update":
+        """Return the same with a surface in new arrays, which can be written."""
+        return replace(self, surface=self.surface.copy())
+
+    def __repr__(self) -> str:
+        bounds = (f"within {b:.3g} {unit}" for b, unit in ((self.bound_px, "px"), (self.bound_m, "m")) if b is not None)
+        return f"<{type(self).__name__}: {', '.join((f'{self.triangles:,} triangles', *bounds))}>"
+
 
 class Terrain:
     """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes.
 
-    `whole`: with what of the triangles reaches beyond the raster's rim, where the mesh is cut otherwise.
+    Threads may share a terrain: one call waits for another. `threads`: how many of its own it computes with, all cores
+    by default. `whole`: with what of the triangles reaches beyond the raster's rim, where the mesh is cut otherwise.
     """
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
         self.field = field
         self.threads = launch.default_threads() if threads is None else max(1, threads)
+        self._whole = whole
+        self._lock = SharedLock()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin without a mesh."""
         self._buffers = Buffers()
-        self._refinement = Refinement(field, self._buffers, self.threads)
-        self._builder = SurfaceBuilder(field, self._buffers, self.threads, whole)
+        self._refinement = Refinement(self.field, self._buffers, self.threads)
+        self._builder = SurfaceBuilder(self.field, self._buffers, self.threads, self._whole)
         self._domain, self._domain_key = None, None
         self._asked_key = None
         self._shape_key = None
         self._last: Update | None = None
         self._hides: tuple | None = None  # of the last mesh: arguments of `horizon_of`, if any
         self._pieces: Pieces | None = None  # of the surface that was last asked for a place
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other threads out. In a process that was forked while one was inside, begin anew."""
+        with self._lock:
+            if self._lock.broken:
+                self._begin()
+                self._lock.broken = False
+            yield
+
+    def __repr__(self) -> str:
+        lattice = self.field.lattice
+        mesh = f"{self._last.triangles:,} triangles" if self._last else "no mesh yet"
+        return f"<Terrain: {lattice.width:,} x {lattice.height:,} samples, {mesh}>"
 
     @property
     def tree(self):
@@ -93,7 +127,7 @@ class Terrain:
     def update(
         self,
         criterion: Criterion,
-        views: Sequence[View] = (),
+        views: Iterable[View] = (),
         placement: np.ndarray | None = None,
         vertical_scale: float = 1.0,
         vertical_offset: float = 0.0,
@@ -103,7 +137,7 @@ class Terrain:
         Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError and leaves the last mesh
         as it is if a number cannot be used.
         """
-        placement = np.eye(4) if placement is None else np.array(placement, np.float64)
+        views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         key = (criterion, tuple(v.key() for v in views), placement.tobytes(), vertical_scale, vertical_offset)
         return self._made(
             key, lambda ms: self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
@@ -114,10 +148,11 @@ class Terrain:
 
         Where points were rising it says until which ratio: of their heights the tree knows nothing.
         """
-        self._need_update()
-        meshlet, _, scale, offset, morph = self._shape_key
-        how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
-        return self.tree.to_bytes(), how | ({"morph": morph} if morph > 1 else {})
+        with self._alone():
+            self._need_update()
+            meshlet, _, scale, offset, morph = self._shape_key
+            how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
+            return self.tree.to_bytes(), how | ({"morph": morph} if morph > 1 else {})
 
     def restore(
         self,
@@ -145,12 +180,18 @@ class Terrain:
 
     def _made(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
         """What `make` makes, given where to note milliseconds; or the last update where the same is asked again."""
-        if key == self._asked_key:
-            return replace(self._last, changed=False, ms={})
-        with launch.stopwatch() as ms, launch.timed("total"):
-            update = make(ms)
-        self._asked_key, self._last = key, update
-        return update
+        with self._alone():
+            if key == self._asked_key:
+                return replace(self._last, changed=False, ms={})
+            with launch.stopwatch() as ms, launch.timed("total"):
+                update = make(ms)
+            self._asked_key, self._last = key, update
+            return update
+
+    def _build(self, *what) -> Surface:
+        """Build a surface. The memory of the last one is free for it, unless a caller still uses that."""
+        self._last = self._pieces = None
+        return self._builder.build(*what)
 
     def _restore(self, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
         box_of(self.field, vertical_scale, vertical_offset)
@@ -162,7 +203,7 @@ class Terrain:
         leaves, error = self._refinement.replay(domain, depths, cell_bits)
         changed = leaves.changed or shape != shape_key
         try:
-            surface = self._builder.build(leaves, domain, meshlet) if changed else self._last.surface
+            surface = self._build(leaves, domain, meshlet) if changed else self._last.surface
         except TornMesh:
             raise TerrainError(
                 "The saved tree has leaves that do not fit together, so no terrain had it; save it again."
@@ -186,21 +227,23 @@ class Terrain:
         places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where triangles
         were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
         """
-        self._need_update()
-        surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
         places = np.asarray(places, np.float64).reshape(-1, 2)
-        found = locate(self.tree, lattice, places, meshlet)
-        if not lattice.is_padded and self.field.valid is None:
-            return found
-        if self._pieces is None or self._pieces.surface is not surface:
-            self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
-        return self._pieces.at(found, places)
+        with self._alone():
+            self._need_update()
+            surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
+            found = locate(self.tree, lattice, places, meshlet)
+            if not lattice.is_padded and self.field.valid is None:
+                return found
+            if self._pieces is None or self._pieces.surface is not surface:
+                self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
+            return self._pieces.at(found, places)
 
     def horizon(self) -> "Asked | None":
         """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
         without views and an error asked, of a restored tree, and with holes, through which one sees."""
-        self._need_update()
-        return horizon_of(self.field, *self._hides, self.threads) if self._hides else None
+        with self._alone():
+            self._need_update()
+            return horizon_of(self.field, *self._hides, self.threads) if self._hides else None
 
     def _need_update(self) -> None:
         if self._last is None or self._shape_key is None:
@@ -226,7 +269,7 @@ class Terrain:
         asked = pack(criterion, local, spans, domain.source)
         # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
         self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        surface, changed = self._last.surface if self._last else None, shape != shape_key or rises_until > 1
+        changed = shape != shape_key or rises_until > 1
         most = _max_leaves(criterion)
         while True:
             limited = criterion.max_triangles is not None
@@ -234,8 +277,8 @@ class Terrain:
             # The same leaves displaced the same way are the same mesh.
             changed |= leaves.changed
             rising = Rising(asked, rises_until, relaxed) if rises_until > 1 else None
-            if changed:
-                surface = self._builder.build(leaves, domain, criterion.meshlet, rising)
+            surface = None  # or its memory would be in use
+            surface = self._build(leaves, domain, criterion.meshlet, rising) if changed else self._last.surface
             # The cut at the rim makes two of some triangles.
             over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
             if over <= 0 or leaves.total > most:

@@ -2,6 +2,7 @@
 """A view: what a camera sees, in numbers of float64, wherever the camera came from."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,6 +129,15 @@ class View:
             projection[0, 0], projection[1, 1] = 2 / ortho_width * larger / width, 2 / ortho_width * larger / height
             projection[2, 2:], projection[3, 3] = (2 / (start - end), (start + end) / (start - end)), 1.0
         return cls(matrix, projection, resolution, kind, clip)
+
+
+def listed_views(views: Iterable[View]) -> list[View]:
+    """Return the views as a list. Raises TerrainError where that is no list, tuple or generator of views."""
+    found = [views] if isinstance(views, View) else list(views) if isinstance(views, Iterable) else None
+    if found is None or not all(isinstance(view, View) for view in found):
+        wrong = views if found is None else next(view for view in found if not isinstance(view, View))
+        raise TerrainError(f"The views hold a {type(wrong).__name__}; expected a list of View objects, one a camera.")
+    return found
 
 
 def _check_resolution(resolution: tuple[float, float]) -> None:

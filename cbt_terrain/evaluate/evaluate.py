@@ -2,8 +2,9 @@
 """Running a plan on a surface: each effect once, nothing that is not in the plan, nothing again that is known."""
 
 import time
+import weakref
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..field.heightfield import HeightField
 from ..mesh.attributes import POINT as POINTS
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
+from ..run.locks import SharedLock
 from .keep import Kept
 from .plan import Plan, plan
 from .scale import fixed_level, footprint_levels
@@ -42,7 +44,7 @@ class Ran:
 class _State:
     """What the last call left. `keys`: of the values that are kept, by effect."""
 
-    surface: Surface | None = None
+    surface: weakref.ref[Surface] | Callable[[], None] = lambda: None
     asked: tuple = ()
     keys: dict[str, tuple] = field(default_factory=dict)
     found: dict[str, Attribute] = field(default_factory=dict)
@@ -61,6 +63,7 @@ class Evaluator:
     most_bytes: int = MOST_BYTES
     runs: Counter = field(default_factory=Counter)
     ran: dict[str, Ran] = field(default_factory=dict)
+    _lock: SharedLock = field(default_factory=SharedLock, init=False, repr=False)
     _state: _State = field(default_factory=_State, init=False, repr=False)
     _kept: Kept | None = field(default=None, init=False, repr=False)
 
@@ -86,10 +89,23 @@ class Evaluator:
         geometry is made from, unless `geometry_metres` says another.
         """
         scale = float(vertical_scale), float(vertical_offset)
+        with self._lock:
+            return self._attributes(plan, heights, surface, views, placement, scale, geometry_metres)
+
+    def _attributes(
+        self,
+        plan: Plan,
+        heights: HeightField,
+        surface: Surface,
+        views: Sequence[View],
+        placement: np.ndarray | None,
+        scale: tuple[float, float],
+        geometry_metres: float,
+    ) -> dict[str, Attribute]:
         where = b"" if placement is None else np.asarray(placement, np.float64).tobytes()
         asked = (plan, heights.key, scale, where, tuple(view.key() for view in views), geometry_metres)
         last, self._state, self.ran = self._state, _State(), {}
-        if surface is last.surface and asked == last.asked:
+        if surface is last.surface() and asked == last.asked:
             self._state, self.ran = last, {step.name: Ran(0.0, 0, 0) for step in plan.steps}
             return last.found
         kept, self._kept = self._kept, None  # what is half done when this is stopped is not known
@@ -131,7 +147,7 @@ class Evaluator:
                 self.ran[step.name] = Ran(ms, values[step.name].nbytes, computed)
         kept.forget_others({*which, *places})
         found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
-        self._kept, self._state = kept, _State(surface, asked, keys, found)
+        self._kept, self._state = kept, _State(weakref.ref(surface), asked, keys, found)
         return found
 
 

@@ -54,7 +54,10 @@ class _Meshlets:
 
 
 class SurfaceBuilder:
-    """Builds surfaces in memory of its own: once that is large enough, a build allocates no large array.
+    """Builder of surfaces, which reuses memory: once that is large enough, a build allocates no large array.
+
+    Surfaces have read-only arrays. Memory of which one is still in use is not written again: the next build takes other
+    memory, that of an earlier surface if it is free.
 
     `whole`: with what of their leaves reaches beyond the raster's rim.
     """
@@ -81,6 +84,7 @@ class SurfaceBuilder:
         slices = leaves.counts.tolist()
         triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
+        self._buffers.reclaim(keep=DISPLACED)
         if shown is not None:
             for swapped in reversed(self._swapped):
                 for name in DISPLACED:
@@ -123,14 +127,15 @@ class SurfaceBuilder:
         if not self._whole:
             surface = self._end(surface, domain, prefix)
         self._shown = showing
-        return surface
+        names = {name: _buffer_of(name, prefix) for name in surface.arrays()}
+        return surface.with_arrays({n: self._buffers.lend(names[n], len(a)) for n, a in surface.arrays().items()})
 
     def _end(self, surface: Surface, domain: Domain, prefix: str) -> Surface:
         """Cut it at the rim and at holes, in the builder's memory: the points of the leaves are there again once what
         was swapped is swapped back."""
 
         def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
-            return self._buffers.extend(name if name in DISPLACED else prefix + BUFFERS.get(name, name), count)
+            return self._buffers.extend(_buffer_of(name, prefix), count)
 
         surface, self._swapped = borders.end(surface, self._field, domain, room=room, threads=self._threads)
         return surface
@@ -309,6 +314,11 @@ class SurfaceBuilder:
 
     def _pieces(self, items: int) -> int:
         return self._threads if items >= launch.SLICE_ITEMS else 1
+
+
+def _buffer_of(array: str, prefix: str) -> str:
+    """Return the name of the buffer that an array of a surface is in."""
+    return array if array in DISPLACED else prefix + BUFFERS.get(array, array)
 
 
 @cache

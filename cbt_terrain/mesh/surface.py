@@ -8,9 +8,10 @@ import numpy as np
 from .attributes import CORNER, EDGE, FACE, LEVEL, NORMALS, POINT, UV, Attribute
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
-    """A welded triangle mesh; views of buffers that the next update overwrites.
+    """A welded triangle mesh. The arrays of an update are read-only and stay as they are; those of a `copy` can be
+    written.
 
     `positions` float32 [V, 3], metres in the terrain's own space. `corner_verts`, `corner_edges` int32 [3 T]: edge c
     of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `attributes`: what else it carries, by name;
@@ -58,8 +59,14 @@ class Surface:
         topology = {name: array for name, array in vars(self).items() if name != "attributes"}
         return topology | {name: attribute.array for name, attribute in self.attributes.items()}
 
+    def with_arrays(self, arrays: dict[str, np.ndarray]) -> "Surface":
+        """Return the same mesh with other arrays, all that `arrays()` has, by name."""
+        attributes = {name: replace(a, array=arrays[name]) for name, a in self.attributes.items()}
+        return replace(self, attributes=attributes, **{name: arrays[name] for name in arrays.keys() - attributes})
+
     def copy(self) -> "Surface":
-        """The same mesh in arrays of its own, which no update overwrites."""
-        attributes = {name: replace(a, array=a.array.copy()) for name, a in self.attributes.items()}
-        arrays = {name: array.copy() for name, array in vars(self).items() if name != "attributes"}
-        return Surface(**arrays, attributes=attributes)
+        """Return the same mesh in new arrays, which can be written."""
+        return self.with_arrays({name: array.copy() for name, array in self.arrays().items()})
+
+    def __repr__(self) -> str:
+        return f"<Surface: {len(self.triangles):,} triangles, {len(self.positions):,} vertices>"

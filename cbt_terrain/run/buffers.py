@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays that live as long as a terrain and only ever grow, so that a warm frame allocates nothing."""
+"""Arrays that live as long as a terrain and only ever grow, so that a warm frame allocates nothing.
+
+Results are lent: their arrays are read-only, and while one of them is in use its memory is not written again.
+"""
+
+import weakref
+from collections.abc import Container
 
 import numpy as np
 import warp as wp
@@ -42,6 +48,8 @@ class Buffers:
 
     def __init__(self):
         self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}
+        # Memory, and the arrays that were lent of it: of buffers, and of what were buffers.
+        self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []
 
     def get(self, name: str, count: int, dtype) -> wp.array:
         """At least `count` items of a Warp dtype; the contents are kept only if it did not have to grow."""
@@ -71,7 +79,39 @@ class Buffers:
         """The memory of a buffer that `get` has made."""
         return self._arrays[name][0]
 
+    def lend(self, name: str, count: int) -> np.ndarray:
+        """Return the first `count` items of a buffer, read-only."""
+        memory = self.numpy(name)
+        # Over a memoryview numpy cannot make it writable, and views of it refer to it rather than to the memory.
+        lent = np.asarray(memoryview(memory[:count]).toreadonly())
+        self._lent.append((memory, weakref.ref(lent)))
+        return lent
+
+    def reclaim(self, keep: Container[str]) -> None:
+        """Replace the memory of every buffer of which a lent array is in use; those named in `keep` are copied."""
+        in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
+        returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
+        own = {id(memory) for memory, _ in self._arrays.values()}
+        spare = [memory for memory in returned.values() if id(memory) not in own]
+        for name, (memory, shared_array) in self._arrays.items():
+            if id(memory) in in_use:
+                fresh = _taken_from(spare, memory)
+                if name in keep:
+                    np.copyto(fresh[: len(memory)], memory)
+                self._arrays[name] = fresh, shared(fresh, shared_array.dtype)
+        self._lent = [(memory, lent) for memory, lent in self._lent if id(memory) in in_use]
+
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, touched or not."""
-        return sum(array.nbytes for array, _ in self._arrays.values())
+        """Bytes of all arrays, touched or not, with what is lent of earlier ones."""
+        memory = [array for array, _ in self._arrays.values()] + [array for array, _ in self._lent]
+        return sum({id(array): array.nbytes for array in memory}.values())
+
+
+def _taken_from(spare: list[np.ndarray], memory: np.ndarray) -> np.ndarray:
+    """Take an array like `memory`, or one that is up to a half longer, out of the spare ones, or make one."""
+    for k, array in enumerate(spare):
+        alike = array.dtype == memory.dtype and array.shape[1:] == memory.shape[1:]
+        if alike and len(memory) <= len(array) <= 1.5 * len(memory):
+            return spare.pop(k)
+    return np.empty_like(memory)

@@ -7,7 +7,7 @@ moves.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from ...kernels.scatter.seen import Views
 from ..ask.criterion import Criterion
 from ..ask.linear import lengths, settled, solve
 from ..ask.local_view import localise
-from ..ask.view import View
+from ..ask.view import View, listed_views
 from ..effects.effect import Places
 from ..errors import TerrainError
 from ..evaluate.evaluate import values_at
@@ -31,6 +31,7 @@ from ..mesh.surface import Surface
 from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import Buffers, flat, shared
+from ..run.locks import SharedLock
 from ..terrain import Terrain, box_of
 from .kept import Kept
 from .scatter import MOST_TILES, Scatter
@@ -64,7 +65,7 @@ class Points:
         return Points(*(part[which] for part in parts), self.tested)
 
 
-def scatter_points(field: HeightField, scatter: Scatter, views: Sequence[View] = (), **placed) -> Points:
+def scatter_points(field: HeightField, scatter: Scatter, views: Iterable[View] = (), **placed) -> Points:
     """The points that views see; without a view all of them, at full density. Arguments as of Scatterer.points."""
     names = "vertical_scale", "vertical_offset", "threads", "boundary"
     fixed = {name: placed.pop(name) for name in names if name in placed}
@@ -74,7 +75,7 @@ def scatter_points(field: HeightField, scatter: Scatter, views: Sequence[View] =
 class Scatterer:
     """A scatter on a height field, with its candidates on the ground, which later frames need again.
 
-    What is kept changes no result: candidates depend on no view. Arguments as of Terrain and of Terrain.update.
+    What is kept changes no result: candidates depend on no view. Threads may share it: one call waits for another. Arguments as of Terrain and of Terrain.update.
     `boundary`: points are above or below one of these triangles, float64 [n, 3, 2], x and y in the terrain's space.
     """
 
@@ -98,7 +99,7 @@ class Scatterer:
         self._pattern, self._tiles = _laid(field, scatter)
         self._look = _look(scatter, self._tiles)
         self._boundary = None if boundary is None else counter_clockwise(boundary)
-        self._ground, self._buffers = Kept(), Buffers()
+        self._ground, self._buffers, self._lock = Kept(), Buffers(), SharedLock()
 
     @property
     def nbytes(self) -> int:
@@ -107,7 +108,7 @@ class Scatterer:
 
     def points(
         self,
-        views: Sequence[View] = (),
+        views: Iterable[View] = (),
         placement: np.ndarray | None = None,
         horizon: "Asked | None" = None,
         most: tuple[int, str] | None = None,
@@ -120,6 +121,19 @@ class Scatterer:
         Raises TerrainError for a view that cannot be, for another's horizon, for more candidates than memory should
         hold, for more points than may be and for heights that are not finite.
         """
+        views = listed_views(views)
+        with self._lock:
+            if self._lock.broken:
+                self._ground, self._buffers, self._lock.broken = Kept(), Buffers(), False
+            return self._points(views, placement, horizon, most)
+
+    def _points(
+        self,
+        views: list[View],
+        placement: np.ndarray | None,
+        horizon: "Asked | None",
+        most: tuple[int, str] | None,
+    ) -> Points:
         seen, pattern = self._seen(views, placement, horizon), self._pattern
         placed = pattern.west, pattern.south, pattern.side, self.scatter.seed
         densest = min(self.scatter.where.strength, 1.0)  # of its layer's part, all rules holding
@@ -142,7 +156,7 @@ class Scatterer:
         launch.slices(kernels.tell, [[*piece, *inputs] for piece in self._pieces(counts)], step="tell")
         return points
 
-    def _seen(self, views: Sequence[View], placement: np.ndarray | None, horizon: "Asked | None") -> Views:
+    def _seen(self, views: list[View], placement: np.ndarray | None, horizon: "Asked | None") -> Views:
         scatter, placement = self.scatter, np.eye(4) if placement is None else np.asarray(placement, np.float64)
         criterion, seen, local = Criterion(guard_deg=scatter.margin_deg), Views(), []
         for view in views:

@@ -23,7 +23,7 @@ def test_a_warm_frame_allocates_nothing_that_grows_with_the_mesh(meshlet, monkey
     terrain = Terrain(rough(129, 129), 2)
     criterion = Criterion(error_px=0.1, meshlet=meshlet)
     for view in (*VIEWS, *VIEWS):  # the first frame is one slice, all others two
-        terrain.update(criterion, [view])
+        update = terrain.update(criterion, [view])  # each frame while the one before is in use
     for view in VIEWS:
         tracemalloc.start()
         update = terrain.update(criterion, [view])

@@ -88,7 +88,8 @@ def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
-def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkeypatch):
+def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch):
+    """Also where a caller still has the surface of the update before, as in every loop."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     build, peaks = SurfaceBuilder.build, []
 
@@ -103,11 +104,12 @@ def test_a_warm_build_allocates_nothing_that_grows_with_the_mesh(meshlet, monkey
     terrain = Terrain(rough(65, 129), 2)
     criterion = Criterion(error_px=0.2, meshlet=meshlet)
     views = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in (0.0, 30.0)]
-    updates = [terrain.update(criterion, [views[n % 2]]) for n in range(6)]
-    assert all(update.changed for update in updates) and len(peaks) == 6
-    assert updates[-1].surface.positions.nbytes > 80_000 and peaks[0] > 20_000
+    for n in range(8):
+        update = terrain.update(criterion, [views[n % 2]])
+        assert update.changed and len(peaks) == n + 1
+    assert update.surface.positions.nbytes > 80_000 and peaks[0] > 30_000
     # Of each view's warm builds the least: what grows is in every one, what Python itself happens to keep is not.
-    assert max(min(peaks[2::2]), min(peaks[3::2])) < 20_000
+    assert max(min(peaks[4::2]), min(peaks[5::2])) < 30_000
 
 
 def flown(field, meshlet=0, threads=2):

@@ -2,11 +2,11 @@
 """Adaptive Terrain: a terrain of any size at exactly the detail that the camera can see, as an ordinary Blender mesh.
 
 The repository's root is this package. Blender calls `register` and `unregister`; nothing here imports bpy before that,
-so that the engine runs, tests and benchmarks without Blender. For programs, the names below are all that most need:
+so that the engine runs, tests and benchmarks without Blender. Most programs need only the names below:
 
     from adaptive_terrain import Criterion, Terrain, View, bake, import_source, open_store
 
-They are imported when they are first asked for, so that Blender starts as fast as without them. `examples/` uses each.
+They are imported when they are first used, so that Blender starts as fast as without them. `examples/` uses each.
 """
 
 __version__ = "0.2.0"
@@ -20,15 +20,64 @@ _FRONT_DOOR = {
     "View": "ask.view",  # what cameras see
     "Criterion": "ask.criterion",  # and how fine that is to be
     "bake": "fit.fit",  # a height field to a mesh without a camera
-    "ground_at": "query.ground",  # heights, normals and slopes at places of a height field
+    "measure": "accuracy.measure",  # how accurate a mesh is, without the code that makes bounds
+    "write_npz": "mesh.archive",  # a mesh to a file
+    "read_npz": "mesh.archive",  # ... and back
+    "ground_at": "query.ground",  # heights, normals and slopes at positions of a height field
     "profile": "query.ground",  # ... and heights along a line
     "pick": "query.rays",  # where rays meet it
     "nearest": "query.rays",  # ... along a direction, to either side
     "box_range": "query.box",  # its least and greatest height in a box
     "viewshed": "query.viewshed",  # which of its samples an eye sees
     "Scatter": "scatter.scatter",  # what stands on it,
-    "scatter_points": "scatter.points",  # ... and where
+    "scatter_points": "scatter.points",  # ... where,
+    "Layer": "effects.splat_rules",  # ... and how densely,
+    "Rule": "effects.splat_rules",  # ... by rules
+    "TerrainError": "errors",  # raised for whatever cannot be used, with what to do
 }
+__all__ = [
+    "Criterion",
+    "ImportSettings",
+    "Layer",
+    "Rule",
+    "Scatter",
+    "Terrain",
+    "TerrainError",
+    "View",
+    "bake",
+    "box_range",
+    "ground_at",
+    "import_source",
+    "measure",
+    "nearest",
+    "open_store",
+    "pick",
+    "profile",
+    "read_npz",
+    "scatter_points",
+    "viewshed",
+    "write_npz",
+]
+
+TYPE_CHECKING = False  # type checkers take it for typing's, which would have to be imported
+if TYPE_CHECKING:
+    from .cbt_terrain.accuracy.measure import measure
+    from .cbt_terrain.ask.criterion import Criterion
+    from .cbt_terrain.ask.view import View
+    from .cbt_terrain.effects.splat_rules import Layer, Rule
+    from .cbt_terrain.errors import TerrainError
+    from .cbt_terrain.field.store import open_store
+    from .cbt_terrain.fit.fit import bake
+    from .cbt_terrain.importing.import_process import import_source
+    from .cbt_terrain.importing.raster import ImportSettings
+    from .cbt_terrain.mesh.archive import read_npz, write_npz
+    from .cbt_terrain.query.box import box_range
+    from .cbt_terrain.query.ground import ground_at, profile
+    from .cbt_terrain.query.rays import nearest, pick
+    from .cbt_terrain.query.viewshed import viewshed
+    from .cbt_terrain.scatter.points import scatter_points
+    from .cbt_terrain.scatter.scatter import Scatter
+    from .cbt_terrain.terrain import Terrain
 
 
 def __getattr__(name: str):

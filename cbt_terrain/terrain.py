@@ -20,6 +20,7 @@ from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
 from .mesh.rising import Rising
 from .mesh.surface import Surface
+from .plain_numbers import plain_number, vectors, vertical
 from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
 from .refine.horizon import RAMP, horizon_of, place_rings
@@ -83,7 +84,7 @@ class Terrain:
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
         self.field = field
-        self.threads = launch.default_threads() if threads is None else max(1, threads)
+        self.threads = launch.checked_threads(threads)
         self._whole = whole
         self._lock = SharedLock()
         self._begin()
@@ -138,10 +139,9 @@ class Terrain:
         as it is if a number cannot be used.
         """
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
-        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), vertical_scale, vertical_offset)
-        return self._made(
-            key, lambda ms: self._update(criterion, views, placement, float(vertical_scale), float(vertical_offset), ms)
-        )
+        heights = vertical(vertical_scale, vertical_offset)
+        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *heights)
+        return self._made(key, lambda ms: self._update(criterion, views, placement, *heights, ms))
 
     def saved(self) -> tuple[bytes, dict]:
         """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again.
@@ -168,15 +168,9 @@ class Terrain:
         Where its points were rising (`morph` above 1), they are in their places now. Only its bound in metres is known.
         Raises TerrainError for what is no tree of this height field.
         """
-        key = (tree, meshlet, vertical_scale, vertical_offset)
-        if type(meshlet) is not int or not all(isinstance(number, int | float) for number in key[2:]):
-            raise TerrainError(
-                f"A saved tree has meshlets of level {meshlet!r}, a vertical scale of {vertical_scale!r} and an offset "
-                f"of {vertical_offset!r}; expected a whole number and two numbers; save it again."
-            )
-        return self._made(
-            key, lambda ms: self._restore(tree, meshlet, float(vertical_scale), float(vertical_offset), ms)
-        )
+        meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
+        heights = vertical(vertical_scale, vertical_offset)
+        return self._made((tree, meshlet, *heights), lambda ms: self._restore(tree, meshlet, *heights, ms))
 
     def _made(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
         """What `make` makes, given where to note milliseconds; or the last update where the same is asked again."""
@@ -227,7 +221,7 @@ class Terrain:
         places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where triangles
         were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
         """
-        places = np.asarray(places, np.float64).reshape(-1, 2)
+        places = vectors(places, 2, "places")
         with self._alone():
             self._need_update()
             surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]

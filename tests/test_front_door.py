@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 
 import adaptive_terrain
+import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.build import from_array
 
 ROOT = Path(__file__).resolve().parents[1]
 # As Blender loads an extension: by its folder, as a part of `bl_ext.REPOSITORY`, without bpy here.
@@ -36,8 +38,39 @@ def test_names_come_when_they_are_asked_for_also_as_an_extension():
 def test_every_name_is_there_documented_and_listed():
     names = "Terrain", "View", "Criterion", "open_store", "import_source", "ImportSettings", "bake"
     queries = "ground_at", "profile", "pick", "nearest", "box_range", "viewshed"
-    for name in (*names, *queries, "Scatter", "scatter_points"):
+    files = "write_npz", "read_npz", "measure", "TerrainError"
+    for name in (*names, *queries, *files, "Scatter", "scatter_points", "Layer", "Rule"):
         found = getattr(adaptive_terrain, name)
         assert found.__name__ == name and len(found.__doc__) > 60 and name in dir(adaptive_terrain)
+        assert name in adaptive_terrain.__all__
+    assert sorted(adaptive_terrain.__all__) == sorted(adaptive_terrain._FRONT_DOOR)
     with pytest.raises(AttributeError, match="'adaptive_terrain' has no attribute 'Mountain'"):
         adaptive_terrain.Mountain  # noqa: B018
+
+
+def test_type_checkers_see_every_name():
+    """The imports that only they read are those of the front door."""
+    text = (ROOT / "__init__.py").read_text(encoding="utf-8")
+    block = text.partition("if TYPE_CHECKING:\n")[2].partition("\n\n")[0]
+    found = {}
+    for line in block.splitlines():
+        _, module, _, names = line.replace(",", "").split(maxsplit=3)
+        found |= dict.fromkeys(names.split(), module.removeprefix(".cbt_terrain."))
+    assert found == adaptive_terrain._FRONT_DOOR
+
+
+def test_objects_print_as_one_short_line():
+    field = from_array(np.zeros((5, 9), np.float32))
+    view, terrain = (
+        adaptive_terrain.View.look((0, -9, 9), (0, 0, 0), resolution=(64, 36)),
+        adaptive_terrain.Terrain(field),
+    )
+    assert repr(terrain) == "<Terrain: 9 x 5 samples, no mesh yet>"
+    update = terrain.update(adaptive_terrain.Criterion(), view)
+    assert repr(field) == "<HeightField: 9 x 5 samples, 0 .. 0 m, bilinear>"
+    assert repr(view) == "<View: perspective, 64 x 36 px>"
+    assert repr(update).startswith("<Update: 4 triangles, within ") and repr(update).endswith(" px>")
+    assert repr(update.surface) == "<Surface: 4 triangles, 6 vertices>"
+    assert repr(terrain) == "<Terrain: 9 x 5 samples, 4 triangles>"
+    fitted = adaptive_terrain.bake(field, 1, fitted=True)
+    assert repr(fitted).startswith("<Fitted: ") and repr(fitted).endswith(" m>")

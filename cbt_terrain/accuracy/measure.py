@@ -7,7 +7,7 @@ field says, and its detail. Of a bicubic one and of a detail the measurement has
 largest of many places for the maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +15,12 @@ import warp as wp
 
 from ...kernels.accuracy import normals as normal_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..ask.view import View
+from ..ask.view import View, listed_views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
 from ..run.buffers import shared
-from ..run.launch import default_threads
+from ..run.launch import checked_threads
 from .mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
 from .outline import silhouette
 from .screen import Sight
@@ -73,7 +73,7 @@ def measure(
     """
     if view is not None:
         sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
-    ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
+    ground = Ground(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()
     on_progress(0.1)
@@ -111,13 +111,13 @@ def look(
 
     Rays are cast when they are first needed, and kept: 16 bytes a pixel and 1 byte a sample.
     """
-    return Sight(Ground(field, vertical_scale, vertical_offset, threads or default_threads()), view, placement)
+    return Sight(Ground(field, vertical_scale, vertical_offset, checked_threads(threads)), view, placement)
 
 
 def triangle_errors(
     field: HeightField,
     surface: Surface,
-    views: Sequence[View],
+    views: Iterable[View],
     placement: np.ndarray | None = None,
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
@@ -130,8 +130,8 @@ def triangle_errors(
     (of a bicubic reference 8 places there), of these what is in the frame, hidden or not; and the point seen in each
     pixel. 0 for triangles with nothing in any frame. Without views: metres, the maximum over the triangle.
     """
-    ground = Ground(field, vertical_scale, vertical_offset, threads or default_threads())
-    mesh = MeasuredMesh(ground, surface)
+    ground = Ground(field, vertical_scale, vertical_offset, checked_threads(threads))
+    mesh, views = MeasuredMesh(ground, surface), listed_views(views)
     if not views:
         _, worst = mesh.differences()
         mesh.edge_extremes(worst)
@@ -160,7 +160,7 @@ def popping(
     """How far points jump on screen where mesh `after` takes the place of `before` under one view, in pixels.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
-    from the height that one mesh has there to that of the other. The surfaces must be copies: updates overwrite theirs.
+    from the height that one mesh has there to that of the other.
     `sight` as in `measure`.
     """
     sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from ..ask.criterion import Criterion
 from ..ask.morph import SMOOTH
 from ..field.heightfield import INTERPOLATIONS, HeightField
+from ..plain_numbers import keep_plain_numbers
 from .timed_runs import Frame
 
 PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
@@ -36,6 +37,9 @@ class Setting:
     fitted: bool = False
     interpolation: str = INTERPOLATIONS[0]
     morph: float | None = None
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "The setting's")
 
     @property
     def plain(self) -> bool:

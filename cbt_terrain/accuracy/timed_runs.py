@@ -5,16 +5,17 @@ import dataclasses
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..ask.criterion import Criterion
 from ..ask.linear import length
-from ..ask.view import View
+from ..ask.view import View, listed_views
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
+from ..plain_numbers import keep_plain_numbers
 from ..terrain import Terrain
 
 # A time is the median of this many runs, after one that finds cold memory; of more where a run is short.
@@ -28,11 +29,15 @@ class Frame:
     """What one frame is refined for; arguments as of `Terrain.update`. `after`: the frame that follows it, to see what
     pops between the two."""
 
-    views: Sequence[View] = ()
+    views: Iterable[View] = ()
     placement: np.ndarray | None = None
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
     after: "Frame | None" = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "views", listed_views(self.views))
+        keep_plain_numbers(self, "The frame's")
 
     @property
     def heights(self) -> tuple:

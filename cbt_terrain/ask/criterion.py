@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from ..errors import TerrainError
+from ..plain_numbers import keep_plain_numbers
 from .morph import MOST
 
 # What is asked is kept between these: the finest and the coarsest mesh that there can be.
@@ -50,6 +51,7 @@ class Criterion:
     morph: float = 1.0
 
     def __post_init__(self):
+        keep_plain_numbers(self, "The criterion's")
         for name in ("error_px", "edge_px", "area_px", "error_m", "guard_deg"):
             value = getattr(self, name)
             if not (0 <= value < math.inf):

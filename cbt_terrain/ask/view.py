@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
+from ..plain_numbers import keep_plain_numbers, plain_number, vectors
 from .linear import length, product
 
 PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC = "PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"
@@ -43,7 +45,8 @@ class View:
             raise TerrainError(
                 "The camera's matrix has a value that is not finite; check its location and its parents."
             )
-        _check_resolution(self.resolution)
+        keep_plain_numbers(self, "The view's")
+        object.__setattr__(self, "resolution", _checked_resolution(self.resolution))
         if self.kind == PANORAMIC:
             if not 0 < self.radians_per_pixel < math.inf:
                 raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel; expected more than 0.")
@@ -52,6 +55,9 @@ class View:
             raise TerrainError("The camera's projection is not finite; check its lens, sensor, scale and shift.")
         if self.projection[0, 0] == 0 or self.projection[1, 1] == 0:
             raise TerrainError("The camera's projection sees 180 degrees or nothing; check its lens and sensor.")
+
+    def __repr__(self) -> str:
+        return f"<View: {self.kind.lower()}, {self.resolution[0]:g} x {self.resolution[1]:g} px>"
 
     def key(self) -> bytes:
         """The same bytes for the same view."""
@@ -84,25 +90,41 @@ class View:
     @classmethod
     def look(
         cls,
-        eye,
-        target,
+        eye: ArrayLike,
+        target: ArrayLike,
         *,
         fov_deg: float = 50.0,
-        resolution: tuple[int, int] = (1920, 1080),
+        resolution: tuple[float, float] = (1920, 1080),
         kind: str = PERSPECTIVE,
         ortho_width: float = 1.0,
         clip: tuple[float, float] = (0.1, 1e6),
         roll_deg: float = 0.0,
     ) -> "View":
-        """A view built by hand: from `eye` towards `target` (metres, world), z up, `fov_deg` across the larger side."""
-        _check_resolution(resolution)
+        """Return the view from `eye` towards `target`, z up, for a picture of `resolution` pixels.
+
+        Args:
+            eye, target: x, y and z in metres of the world, 3 numbers each.
+            fov_deg: field of view in degrees across the picture's larger side; of a panorama, across its width.
+            resolution: pixels across and up.
+            kind: "PERSPECTIVE", "ORTHOGRAPHIC" or "PANORAMIC".
+            ortho_width: metres across the larger side of an orthographic picture.
+            clip: metres along the view from which to which ground is seen.
+            roll_deg: degrees by which the camera is turned about its axis, counter-clockwise.
+
+        Raises:
+            TerrainError: for a number that no camera has.
+        """
+        width, height = resolution = _checked_resolution(resolution)
+        fov_deg, roll_deg = plain_number(fov_deg, float, "The field of view"), plain_number(roll_deg, float, "The roll")
+        ortho_width = plain_number(ortho_width, float, "The width of the orthographic view")
+        start, end = clip = plain_number(clip, tuple[float, float], "The clip range")
         if kind == PERSPECTIVE and not 1e-7 < fov_deg < 180:
             raise TerrainError(f"The field of view is {fov_deg} degrees; expected more than 1e-7 and less than 180.")
-        eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+        eye, target = _point(eye, "eye"), _point(target, "target")
         back = eye - target
         distance = length(back)
         if not distance > 0:
-            raise TerrainError(f"The view's eye and target are both {tuple(eye)}; expected two different points.")
+            raise TerrainError(f"The view's eye and target are both {eye.tolist()}; expected two different points.")
         back /= distance
         up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999999 else np.array([0.0, 1.0, 0.0])
         right = np.cross(up, back)
@@ -113,12 +135,10 @@ class View:
         matrix = np.eye(4)
         matrix[:3, :3] = right, up, back
         matrix[:3, 3] = -product(matrix[:3, :3], eye)
-        width, height = resolution
         if kind == PANORAMIC:
             return cls(matrix, None, resolution, kind, clip, radians_per_pixel=math.radians(fov_deg) / width)
         projection = np.zeros((4, 4))
         larger = max(width, height)
-        start, end = clip
         if start == end:
             raise TerrainError(f"The clip range is {clip}; expected a start before its end, in metres.")
         if kind == PERSPECTIVE:
@@ -132,14 +152,25 @@ class View:
 
 
 def listed_views(views: Iterable[View]) -> list[View]:
-    """Return the views as a list. Raises TerrainError where that is no list, tuple or generator of views."""
+    """Return views as a list: those of a list, of a generator, or a single one. Raises TerrainError for others."""
     found = [views] if isinstance(views, View) else list(views) if isinstance(views, Iterable) else None
-    if found is None or not all(isinstance(view, View) for view in found):
-        wrong = views if found is None else next(view for view in found if not isinstance(view, View))
-        raise TerrainError(f"The views hold a {type(wrong).__name__}; expected a list of View objects, one a camera.")
+    wrong = [views] if found is None else [view for view in found if not isinstance(view, View)]
+    if wrong:
+        raise TerrainError(f"The views have {shown(repr(wrong[0]))} among them; expected View objects, one a camera.")
     return found
 
 
-def _check_resolution(resolution: tuple[float, float]) -> None:
-    if not all(0 < pixels <= MAX_PIXELS for pixels in resolution):
+def _point(place: ArrayLike, name: str) -> np.ndarray:
+    """Return float64 [3], metres."""
+    found = vectors(place, 3, f"view's {name}")
+    if len(found) != 1:
+        raise TerrainError(f"The view's {name} has {len(found)} points; expected one: x, y and z in metres.")
+    return found[0]
+
+
+def _checked_resolution(resolution: object) -> tuple[float, float]:
+    """Return pixels each way, whole ones as ints, so that JSON has one text for a resolution."""
+    pixels = plain_number(resolution, tuple[float, float], "The resolution")
+    if not all(0 < n <= MAX_PIXELS for n in pixels):
         raise TerrainError(f"The resolution is {resolution}; expected 1 to {MAX_PIXELS:,} pixels each way.")
+    return tuple(int(n) if n.is_integer() else n for n in pixels)

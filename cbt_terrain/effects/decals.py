@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import TerrainError
+from ..plain_numbers import keep_plain_numbers
 from .effect import Parameter, Places
 
 DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
@@ -61,6 +62,7 @@ class Decal:
     opacity: float = 1.0
 
     def __post_init__(self):
+        keep_plain_numbers(self, "The decal's")
         if not (math.isfinite(self._area) and self._area != 0.0):
             raise TerrainError(
                 f"The decal {self.name!r} stands upright or has no size; expected an image that lies: "

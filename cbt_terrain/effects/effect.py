@@ -3,11 +3,13 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..plain_numbers import plain_number
 
 # Who reads it, which decides the scale: what pixels show is prefiltered to a pixel's footprint, what geometry is made
 # from has one scale in metres, so that nothing moves with the camera.
@@ -130,3 +132,15 @@ class Asked:
     readers: tuple[str, ...]
     family: str = PICTURE
     parameters: tuple[tuple[str, object], ...] = field(default=())
+
+    def __post_init__(self):
+        numbers = tuple((name, _plain(value)) for name, value in self.parameters)
+        object.__setattr__(self, "parameters", numbers)
+
+
+def _plain(value: object):
+    """Return a number, or those of a tuple, as floats, and anything else as it is."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    is_number = (isinstance(value, Real) and not isinstance(value, bool)) or isinstance(value, np.ndarray)
+    return plain_number(value, float, "A parameter of an effect") if is_number else value

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.painted import Painted
+from ..plain_numbers import keep_plain_numbers
 from .effect import Parameter
 from .layers import NAMES as LAYER_NAMES
 
@@ -56,6 +57,9 @@ class Rule:
     other: int = -1
     image: Painted | None = None
 
+    def __post_init__(self):
+        keep_plain_numbers(self, "A splat rule's")
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -69,6 +73,9 @@ class Layer:
     noise_size: float = 0.0
     ragged: float = 0.0
     seed: int = 0
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A splat layer's")
 
 
 # What the ground is without other layers: grass, scree and rock by slope, snow above two thirds of the relief.

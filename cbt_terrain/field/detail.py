@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 from ...kernels.field import detail as kernels
 from ..errors import check_number, check_seed
+from ..plain_numbers import keep_plain_numbers
 from .detail_bounds import Part, Way
 
 MOST_OCTAVES = 9
@@ -40,6 +41,7 @@ class Detail:
     seed: int = 0
 
     def __post_init__(self):
+        keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's wavelength", self.wavelength, 1e-3, LARGEST, "metres")
         check_number("The detail's roughness", self.roughness, 0.0, 1.0, "parts of the octave before")

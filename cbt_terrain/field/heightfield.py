@@ -80,6 +80,11 @@ class HeightField:
     prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
     found: dict[tuple, object] = field(default_factory=dict, repr=False)
 
+    def __repr__(self) -> str:
+        lattice, surface = self.lattice, f"{self.interpolation} with detail" if self.detail else self.interpolation
+        heights = f"{self.min_height:g} .. {self.max_height:g} m"
+        return f"<HeightField: {lattice.width:,} x {lattice.height:,} samples, {heights}, {surface}>"
+
     @property
     def raster_key(self) -> str:
         """The key of the samples, whatever surface lies between them."""

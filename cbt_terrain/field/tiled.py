@@ -22,6 +22,7 @@ import numpy as np
 
 from ...kernels.field import detail as kernels
 from ..errors import TerrainError, check_number
+from ..plain_numbers import keep_plain_numbers
 from .detail import EDGES_A_WAVE, LARGEST
 from .detail_bounds import OUTWARD, Part, Way
 from .painted import Painted
@@ -41,6 +42,7 @@ class Tiled:
     image: Painted
 
     def __post_init__(self):
+        keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's tile", self.size, 1e-3, LARGEST, "metres")
         if self.image.values.size > MOST_PIXELS:

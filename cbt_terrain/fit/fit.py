@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from ..ask.criterion import Criterion
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..plain_numbers import vertical
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
@@ -24,7 +25,7 @@ STEPS_PER_OCTAVE = 8
 MOST_GAIN = 2.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fitted(Update):
     """What a fit did, as `Update`.
 
@@ -57,9 +58,10 @@ def fit(
     check_interpolation(field.interpolation)
     if field.detail:
         raise TerrainError("A fit is of the raster's own surface; set the amplitude of the terrain's detail to 0.")
-    threads = launch.default_threads() if threads is None else max(1, threads)
+    threads = launch.checked_threads(threads)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
-    error_m = criterion.error_m
+    error_m, max_triangles = criterion.error_m, criterion.max_triangles
+    vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)

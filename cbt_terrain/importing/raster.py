@@ -13,6 +13,7 @@ from ..errors import TerrainError, shown
 from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.lands import LANDS
+from ..plain_numbers import keep_plain_numbers
 
 ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
@@ -52,6 +53,9 @@ class ImportSettings:
     channel: str = ""
     first_row_south: bool = False
     project: str = ""
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "The import's")
 
     def check(self) -> None:
         """Raise TerrainError for settings that cannot mean anything."""

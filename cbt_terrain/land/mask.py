@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import TerrainError, shown
+from ..plain_numbers import keep_plain_numbers
 from .mask_reads import ATTRIBUTES
 from .tiles import Level, Window
 
@@ -35,6 +36,9 @@ class GroundRule:
     high: float = math.inf
     edge: float = 0.0
     direction: float = 0.0
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A mask rule's")
 
     def check(self, where: str) -> None:
         """Raise TerrainError for what cannot be; `where`: whose rule it is."""
@@ -69,6 +73,9 @@ class Mask:
     image: str = ""
     rules: tuple[GroundRule, ...] = ()
     factor: float = 1.0
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A mask's")
 
     @property
     def versions(self) -> tuple[int, ...]:

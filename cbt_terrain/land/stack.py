@@ -26,6 +26,7 @@ from ..errors import TerrainError, named_once, shown
 from ..field.store_arrays import open_regular
 from ..land_effects.catalogue import LAND_EFFECTS
 from ..land_effects.land_effect import LandEffect
+from ..plain_numbers import keep_plain_numbers, plain_number
 from .mask import GroundRule, Mask
 from .mask_reads import BY_PRODUCTS
 
@@ -50,6 +51,12 @@ class Entry:
     mask: Mask | None = None
     name: str = ""
 
+    def __post_init__(self):
+        keep_plain_numbers(self, "A stack entry's")
+        if isinstance(self.parameters, Mapping):
+            parameters = {n: plain_number(v, float, f"The parameter {n}") for n, v in self.parameters.items()}
+            object.__setattr__(self, "parameters", parameters)
+
     @property
     def declaration(self) -> LandEffect:
         return LAND_EFFECTS[self.effect]
@@ -67,6 +74,9 @@ class Stack:
 
     entries: tuple[Entry, ...] = ()
     heights: tuple[float, float] | None = None
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A stack's")
 
     @property
     def active(self) -> tuple[Entry, ...]:

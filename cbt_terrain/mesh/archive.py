@@ -3,10 +3,14 @@
 
 import io
 import json
+import os
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import TerrainError, shown
 from ..run.partial_files import written_beside
@@ -17,7 +21,13 @@ FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 MOST_ENTRIES = 64
 
 
-def write_npz(path: Path, surface: Surface, origin, info: dict, tree: bytes = b"") -> None:
+def write_npz(
+    path: str | os.PathLike,
+    surface: Surface,
+    origin: ArrayLike = (0.0, 0.0, 0.0),
+    info: Mapping[str, object] = MappingProxyType({}),
+    tree: bytes = b"",
+) -> None:
     """Write a `Surface` to `path`, atomically.
 
     Entries: `positions` float32 [V, 3], metres about `origin` float64 [3]; `triangles` int32 [T, 3], counter-clockwise
@@ -33,7 +43,7 @@ def write_npz(path: Path, surface: Surface, origin, info: dict, tree: bytes = b"
         "triangles": surface.triangles,
         "edges": surface.edges,
         "tree": np.frombuffer(tree, np.uint8),
-        "info": np.array(json.dumps(info | {"attributes": about}, sort_keys=True)),
+        "info": np.array(json.dumps(dict(info) | {"attributes": about}, sort_keys=True, default=_plain)),
     }
     if taken := entries.keys() & surface.attributes.keys():
         raise TerrainError(f"An attribute is named {min(taken)!r}, as the file's own entry is: give it another name.")
@@ -45,8 +55,8 @@ def write_npz(path: Path, surface: Surface, origin, info: dict, tree: bytes = b"
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))
 
 
-def read_npz(path: Path) -> dict:
-    """The entries of a file that `write_npz` wrote, with `info` as a dict. Raises TerrainError for any other file."""
+def read_npz(path: str | os.PathLike) -> dict:
+    """Return the entries of a file of `write_npz`, with `info` as a dict. Raises TerrainError for any other file."""
     path = Path(path)
     try:
         if path.exists() and not path.is_file():  # to read a pipe would wait for ever
@@ -68,6 +78,13 @@ def read_npz(path: Path) -> dict:
         said = shown(reason).rstrip(".") or type(reason).__name__
         raise TerrainError(f"{path} is no .npz that was exported here ({said}): export it again.") from reason
     return entries | {"info": info}
+
+
+def _plain(value: object) -> object:
+    """Return a number of numpy, or an array, as JSON has it."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TerrainError(f"The info of an .npz has {shown(repr(value))}; expected texts, numbers, lists and objects.")
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:

@@ -10,6 +10,7 @@ from ...kernels.query import boxes as kernels
 from ..errors import TerrainError
 from ..field.detail_bounds import highest
 from ..field.heightfield import HeightField
+from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
 from .surface import blocks_of, packed
@@ -32,7 +33,8 @@ def box_range(
     between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
     terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).
     """
-    numbers = [float(value) for value in (west, south, east, north)]
+    numbers = [plain_number(value, float, "A side of the box") for value in (west, south, east, north)]
+    west, south, east, north = numbers
     if not all(map(math.isfinite, numbers)) or west > east or south > north:
         raise TerrainError(
             f"The box goes from {west} to {east} m east and from {south} to {north} m north; expected finite numbers, "

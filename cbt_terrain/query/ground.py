@@ -10,9 +10,10 @@ import warp as wp
 from ...kernels.query import ground as kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import shared
-from .surface import packed, vectors
+from .surface import packed
 
 COST = 3.0  # times dearer than a lookup
 MOST_PLACES = 50_000_000
@@ -86,6 +87,7 @@ def profile(
     x, y = np.diff(line, axis=0).T
     lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    spacing = plain_number(spacing, float | None, "The spacing of the profile")
     along, places = _crossings(field, line, ends) if spacing is None else _evenly(line, ends, spacing)
     return Profile(along, ground_at(field, places, vertical_scale, vertical_offset).heights, places)
 

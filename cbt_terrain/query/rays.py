@@ -9,9 +9,10 @@ import warp as wp
 from ...kernels.query import rays as kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..plain_numbers import vectors
 from ..run import launch
 from ..run.buffers import shared
-from .surface import blocks_of, packed, vectors
+from .surface import blocks_of, packed
 
 COST = 50.0  # times dearer than a lookup
 AT_ONCE = 1 << 18  # between two launches the work can be stopped

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A height field as the kernels of queries read it, and the checks that all queries share."""
+"""A height field as the kernels of queries read it, and the check that all queries share."""
 
 import numpy as np
 import warp as wp
@@ -7,10 +7,10 @@ import warp as wp
 from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
-from ..errors import TerrainError
 from ..field import coats, codes
 from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
+from ..plain_numbers import vertical
 from ..run.buffers import flat, shared
 from ..terrain import box_of
 
@@ -24,7 +24,7 @@ SPARE = 1e-3
 
 def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.Surface:
     """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
-    vertical_scale, vertical_offset = float(vertical_scale), float(vertical_offset)
+    vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)
     lattice, s = field.lattice, kernels.Surface()
     s.west, s.south, east, north = lattice.rectangle()
@@ -57,21 +57,3 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
     b.detail_bend = sum(part.ways[0].bend for part in field.parts)
     return b
-
-
-def vectors(values, width: int, name: str) -> np.ndarray:
-    """float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
-    try:
-        found = np.ascontiguousarray(values, np.float64)
-    except (TypeError, ValueError):
-        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] metres.") from None
-    if found.ndim == 1 and found.size in (0, width):
-        found = found.reshape(-1, width)
-    if found.ndim != 2 or found.shape[1] != width:
-        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] metres.")
-    finite = np.isfinite(found)
-    if not finite.all():
-        at = int(np.argmin(finite.all(axis=1)))
-        said = ", ".join(f"{value:g}" for value in found[at])
-        raise TerrainError(f"Number {at} of the {name} is ({said}); expected finite metres: correct or leave it out.")
-    return found

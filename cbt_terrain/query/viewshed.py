@@ -10,9 +10,10 @@ from ...kernels.query import viewshed as kernels
 from ...kernels.query.surface import Surface
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import flat
-from .surface import blocks_of, packed, vectors
+from .surface import blocks_of, packed
 
 COST = 50.0
 AT_ONCE = 1 << 17  # samples of one launch: between two the work can be stopped
@@ -40,7 +41,8 @@ def viewshed(
     eye = vectors(eye, 3, "eye")
     if len(eye) != 1:
         raise TerrainError(f"The eye came as {len(eye)} points; expected one: x, y and z in metres.")
-    radius = math.inf if radius is None else float(radius)
+    target_height = plain_number(target_height, float, "The height of targets")
+    radius = math.inf if radius is None else plain_number(radius, float, "The radius")
     if not (math.isfinite(target_height) and radius >= 0.0):
         raise TerrainError(
             f"The height of targets is {target_height} m and the radius {radius} m; expected a finite number and one "

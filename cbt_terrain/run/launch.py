@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
+from ..plain_numbers import plain_number
 from . import locks, stopping
 from .buffers import shared
 
@@ -34,6 +35,12 @@ def default_threads() -> int:
     """Threads that a job may use: the cores this process may run on, at most eight."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, 8)
+
+
+def checked_threads(threads: int | None) -> int:
+    """Return how many threads a job uses: `default_threads` for None, and at least one."""
+    threads = plain_number(threads, int | None, "The number of threads")
+    return default_threads() if threads is None else max(1, threads)
 
 
 @contextmanager
@@ -160,7 +167,7 @@ def spread(
     stopping.check()
     with timed(step):
         _load(kernel)
-        pieces = max(1, min(threads or default_threads(), int(count * cost / SLICE_ITEMS)))
+        pieces = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
             values = [lo, *inputs]

@@ -28,6 +28,7 @@ from ..field import coats
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
 from ..mesh.surface import Surface
+from ..plain_numbers import vertical
 from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import Buffers, flat, shared
@@ -75,7 +76,8 @@ def scatter_points(field: HeightField, scatter: Scatter, views: Iterable[View] =
 class Scatterer:
     """A scatter on a height field, with its candidates on the ground, which later frames need again.
 
-    What is kept changes no result: candidates depend on no view. Threads may share it: one call waits for another. Arguments as of Terrain and of Terrain.update.
+    What is kept changes no result: candidates depend on no view. Threads may share it: one call waits for another.
+    Arguments as of Terrain and of Terrain.update.
     `boundary`: points are above or below one of these triangles, float64 [n, 3, 2], x and y in the terrain's space.
     """
 
@@ -89,8 +91,8 @@ class Scatterer:
         boundary: np.ndarray | None = None,
     ):
         self.field, self.scatter = field, scatter
-        self.threads = launch.default_threads() if threads is None else max(1, threads)
-        self._scale = float(vertical_scale), float(vertical_offset)
+        self.threads = launch.checked_threads(threads)
+        self._scale = vertical(vertical_scale, vertical_offset)
         self._box = box_of(field, *self._scale)
         self._domain = make_domain(field, 0, *self._scale)
         self._coats = coats.packed(field.detail, field.finest_edge, field.lattice)

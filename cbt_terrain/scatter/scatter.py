@@ -8,6 +8,7 @@ from ..effects.effect import GEOMETRY, Asked
 from ..effects.splat import NAMES
 from ..effects.splat_rules import Layer, check
 from ..errors import TerrainError, check_number, check_seed
+from ..plain_numbers import keep_plain_numbers
 from .tile import POINTS
 
 ANYWHERE = Layer("Anywhere")
@@ -43,6 +44,7 @@ class Scatter:
     seed: int = 0
 
     def __post_init__(self):
+        keep_plain_numbers(self, "The scatter's")
         for name, low, high, unit in (
             ("spacing", 1e-4, LARGEST, "metres"),
             ("full_until", 0.0, LARGEST, "metres, 0 for full density everywhere"),

@@ -49,6 +49,17 @@ def test_the_same_surface_is_the_same_bytes_at_any_time(surface, tmp_path, monke
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+def test_info_may_hold_numbers_of_numpy(surface, tmp_path):
+    path = str(tmp_path / "a.npz")
+    write_npz(path, surface, (1, 2, 3), {"bound_m": np.float32(0.5), "frame": np.int64(7), "eye": np.arange(3)})
+    info = read_npz(path)["info"]
+    assert (info["bound_m"], info["frame"], info["eye"]) == (0.5, 7, [0, 1, 2])
+    write_npz(path, surface)
+    assert read_npz(path)["origin"].tolist() == [0, 0, 0]
+    with pytest.raises(TerrainError, match="The info of an .npz has .*object"):
+        write_npz(path, surface, info={"field": object()})
+
+
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(surface, tmp_path, monkeypatch):
     path = tmp_path / "a.npz"
     write_npz(path, surface, np.zeros(3), {})

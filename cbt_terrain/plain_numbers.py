@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers that a caller gives, as the engine keeps them: Python's own, whatever type they came in.
+
+So keys, digests and JSON are the same for 50, 50.0 and numpy's float32(50).
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from numbers import Integral, Real
+from types import NoneType
+from typing import get_args, get_origin
+
+import numpy as np
+
+from .errors import TerrainError, shown
+
+EXPECTED = {bool: "True or False", int: "a whole number", float: "a number"}
+
+
+def plain_number(value: object, kind: object, name: str):
+    """Return a value of an annotated `kind` with Python's numbers: bool, int, float, tuples of them, or None.
+
+    Whole floats are ints, scalar arrays are numbers, bools are not. Values of any other kind are returned as they are.
+    Raises TerrainError, which calls the value `name`: "The criterion's max_depth".
+    """
+    if kind not in EXPECTED:
+        return _of_parts(value, kind, name)
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+        value = value.item()
+    try:
+        if kind is bool and isinstance(value, Integral) and value in (0, 1):
+            return bool(value)
+        if isinstance(value, Real) and not isinstance(value, bool):
+            if kind is float:
+                return float(value)
+            if kind is int and (isinstance(value, Integral) or float(value).is_integer()):
+                return int(value)
+    except OverflowError:  # more than a float holds
+        pass
+    raise TerrainError(f"{name} is {shown(repr(value))}; expected {EXPECTED[kind]}.")
+
+
+def _of_parts(value: object, kind: object, name: str):
+    """Return a tuple, or what may be None, with Python's numbers."""
+    kinds = get_args(kind)
+    if get_origin(kind) is not tuple:
+        kinds = tuple(k for k in kinds if k is not NoneType)
+        return value if value is None or len(kinds) != 1 else plain_number(value, kinds[0], name)
+    if not set(kinds) <= EXPECTED.keys():
+        return value
+    parts = tuple(value) if np.iterable(value) else ()
+    if len(parts) != len(kinds):
+        raise TerrainError(f"{name} is {shown(repr(value))}; expected {len(kinds)} numbers.")
+    return tuple(plain_number(*part, name) for part in zip(parts, kinds, strict=True))
+
+
+def keep_plain_numbers(settings: object, owner: str) -> None:
+    """Replace the numbers of a dataclass by Python's own, as its fields are annotated. `owner`: "The criterion's"."""
+    for field in dataclasses.fields(settings):
+        value = plain_number(getattr(settings, field.name), field.type, f"{owner} {field.name}")
+        object.__setattr__(settings, field.name, value)
+
+
+def vertical(scale: float, offset: float) -> tuple[float, float]:
+    """Return a vertical scale and an offset in metres. Raises TerrainError for what is no number."""
+    return plain_number(scale, float, "The vertical scale"), plain_number(offset, float, "The vertical offset")
+
+
+def vectors(values, width: int, name: str) -> np.ndarray:
+    """Return float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
+    try:
+        values = list(values) if isinstance(values, Iterator) else values
+        found = np.ascontiguousarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] metres.") from None
+    if found.ndim == 1 and found.size in (0, width):
+        found = found.reshape(-1, width)
+    if found.ndim != 2 or found.shape[1] != width:
+        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] metres.")
+    finite = np.isfinite(found)
+    if not finite.all():
+        at = int(np.argmin(finite.all(axis=1)))
+        wrong = ", ".join(f"{value:g}" for value in found[at])
+        raise TerrainError(f"Number {at} of the {name} is ({wrong}); expected finite metres: correct or leave it out.")
+    return found

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers and views of any type that a caller has are taken, and kept as Python's own."""
+
+import dataclasses
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.effects.decals import Decal, picture
+from adaptive_terrain.cbt_terrain.effects.effect import Asked
+from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.fit.fit import bake
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
+from adaptive_terrain.cbt_terrain.plain_numbers import plain_number
+from adaptive_terrain.cbt_terrain.query.box import box_range
+from adaptive_terrain.cbt_terrain.query.ground import ground_at, profile
+from adaptive_terrain.cbt_terrain.query.viewshed import viewshed
+from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
+from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+
+NUMBERS = [np.float32, np.float64, np.int64, np.int8, np.longdouble, Fraction, np.array, float, int]
+VIEW = View.look((0, -80, 60), (0, 0, 0), resolution=(64, 36))
+
+
+def field():
+    y, x = np.mgrid[0:33, 0:33].astype(np.float32)
+    return from_array(5 * np.sin(x / 4) * np.cos(y / 5), 2.0)
+
+
+# What is made with the numbers of a type: the same object, with the same text.
+MADE = {
+    "criterion": lambda n: Criterion(error_px=n(4), max_triangles=n(100), max_depth=n(14), meshlet=n(1), morph=n(2)),
+    "scatter": lambda n: Scatter(spacing=n(50), seed=n(3), on=n(-1), size=n(2)),
+    "import": lambda n: ImportSettings(
+        "a.raw", size=n(65), height_scale=n(2), raw_size=(n(3), n(4)), extent=(n(5), n(6)), no_data=n(9), band=n(1)
+    ),
+    "layer": lambda n: Layer("A", (Rule("slope", low=n(1), edge=n(1), other=n(-1)),), strength=n(1), seed=n(2)),
+    "detail": lambda n: Detail(n(2), wavelength=n(3), seed=n(4)),
+    "stack": lambda n: Stack(
+        (
+            Entry(
+                "rivers", {"years": n(100)}, seed=n(4), mask=Mask(rules=(GroundRule("height", low=n(5)),), factor=n(1))
+            ),
+        )
+    ),
+    "effect": lambda n: Asked("occlusion", (), parameters=(("radius", n(9)), ("colors", ((n(1), n(0)),)))),
+    "decal": lambda n: Decal("a", picture(np.ones((2, 2, 4)), False), (n(0), n(0)), (n(9), n(0)), (n(0), n(9)), n(1)),
+}
+
+
+@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
+def test_settings_are_equal_for_numbers_of_any_type(made):
+    found = [made(number) for number in NUMBERS]
+    assert len({repr(one) for one in found}) == 1 and all(one == found[0] for one in found)
+
+
+def test_settings_of_numpy_numbers_can_be_written_as_json():
+    text = json.dumps(dataclasses.asdict(MADE["import"](np.float32)))
+    assert text == json.dumps(dataclasses.asdict(MADE["import"](int)))
+    assert json.loads(text)["raw_size"] == [3, 4] and '"height_scale": 2.0' in text
+    stacks = [MADE["stack"](number).key() for number in NUMBERS]
+    assert len(set(stacks)) == 1
+    assert ImportSettings("a.raw", holes=np.bool_(True)).holes is True
+
+
+def test_views_are_equal_for_numbers_of_any_type():
+    def view(n):
+        return View.look(
+            (n(0), n(-80), n(60)),
+            (n(0),) * 3,
+            fov_deg=n(50),
+            resolution=(n(64), n(36)),
+            clip=(n(1), n(99)),
+            roll_deg=n(3),
+        )
+
+    views = [view(n) for n in NUMBERS]
+    assert len({v.key() for v in views}) == 1 and json.dumps(views[0].resolution) == "[64, 36]"
+    assert {json.dumps([v.resolution, v.clip]) for v in views} == {"[[64, 36], [1.0, 99.0]]"}
+
+
+@pytest.mark.parametrize("number", [np.float32, np.int64, Fraction, np.array])
+def test_functions_take_numbers_of_any_type(number):
+    heights = field()
+    assert (
+        ground_at(heights, [(1, 2)], number(2), number(1), number(1)).heights
+        == ground_at(heights, [(1, 2)], 2.0, 1.0, 1).heights
+    )
+    assert box_range(heights, *map(number, (-9, -9, 9, 9))) == box_range(heights, -9, -9, 9, 9)
+    line = [(-9, 0), (9, 0)]
+    assert np.array_equal(profile(heights, line, number(4)).heights, profile(heights, line, 4.0).heights)
+    seen = [viewshed(heights, (0, 0, 20), n(1), n(30)) for n in (number, float)]
+    assert np.array_equal(*seen) and seen[0].any()
+    baked = bake(heights, number(1), fitted=True, max_triangles=number(500), threads=number(1))
+    assert baked.bound_m == bake(heights, 1.0, fitted=True, max_triangles=500).bound_m
+    terrain = Terrain(heights, number(2))
+    update = terrain.update(Criterion(), VIEW, vertical_scale=number(2), vertical_offset=number(1))
+    tree, how = terrain.saved()
+    assert json.dumps(how) and update.changed
+    assert not terrain.update(Criterion(), [VIEW], None, 2.0, 1).changed
+    restored = Terrain(heights, 1).restore(tree, **{name: number(value) for name, value in how.items()})
+    assert np.array_equal(restored.surface.positions, update.surface.positions)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: Criterion(max_triangles=5.5), "The criterion's max_triangles is 5.5; expected a whole number."),
+        (lambda: Criterion(max_triangles=np.nan), "max_triangles is nan; expected a whole number"),
+        (lambda: Criterion(meshlet=True), "The criterion's meshlet is True; expected a whole number."),
+        (lambda: Criterion(error_px=None), "The criterion's error_px is None; expected a number."),
+        (lambda: Criterion(error_px=10**400), "error_px is 1000.*; expected a number"),
+        (lambda: Criterion(error_px=[1.0]), r"error_px is \[1.0\]; expected a number"),
+        (lambda: Criterion(error_px=1 + 2j), r"error_px is \(1\+2j\); expected a number"),
+        (lambda: Scatter(spacing="50"), "The scatter's spacing is '50'; expected a number."),
+        (lambda: Scatter(seed=-1), "The scatter's seed is -1; expected a whole number, 0"),
+        (lambda: ImportSettings("a.tif", extent=5), "The import's extent is 5; expected 2 numbers."),
+        (lambda: ImportSettings("a.tif", holes="yes"), "The import's holes is 'yes'; expected True or False."),
+        (lambda: View.look((0, 0, 1), (0, 0, 0), resolution=640), "The resolution is 640; expected 2 numbers."),
+        (lambda: View.look((0, 0), (0, 0, 0)), r"The view's eye came as an array of the shape \(2,\)"),
+        (lambda: View.look((0, 0, 1), (0, 0, 0), fov_deg="50"), "The field of view is '50'; expected a number."),
+        (lambda: ground_at(field(), [(0, 0)], "2"), "The vertical scale is '2'; expected a number."),
+        (lambda: Terrain(field(), 1).update(Criterion(), [VIEW, 3]), "The views have 3 among them; expected View"),
+        (lambda: Terrain(field(), 1).update(Criterion(), None), "The views have None among them; expected View"),
+        (lambda: scatter_points(field(), Scatter(), ["a"]), "The views have 'a' among them; expected View"),
+        (lambda: Terrain(field(), "2"), "The number of threads is '2'; expected a whole number."),
+    ],
+)
+def test_other_values_are_refused_in_one_sentence(make, message):
+    with pytest.raises(TerrainError, match=message):
+        make()
+
+
+def test_views_and_positions_come_from_generators():
+    heights, terrain = field(), Terrain(field(), 1)
+    expected = terrain.update(Criterion(error_px=0.5), [VIEW])
+    assert expected.triangles > 100
+    for views in ((v for v in [VIEW]), VIEW, (VIEW,), {1: VIEW}.values()):
+        found = Terrain(heights, 1).update(Criterion(error_px=0.5), views)
+        assert found.triangles == expected.triangles and found.bound_px == expected.bound_px
+    places = [(1.0, 2.0), (3.0, -4.0)]
+    assert np.array_equal(terrain.triangles_at(iter(places)), terrain.triangles_at(places))
+    assert np.array_equal(ground_at(heights, iter(places)).heights, ground_at(heights, places).heights)
+    scatter = Scatter(spacing=3.0, full_until=0.0)
+    seen = scatter_points(heights, scatter, [VIEW])
+    assert 0 < len(seen) == len(scatter_points(heights, scatter, iter([VIEW])))
+
+
+def test_large_whole_numbers_keep_their_digits():
+    assert plain_number(np.uint64(2**63 + 1), int, "") == 2**63 + 1
+    assert plain_number(2**53 + 1, int | None, "") == 2**53 + 1
+    assert plain_number(None, int | None, "") is None and type(plain_number(np.float64(3), int, "")) is int

@@ -10,7 +10,7 @@ import numpy as np
 from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import Asked
 from .ask.criterion import Criterion
-from .ask.linear import determinant
+from .ask.linear import add_up, determinant
 from .ask.local_view import localise
 from .ask.spans import Plan, Spans, spans_of
 from .ask.view import View, listed_views
@@ -205,7 +205,7 @@ class Terrain:
         self._shape_key = shape
         self._hides = None
         parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
-        most_m = sum(parts) * (1 + MARGIN)
+        most_m = add_up(parts) * (1 + MARGIN)
         return Update(
             surface=surface,
             leaves=leaves.total,

@@ -9,6 +9,7 @@ import warp as wp
 
 from ...kernels.accuracy import drawing as kernels
 from ..ask.criterion import Criterion
+from ..ask.linear import product
 from ..ask.view import PANORAMIC, PERSPECTIVE, View
 from ..mesh.surface import Surface
 from ..run import launch
@@ -76,9 +77,9 @@ class _Drawn:
     """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
 
     def __init__(self, surface: Surface, view: View, placement: np.ndarray | None):
-        camera = view.world_to_camera if placement is None else view.world_to_camera @ np.asarray(placement)
-        points = np.c_[surface.positions, np.ones(len(surface.positions))] @ camera.T
-        clip = points @ view.projection.T
+        camera = view.world_to_camera if placement is None else product(view.world_to_camera, placement)
+        points = product(np.c_[surface.positions, np.ones(len(surface.positions))], camera.T)
+        clip = product(points, view.projection.T)
         perspective = view.kind == PERSPECTIVE
         ahead = clip[:, 3] > 0
         w = np.where(ahead, clip[:, 3], 1.0)
@@ -109,7 +110,7 @@ class _Drawn:
         weights = parts * self._weight[hit]
         normals = (self._normals[hit] * weights[..., None]).sum(axis=1)
         normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
-        light = np.maximum(normals @ SUN, 0)[:, None] * SUNLIGHT + (0.5 + 0.5 * normals[:, 2:]) * SKYLIGHT
+        light = np.maximum(product(normals, SUN), 0)[:, None] * SUNLIGHT + (0.5 + 0.5 * normals[:, 2:]) * SKYLIGHT
         ground = light * GROUND
         if lines:
             left = columns / width + rows / height < 1

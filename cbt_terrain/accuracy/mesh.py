@@ -12,6 +12,7 @@ from ...kernels.accuracy import edges as edge_kernels
 from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
+from ..ask.linear import add_up
 from ..errors import TerrainError
 from ..field import coats, codes
 from ..field.detail_bounds import highest
@@ -56,7 +57,7 @@ def errors_of(values: np.ndarray) -> Errors:
     highest = np.sort(values[at:])
     last = -(-values.size * 999 // 1000) - 1 - at
     mean = float(np.sum(values, dtype=np.float64)) / values.size
-    squares = sum(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks(values))
+    squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks(values))
     quantiles = float(highest[-1]), float(highest[0]), float(highest[last])
     return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
 

@@ -270,6 +270,6 @@ def worst(parts: Sequence):
     if not parts or isinstance(parts[0], float):
         return max(parts, default=None)
     if isinstance(parts[0], int):
-        return sum(parts)
+        return sum(map(int, parts))
     names = [f.name for f in dataclasses.fields(parts[0])]
     return type(parts[0])(**{name: worst([getattr(part, name) for part in parts]) for name in names})

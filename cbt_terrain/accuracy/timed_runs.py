@@ -2,7 +2,6 @@
 """How long an update takes while a camera moves a little each frame: warm memory, and what the last frame leaves."""
 
 import dataclasses
-import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -59,7 +58,7 @@ def timed_runs(
     heights move instead.
     """
     field, lattice, scale = terrain.field, terrain.field.lattice, frame.vertical_scale
-    diagonal = math.hypot((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y)
+    diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
     step = MOVE * diagonal * _stretch(frame.placement)
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
     runs, side = [], 1

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, named_once
+from .linear import length
 from .view import View
 
 TOP_KEYS = {"fov", "lens", "sensor", "clip", "keyframes"}
@@ -43,7 +44,7 @@ class CameraPath:
         """The view at a frame, for a picture of `resolution` pixels."""
         with np.errstate(all="ignore"):  # what comes out is checked
             values = hermite(self.frames, self.values, frame)
-            away = np.linalg.norm(values[:3] - values[3:6])
+            away = length(values[:3] - values[3:6])
         if not np.isfinite([*values, away]).all() or away == 0.0:
             raise TerrainError(
                 f"The camera path has no place and direction at frame {frame:g}; expected keyframes whose frames, eyes "
@@ -65,8 +66,8 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
     span = times[i + 1] - times[i]
     t = (at - times[i]) / span
     return (
-        (1 + 2 * t) * (1 - t) ** 2 * values[i]
-        + t * (1 - t) ** 2 * span * slopes[i]
+        (1 + 2 * t) * (1 - t) * (1 - t) * values[i]
+        + t * (1 - t) * (1 - t) * span * slopes[i]
         + t * t * (3 - 2 * t) * values[i + 1]
         + t * t * (t - 1) * span * slopes[i + 1]
     )

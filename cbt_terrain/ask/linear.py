@@ -1,31 +1,40 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The few small products that a view needs, written out: sums in one order, so the same bits on every machine.
+"""Sums and small products, written out in one order: the same bits on every machine and in every Python.
 
 BLAS and LAPACK, which stand behind `@`, `np.linalg` and `np.einsum`, choose their order of sums by the processor.
+Python's `sum` compensates rounding from 3.12 on. `math.hypot` and `**` are the C library's.
 """
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 SWEEPS = 60  # of Jacobi rotations; three columns are at right angles after six or so
 
 
+def add_up(terms: Iterable):
+    """Return the sum of floats or arrays, added from left to right."""
+    total = 0.0
+    for term in terms:
+        total = total + term
+    return total
+
+
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """float64 [n, m]: a [n, k] times b [k, m]; [n]: times b [k]."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    terms = (np.multiply.outer(a[:, k], b[k]) for k in range(a.shape[1]))
-    return sum(terms, start=np.zeros((len(a), *b.shape[1:])))
+    return add_up(np.multiply.outer(a[:, k], b[k]) for k in range(a.shape[1]))
 
 
 def length(vector: np.ndarray) -> float:
     """Euclidean length of numbers, of any shape."""
-    return math.sqrt(sum(x * x for x in np.asarray(vector, np.float64).reshape(-1).tolist()))
+    return math.sqrt(add_up(x * x for x in np.asarray(vector, np.float64).reshape(-1).tolist()))
 
 
 def lengths(matrix: np.ndarray) -> np.ndarray:
     """float64 [n]: Euclidean lengths of the columns of a matrix [k, n]."""
-    return np.sqrt(sum(row * row for row in np.asarray(matrix, np.float64)))
+    return np.sqrt(add_up(row * row for row in np.asarray(matrix, np.float64)))
 
 
 def determinant(m: np.ndarray) -> float:
@@ -70,7 +79,7 @@ def least_stretch(matrix: np.ndarray) -> float:
         apart = True
         for p, q in ((0, 1), (0, 2), (1, 2)):
             a, b = columns[p], columns[q]
-            aa, bb, ab = (sum(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
+            aa, bb, ab = (add_up(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
             if abs(ab) > 1e-16 * math.sqrt(aa * bb):
                 apart = False
                 zeta = (bb - aa) / (2 * ab)

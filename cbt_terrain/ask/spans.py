@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .criterion import LARGEST, Criterion
-from .linear import length, lengths, product, settled
+from .linear import add_up, length, lengths, product, settled
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # Relative; far above what rounding does to pixels and metres, far below what can be seen of them.
@@ -93,7 +93,7 @@ def slant_of(view: View, placement: np.ndarray, floor: float) -> float:
         return 1.0
     across, along = view.bounds() if view.kind == PERSPECTIVE else ((0.0,), (0.0,))
     x, y, z = up.tolist()
-    looks = (math.hypot(b * z + y, a * z + x, a * y - b * x) for a in across for b in along)
+    looks = (length((b * z + y, a * z + x, a * y - b * x)) for a in across for b in along)
     return max(floor, LEAST_SLANT, *looks)
 
 
@@ -130,7 +130,8 @@ def secant_of(view: View) -> float:
     """The most that a point in the frame is further away than deep."""
     if view.kind != PERSPECTIVE:
         return 1.0
-    return math.sqrt(1 + sum(max(abs(e) for e in ends) ** 2 for ends in view.bounds()))
+    x, y = (max(abs(end) for end in ends) for ends in view.bounds())
+    return math.sqrt(1 + x * x + y * y)
 
 
 def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
@@ -146,7 +147,7 @@ def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) 
 
 def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
     """How far a point that is off by so many metres along each axis can be from its place, in camera space as above."""
-    return sum(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
+    return add_up(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
 
 
 def _to_camera(view: View, placement: np.ndarray) -> np.ndarray:

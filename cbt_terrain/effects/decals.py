@@ -139,7 +139,7 @@ def tilt(normals: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
             which, values = decal.seen(places)
             upright = normals[which] / normals[which, 2:]
             for slope, (x, y) in zip(values.T, (decal.along, decal.up), strict=False):
-                length = math.hypot(x, y)
+                length = math.sqrt(x * x + y * y)
                 upright[:, 0] -= slope * np.float32(x / length)
                 upright[:, 1] -= slope * np.float32(y / length)
             normals[which] = upright / np.sqrt((upright * upright).sum(axis=1, keepdims=True))

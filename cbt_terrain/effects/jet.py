@@ -38,7 +38,7 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
         field, dtype, shape, _ = MADE[name]
         made[name] = np.empty((len(places), *shape), np.float32)
         setattr(values, field, shared(made[name], dtype))
-    values.wanted = sum(MADE[name][3] for name in wanted)
+    values.wanted = sum(int(MADE[name][3]) for name in wanted)
     heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
     inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
@@ -152,7 +152,7 @@ def plan_curvature_example(evaluate: Evaluate) -> None:
     """Contour lines of a round hill are circles: r metres from its summit they bend by 1 / r, of a hollow by -1 / r."""
     across = np.arange(-8, 9) * 2.0
     hill = np.add.outer(across**2, across**2) / -100.0
-    radius = np.hypot.outer(across, across)[2:-2, 2:-2]
+    radius = np.sqrt(np.add.outer(across**2, across**2))[2:-2, 2:-2]
     away = radius > 0
     assert abs(evaluate("plan_curvature", hill, step=2.0)[away] - 1 / radius[away]).max() < 1e-5
     assert abs(evaluate("plan_curvature", -hill, step=2.0)[away] + 1 / radius[away]).max() < 1e-5

@@ -62,7 +62,7 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
     Sines are of the C library: single precision hides their last bits.
     """
     x, y, z, angle = sun
-    level = math.hypot(x, y)
+    level = math.sqrt(x * x + y * y)
     radius = max(angle / 2.0, LEAST_RADIUS)
     elevation = math.atan2(z, level)
     if elevation <= -radius:

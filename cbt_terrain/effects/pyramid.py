@@ -36,7 +36,7 @@ def ground(field: HeightField, vertical_scale: float, vertical_offset: float, th
 
 def _halved(field: HeightField, threads: int) -> np.ndarray:
     """Compute the coarser levels, float32, one behind the other."""
-    count = sum(rows * columns for rows, columns in shapes(field.lattice)[1:])
+    count = sum(int(rows * columns) for rows, columns in shapes(field.lattice)[1:])
     made = np.empty(max(count, 1), np.float32)
     below = packed(field, made)
     for level in range(1, below.levels):

@@ -56,7 +56,7 @@ def _weights(
     made = {name: np.empty((count, 4), np.float32) for name in names}
     unused = np.empty((0, 4), np.float32)
     outputs = [shared(made.get(name, unused), wp.vec4f) for name in NAMES]
-    bits = sum(1 << NAMES.index(name) for name in names)
+    bits = sum(int(1 << NAMES.index(name)) for name in names)
     inputs = [splat, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), bits, *outputs]
     launch.spread(kernels.splats, count, inputs, step="splats", threads=places.threads, cost=2 + 2 * len(layers))
     return made
@@ -83,7 +83,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         made.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         own.append(made)
         for rule in layer.rules:
-            at = rule.other if rule.of == splat_rules.LAYER else sum(image.size for image in images)
+            at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
             at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
             rules.append(_rule(rule, at, lowest, highest))
             if rule.of == splat_rules.IMAGE:

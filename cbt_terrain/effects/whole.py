@@ -43,7 +43,7 @@ def whole(
             samples = make()
             store.keep(field, file, samples)
         _kept[key] = as_heights(field, samples, key, lattice)
-        while len(_kept) > 1 and sum(map(_nbytes, _kept.values())) > MOST_BYTES:
+        while len(_kept) > 1 and sum(int(_nbytes(values)) for values in _kept.values()) > MOST_BYTES:
             _kept.popitem(last=False)
         return _kept[key]
 

@@ -196,7 +196,7 @@ def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
     more than `most` bytes at so many places: what is cheapest to compute for its size goes first."""
     effects = [EFFECTS[step.name] for step in steps]
     # Two copies of places and of the levels of both families.
-    left = most - NUMBER * count * (2 * (3 + 2) + sum(effect.width for effect in effects))
+    left = most - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     once = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
         left -= NUMBER * count * effect.width

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import footprint as kernels
-from ..ask.linear import length, product, settled
+from ..ask.linear import add_up, length, product, settled
 from ..ask.view import ORTHOGRAPHIC, View
 from ..effects.pyramid import shapes
 from ..errors import TerrainError
@@ -73,8 +73,8 @@ def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.Eye:
 def _least_stretch(across: np.ndarray) -> float:
     """The least length that a level unit vector has in camera space: the smaller singular value of [3, 2]."""
     a, b = length(across[:, 0]), length(across[:, 1])
-    dot = float(sum(across[:, 0] * across[:, 1]))
-    largest2 = (a * a + b * b + math.hypot(a * a - b * b, 2 * dot)) / 2
+    dot = float(add_up(across[:, 0] * across[:, 1]))
+    largest2 = (a * a + b * b + length((a * a - b * b, 2 * dot))) / 2
     return math.sqrt(max(a * a * b * b - dot * dot, 0.0) / largest2)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.field import detail as kernels
+from ..ask.linear import add_up
 from ..errors import TerrainError
 from ..run.buffers import flat
 from .blocks import halvings
@@ -64,7 +65,7 @@ class Coats:
     @property
     def amplitude(self) -> float:
         """Metres that they rise or fall together, at most."""
-        return sum(coat.detail.amplitude for coat in self.coats)
+        return add_up(coat.detail.amplitude for coat in self.coats)
 
     @property
     def key(self) -> str:

@@ -14,9 +14,12 @@ proves c <= 14.1 and slopes <= 3.8 for all cells by interval arithmetic.
 """
 
 import hashlib
+import operator
 from dataclasses import dataclass
+from itertools import accumulate
 
 from ...kernels.field import detail as kernels
+from ..ask.linear import add_up
 from ..errors import check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
 from .detail_bounds import Part, Way
@@ -57,14 +60,14 @@ class Detail:
         """Amplitude and wavelength, metres, of the octaves that leaves with edges of `finest` metres can show."""
         lengths = [self.wavelength * 0.5**k for k in range(MOST_OCTAVES)]
         shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]
-        parts = [self.roughness**k for k in range(len(shown))]
-        share = self.amplitude / sum(parts)
+        parts = list(accumulate([1.0] + [self.roughness] * (len(shown) - 1), operator.mul))
+        share = self.amplitude / add_up(parts)
         return [(share * part, length) for part, length in zip(parts, shown, strict=True) if share * part > 0.0]
 
     def parts(self, finest: float) -> list[Part]:
         """The same, as bounds are taken of them."""
         return [
-            Part(a, s, length, (Way(0.0, BEND * a / length**2, s, a), Way(2 * a, 0.0, 0.0, 0.0)))
+            Part(a, s, length, (Way(0.0, BEND * a / (length * length), s, a), Way(2 * a, 0.0, 0.0, 0.0)))
             for a, length in self.waves(finest)
             for s in (SLOPE * a / length,)
         ]

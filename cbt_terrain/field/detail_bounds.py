@@ -20,11 +20,12 @@ is in more than one cell misses at most M times all of f's range. Of waves much 
 much: masks are for detail.
 """
 
-import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+
+from ..ask.linear import add_up, length
 
 OUTWARD = 1 + 1e-9  # above what these sums round
 
@@ -51,7 +52,7 @@ class Part(NamedTuple):
 
 def masked(parts: Iterable[Part], steps: tuple[float, float]) -> list[Part]:
     """The parts times a mask of 0 .. 1, inside the cells of a raster; steps: metres of their sides."""
-    g, w = math.hypot(1 / steps[0], 1 / steps[1]), 2 / (steps[0] * steps[1])
+    g, w = length((1 / steps[0], 1 / steps[1])), 2 / (steps[0] * steps[1])
     found = []
     for part in parts:
         ways = (Way(f, n + 2 * g * s + w * a, s + g * a, a) for f, n, s, a in part.ways)
@@ -61,22 +62,22 @@ def masked(parts: Iterable[Part], steps: tuple[float, float]) -> list[Part]:
 
 def highest(parts: Iterable[Part]) -> float:
     """Metres that their sum rises above the surface or falls below it, at most."""
-    return sum(part.most for part in parts) * (1 + 1e-12)
+    return add_up(part.most for part in parts) * (1 + 1e-12)
 
 
 def steepest(parts: Iterable[Part]) -> float:
     """Metres a metre that it climbs in any direction, at most."""
-    return sum(part.steep for part in parts)
+    return add_up(part.steep for part in parts)
 
 
 def missed(parts: Iterable[Part], radius: float) -> float:
     """Metres between it and a triangle that a circle of `radius` metres holds, at most."""
-    return sum(min(way.far + 0.5 * way.bend * radius**2 for way in part.ways) for part in parts)
+    return add_up(min(way.far + 0.5 * way.bend * (radius * radius) for way in part.ways) for part in parts)
 
 
 def climbed(parts: Iterable[Part], radius: float) -> float:
     """Metres by which two corners of such a triangle differ in it, at most."""
-    return sum(min(way.far + 2 * radius * way.steep for way in part.ways) for part in parts)
+    return add_up(min(way.far + 2 * radius * way.steep for way in part.ways) for part in parts)
 
 
 def radius_at(steps: tuple[float, float], levels: int, depth: int) -> float:
@@ -87,7 +88,7 @@ def radius_at(steps: tuple[float, float], levels: int, depth: int) -> float:
     """
     x, y = (step * 2.0 ** (levels - (depth - 1) // 2) for step in steps)
     if depth % 2:
-        return 0.5 * math.hypot(x, y)
+        return 0.5 * length((x, y))
     return max(_over(x, 0.5 * y), _over(y, 0.5 * x))
 
 

@@ -5,6 +5,7 @@ import math
 import re
 from dataclasses import dataclass
 
+from ..ask.linear import length
 from ..errors import TerrainError
 
 # Semi-major axis in metres and inverse flattening.
@@ -84,7 +85,7 @@ def from_transform(
     """
     a, b, c, d, e, f = transform
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f
-    along, down = math.hypot(a, d), math.hypot(b, e)
+    along, down = length((a, d)), length((b, e))
     if not all(map(math.isfinite, (x, y, along, down))) or along == 0.0 or down == 0.0:
         raise TerrainError(f"The raster's georeference {transform} gives its cells no size: give the extent in metres.")
     warnings, size_warnings = [], []

@@ -8,13 +8,13 @@ border is refined as everything else is, down to the raster's cells, along whose
 plane, taken for one of height; where heights are scaled, so is it.
 """
 
-import math
 from functools import partial
 
 import numpy as np
 import warp as wp
 
 from ...kernels.field import holes as kernels
+from ..ask.linear import length
 from ..run import launch
 from ..run.buffers import flat
 from .hierarchy import stored_at, upward
@@ -45,4 +45,4 @@ def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, thre
 def longest_edge(lattice: Lattice, depth: int) -> float:
     """Metres, in the plane, of the longest edge of a diamond at a depth (1 .. cell_depth)."""
     side = 2.0 ** (lattice.levels - (depth - 1) // 2)
-    return side * (math.hypot(lattice.step_x, lattice.step_y) if depth % 2 else max(lattice.step_x, lattice.step_y))
+    return side * (length((lattice.step_x, lattice.step_y)) if depth % 2 else max(lattice.step_x, lattice.step_y))

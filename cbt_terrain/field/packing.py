@@ -77,7 +77,7 @@ def copy_store(
 def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None]) -> None:
     """Every array of one folder into another; raises OSError also where a copy is not what it was copied from."""
     files = [file for file in sorted(source.iterdir()) if file.suffix == ".npy"]
-    total = sum(file.stat().st_size for file in files) or 1
+    total = sum(int(file.stat().st_size) for file in files) or 1
     done = 0
     for file in files:
         copy = target / file.name

@@ -21,6 +21,7 @@ from functools import lru_cache, reduce
 import numpy as np
 
 from ...kernels.field import detail as kernels
+from ..ask.linear import add_up
 from ..errors import TerrainError, check_number
 from ..plain_numbers import keep_plain_numbers
 from .detail import EDGES_A_WAVE, LARGEST
@@ -104,7 +105,7 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
         for j in range(k, len(heights)):
             side = 2.0 ** (j - k)
             bend, steep, most = smooth[j]
-            ways.append(Way(far, bend / side**2 * OUTWARD, steep / side * OUTWARD, most * OUTWARD))
+            ways.append(Way(far, bend / (side * side) * OUTWARD, steep / side * OUTWARD, most * OUTWARD))
             far += off[j] * OUTWARD if j < len(off) else 0.0
         ways.append(Way(_range(net.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))
         found.append(_Net(np.ascontiguousarray(net), tuple(ways)))
@@ -119,7 +120,7 @@ def _range(net: np.ndarray) -> float:
 def _halved(net: np.ndarray) -> np.ndarray:
     """A net of every other pixel along both axes, near the surface of this one."""
     for axis in (0, 1):
-        net = sum(weight * np.roll(net, 2 - k, axis) for k, weight in enumerate(DOWN))
+        net = add_up(weight * np.roll(net, 2 - k, axis) for k, weight in enumerate(DOWN))
         net = net[::2] if axis == 0 else net[:, ::2]
     return net
 
@@ -141,7 +142,7 @@ def _bounds(net: np.ndarray) -> tuple[float, float, float]:
     # Of the piece between this pixel and the next: its control heights are those of one before to two after.
     a, b = _most_of(second[0], (-1, 2), (0, 1)), _most_of(second[1], (0, 1), (-1, 2))
     c = _most_of(mixed, (-1, 1), (-1, 1))
-    bend = 0.5 * (a + b) + np.sqrt((0.5 * (a - b)) ** 2 + c * c)
+    bend = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) * (a - b) + c * c)
     east, north = _most_of(along[0], (-1, 2), (-1, 1)), _most_of(along[1], (-1, 1), (-1, 2))
     steep = np.sqrt(east * east + north * north)
     return float(bend.max()), float(steep.max()), float(np.abs(net).max())

@@ -24,6 +24,7 @@ from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.pixels import Asked, LocalView
+from ..ask.linear import add_up
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..mesh import borders
@@ -185,8 +186,9 @@ class Fitter:
         far = float(worst.max())
         shift = self._sideways(float(steeper.max())) + self._rounded(far)
         parts = far, shift, self.source
-        bound, limited = sum(parts) * OUTWARD, ""
-        if sum(parts) <= self.within(error_m):
+        total = add_up(parts)
+        bound, limited = total * OUTWARD, ""
+        if total <= self.within(error_m):
             bound = min(bound, self.within(error_m))
             limited = "source" if bound > error_m else ""
         else:
@@ -242,6 +244,6 @@ def _asked(error_m: float) -> Asked:
     """Nothing but a vertical error."""
     asked = Asked()
     asked.error_px2 = asked.edge_px2 = asked.area_px2 = math.inf
-    asked.metres2, asked.limit = error_m**2, 1.0
+    asked.metres2, asked.limit = error_m * error_m, 1.0
     asked.view, asked.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")
     return asked

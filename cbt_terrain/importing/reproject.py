@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..ask.linear import lengths
 from ..errors import TerrainError, shown
 from .raster import ImportSettings, stands_for_missing
 
@@ -99,7 +100,7 @@ def _grid(path: Path, dataset, crs, name: str) -> tuple:
     column, row = dataset.width / 2, dataset.height / 2
     near = _position(dataset, np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
     near_x, near_y = _transformed(path, dataset.crs, crs, *near)
-    steps = np.hypot(near_x[1:] - near_x[0], near_y[1:] - near_y[0])
+    steps = lengths(np.stack([near_x[1:] - near_x[0], near_y[1:] - near_y[0]]))
     along_x = abs(near_y[1] - near_y[0]) < 0.1 * steps[0]
     step_x, step_y = steps if along_x else (steps.min(), steps.min())
     width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))

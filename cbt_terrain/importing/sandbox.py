@@ -18,7 +18,7 @@ PR_SET_NO_NEW_PRIVS, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC = 38, 1,
 LANDLOCK_CREATE_RULESET, LANDLOCK_ADD_RULE, LANDLOCK_RESTRICT_SELF = 444, 445, 446
 ACCESS_WRITE_FILE, ACCESS_REMOVE_DIR, ACCESS_TRUNCATE = 1 << 1, 1 << 4, 1 << 14
 # Write, remove (5: a file), make (6 to 12, of each kind), and 13: from one folder into another.
-ACCESS_WRITES = ACCESS_WRITE_FILE | sum(1 << bit for bit in range(4, 14))
+ACCESS_WRITES = ACCESS_WRITE_FILE | sum(int(1 << bit) for bit in range(4, 14))
 # By machine: its AUDIT_ARCH, the call seccomp, and what is refused: socket, execve, execveat, ptrace,
 # process_vm_writev and io_uring_setup, which can open sockets too.
 MACHINES = {

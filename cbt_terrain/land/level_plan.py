@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from ..ask.linear import add_up
 from .mask_reads import SHAPES
 from .stack import Entry
 from .tiles import BAND, Level, Wanted, Window, closed, every_tile
@@ -31,7 +32,7 @@ class LevelPlan:
 
     def _count(self) -> None:
         self.needed = closed(self.levels, self.wanted, [self._widest(level) for level in self.levels])
-        self.total = sum(self._cost(level) for level in self.levels)
+        self.total = add_up(self._cost(level) for level in self.levels)
 
     def doubt(self, number: int) -> None:
         """From the next finer level on: one that was made in one piece says so of an entry."""

@@ -62,7 +62,7 @@ class TileCache:
             for file in self.folder.iterdir():
                 with suppress(OSError):
                     files.append((file.lstat().st_mtime, file.lstat().st_size, file))
-        total = sum(size for _, size, _ in files)
+        total = sum(int(size) for _, size, _ in files)
         for _, size, file in sorted(files):
             if total <= most_bytes:
                 break

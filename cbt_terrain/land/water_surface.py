@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..ask.linear import add_up
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice, fit
 from ..land_effects.land_effect import Ground
@@ -185,6 +186,6 @@ def _normals(surface: Surface) -> np.ndarray:
     p = surface.positions.astype(np.float64)[surface.triangles]
     face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     count, corners = len(surface.positions), surface.triangles
-    sums = [sum(np.bincount(corners[:, c], face[:, k], count) for c in range(3)) for k in range(3)]
+    sums = [add_up(np.bincount(corners[:, c], face[:, k], count) for c in range(3)) for k in range(3)]
     normals = np.stack(sums, axis=-1)
     return (normals / np.sqrt(np.sum(normals * normals, axis=1, keepdims=True))).astype(np.float32)

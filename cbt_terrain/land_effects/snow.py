@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.land import snow as kernels
+from ..ask.linear import length
 from ..effects.effect import Parameter
 from ..effects.light import azimuths
 from ..effects.sky_layer import sweep
@@ -128,7 +129,7 @@ def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose:
     """float32 [rows, columns] m: where the loose snow lies when slides have come to rest. `loose` is used up."""
     slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     slides.height, slides.width = rows, columns
-    steps = ground.step_x, ground.step_y, math.hypot(ground.step_x, ground.step_y)
+    steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
     slides.falls = wp.vec3f(*(_repose(values) * step for step in steps))
     slides.bed = flat(_walled(ground.heights + stuck, ground.missing), wp.float32)
     slides.snow = flat(loose, wp.float32)

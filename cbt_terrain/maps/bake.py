@@ -170,7 +170,7 @@ def _key_in(file: Path) -> str | None:
 
 
 def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:
-    total = sum(side * side for side in {image.tile: image.side for image in images}.values())
+    total = sum(int(side * side) for side in {image.tile: image.side for image in images}.values())
     done = 0
     on_progress(0.0)
     with ThreadPoolExecutor(place.threads, "adaptive_terrain_maps") as pool:

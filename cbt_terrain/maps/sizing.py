@@ -99,7 +99,7 @@ def resolutions(
     coarser = 0.0
     while True:
         sides = [_side(tiling, metres * 2**coarser) for metres in footprints]
-        total = sum(side * side for side in sides) * texel_bytes
+        total = sum(int(side * side) for side in sides) * texel_bytes
         if budget_mb is None or total <= budget_mb * MEGABYTE or max(sides) == LEAST:
             return sides
         coarser += COARSER

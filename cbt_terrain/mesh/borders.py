@@ -11,6 +11,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.mesh import cut as kernels
+from ..ask.linear import add_up
 from ..field.heightfield import HeightField
 from ..refine.domain import NO_RIM
 from ..run import launch
@@ -34,7 +35,7 @@ def rims(domain: Domain) -> list[Side]:
     """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
     # Points have float32's steps, and a point where an edge is cut has those of both axes.
-    rounding = 2.0 * sum(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
+    rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
     # As the displacement places points.
     return [
         rim(axis, start + at * unit, rounding * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM

@@ -82,7 +82,7 @@ class SurfaceBuilder:
         finite, and for more triangles than memory holds; then nothing of a surface holds, the last one's neither.
         """
         slices = leaves.counts.tolist()
-        triangles, vertices, edges = (sum(column) for column in zip(*slices, strict=True))
+        triangles, vertices, edges = (sum(map(int, column)) for column in zip(*slices, strict=True))
         shown, self._shown = self._shown, None  # where it is interrupted, the positions are of nothing
         self._buffers.reclaim(keep=DISPLACED)
         if shown is not None:
@@ -267,7 +267,7 @@ class SurfaceBuilder:
 
         `slots`: each part's list of the runs that are copied from the last frame; None where nothing is.
         """
-        get, p, vertices = self._buffers.get, self._points, sum(n for _, n in parts)
+        get, p, vertices = self._buffers.get, self._points, sum(int(n) for _, n in parts)
         if slots is None:
             bind(p, taken=_no_runs())
             slots = [0] * len(parts)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mesh import cut as kernels
+from ..ask.linear import lengths
 from ..run import launch
 from ..run.buffers import shared
 from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
@@ -185,7 +186,7 @@ class _Work:
         """One vertex of two that a new edge joins and float32 can hardly tell apart, as where a needle is cut."""
         edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
         place = self.arrays["positions"][edges[new], :2].astype(np.float64)
-        length = np.hypot(*(place[:, 0] - place[:, 1]).T)
+        length = lengths((place[:, 0] - place[:, 1]).T)
         short = new[length < APART * np.abs(place).max(axis=(1, 2), initial=0.0)]
         if not len(short):
             return

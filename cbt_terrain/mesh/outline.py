@@ -7,6 +7,7 @@ follows the outline where it is straight across a triangle, and rounds its corne
 
 import numpy as np
 
+from ..ask.linear import lengths
 from .cut import Side
 
 # Each line of a convex outline is a cut of its own.
@@ -50,7 +51,7 @@ def outline(triangles: np.ndarray) -> np.ndarray:
 def _lines(border: np.ndarray) -> np.ndarray:
     """float64 [n, 3]: the lines on which the edges are, each once: a x + b y + c is the distance to the left."""
     along = border[:, 1] - border[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths(along.T)[:, None]
     lines = np.concatenate([normal, -np.sum(normal * border[:, 0], axis=1, keepdims=True)], axis=1)
     size = np.abs(border).max()
     rounded = np.rint(lines / (1e3 * SAME * np.array([1.0, 1.0, size])))

@@ -50,4 +50,4 @@ def _depth(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
     corners = corners.astype(np.float64)
     sides, there = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners
     across = sides[..., 0] * there[..., 1] - sides[..., 1] * there[..., 0]
-    return (across / np.hypot(sides[..., 0], sides[..., 1])).min(axis=1)
+    return (across / np.sqrt(sides[..., 0] * sides[..., 0] + sides[..., 1] * sides[..., 1])).min(axis=1)

@@ -24,7 +24,11 @@ class Rising:
         """`coats`: of the detail, or None. What is known of points for the next frame is in the buffers."""
         rising = kernels.Rising()
         rising.asked, ramp = self.asked, rising.ramp
-        ramp.limit, ramp.end2, ramp.steep = self.relaxed**2, self.end**2, 1.0 / (1.0 - 1.0 / self.end)
+        ramp.limit, ramp.end2, ramp.steep = (
+            self.relaxed * self.relaxed,
+            self.end * self.end,
+            1.0 / (1.0 - 1.0 / self.end),
+        )
         ramp.bisections = 2 * meshlet
         if coats:
             ramp.coats = coats

@@ -7,6 +7,7 @@ import warp as wp
 from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
+from ..ask.linear import add_up
 from ..field import coats, codes
 from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
@@ -55,5 +56,5 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     b.cells, b.bends = first[-2], lattice.node_count
     b.cell_pages, b.bend_group = pages[-1], lattice.groups + 1
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
-    b.detail_bend = sum(part.ways[0].bend for part in field.parts)
+    b.detail_bend = add_up(part.ways[0].bend for part in field.parts)
     return b

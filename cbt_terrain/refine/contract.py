@@ -139,8 +139,8 @@ def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
     finest = wanted / mean_ramp(criterion.rises_until)
     over, longer = o.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(o.deepest)
     longest = over.most / spans.edge + (wanted - finest) if over else wanted
-    area = 0.5 * longest**2 if over else criterion.area_px * o.relaxed**2
-    return Bound(area * longer**2, _of_edges(over, longer))
+    area = 0.5 * longest * longest if over else criterion.area_px * o.relaxed * o.relaxed
+    return Bound(area * longer * longer, _of_edges(over, longer))
 
 
 def _fixed(o: Outcome) -> float:

@@ -102,7 +102,7 @@ def _pack_detail(domain: Domain, field: HeightField, meshlet: int) -> None:
     domain.detailed, domain.detail_most = int(bool(parts)), highest(parts)
     tables = coat_tables(ground, field.finest_edge, lattice, meshlet)
     domain.detail = shared(tables.reshape(-1, 2), wp.vec2f)
-    domain.masked = sum(coat.mask is not None for coat in coats_of(ground))
+    domain.masked = sum(int(coat.mask is not None) for coat in coats_of(ground))
     levels = mask_levels(lattice)
     domain.mask_most, domain.mask_top = shared(most_of_masks(ground), wp.uint8), len(levels) - 2
     domain.mask_first = shared(levels, wp.int64)
@@ -114,7 +114,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     asked, mean = Asked(), mean_ramp(criterion.rises_until)
 
     def squared(value: float) -> float:
-        return (value / mean) ** 2 if value > 0 else math.inf
+        return value / mean * (value / mean) if value > 0 else math.inf
 
     asked.view_count = len(views)
     asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)

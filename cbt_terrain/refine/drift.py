@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from ...kernels.field.domain import Domain
 from ...kernels.refine.coherence import Motion
 from ...kernels.refine.pixels import Asked, LocalView
+from ..ask.linear import add_up
 
 # By which part lengths, all but spans of a pixel, may change from frame to frame: 4 times this comes off the slack.
 MOST_DRIFT = 2e-3
@@ -56,5 +57,5 @@ def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> Non
     """Fill in how the view has moved."""
     motion.eye, motion.depth, motion.drift = before.eye, before.depth, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
-    motion.step = math.sqrt(sum(float(w) * (float(a) - float(b)) ** 2 for w, a, b in offsets))
+    motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))
     motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))

@@ -30,7 +30,7 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     eye, and no map: nothing is hidden from them."""
     entries, factor = 0, min(factor, LARGEST)
     for view in views:
-        view.hidden2, view.veil, view.ramp = factor**2, math.sqrt(math.sqrt(factor)) - 1, ramp
+        view.hidden2, view.veil, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
             view.rings.first, view.rings.count, view.rings.at = first, count, entries
@@ -49,7 +49,7 @@ def fill(
     """Fill the maps for meshes that keep `relaxed` times what is asked, and leaves down to `max_depth`; of an infinite
     factor nothing is hidden."""
     views = [(k, view) for k, view in enumerate(asked.views.numpy()) if view["rings"]["count"]]
-    entries = sum(int(view["rings"]["count"]) + 1 for _, view in views) * int(ROW)
+    entries = sum(int(view["rings"]["count"] + 1) for _, view in views) * int(ROW)
     asked.slopes = buffers.get("horizons", entries, wp.float32)
     if relaxed == math.inf:
         buffers.numpy("horizons")[:entries] = -math.inf

@@ -141,7 +141,7 @@ class Refinement:
             near = start if start and start.step else None
             self._found = self._budget.search(domain, asked, max_depth, most, near, low)
             asked.limit, low = limit_of(self._found.step), self._found.step + 1
-            if asked.limit > relaxed**2:
+            if asked.limit > relaxed * relaxed:
                 break
             leaves = self._found.splits + 2 * self.lattice.squares
             walks, counts = self._walk(domain, asked, max_depth, most, leaves)

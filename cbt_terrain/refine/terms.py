@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..ask.linear import add_up
 from ..field.detail_bounds import steepest
 from ..field.heightfield import HeightField
 
@@ -35,7 +36,7 @@ class Terms:
     @classmethod
     def shares(cls, bound: float, *parts: float) -> "Terms":
         """A bound divided in proportion to its three parts in metres, in the order above."""
-        total = sum(parts)
+        total = add_up(parts)
         part = bound / total if total > 0.0 else 0.0
         return cls(*(p * part for p in parts))
 
@@ -87,7 +88,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
     # ... and its places, of which float64 holds no more, move it as little.
-    spare = DISPLACEMENT_ERROR * sum(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
+    spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     along = steepest(field.parts) * abs(vertical_scale)
     detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
     return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale))

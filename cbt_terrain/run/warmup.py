@@ -85,7 +85,7 @@ class _Preparation:
         """Wait until the children have compiled `modules`, or have ended; then load them."""
         files = list(compiled.values())
         while any(process.poll() is None for process in processes):
-            self.fraction = sum(file.exists() for file in files) / len(files)
+            self.fraction = sum(int(file.exists()) for file in files) / len(files)
             if all(compiled[module].exists() for module in modules) or self.stopping.wait(POLL_SECONDS):
                 break
         for module in modules:

@@ -172,7 +172,7 @@ class Scatterer:
             seen.slopes, linear = horizon.slopes, placement[:3, :3]
             # A ball of the world is an ellipsoid in the terrain's space, this its box.
             seen.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
-        seen.count, seen.full2 = len(local), scatter.full_until**2 if scatter.full_until else math.inf
+        seen.count, seen.full2 = len(local), scatter.full_until * scatter.full_until if scatter.full_until else math.inf
         seen.views = wp.array(local or [LocalView()], dtype=LocalView, device=launch.DEVICE)
         return seen
 

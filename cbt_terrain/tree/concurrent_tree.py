@@ -39,7 +39,7 @@ class ConcurrentBinaryTree:
     @property
     def leaf_count(self) -> int:
         """Leaves of the tree, at least 1."""
-        return sum(count for _, count in self._parts)
+        return sum(int(count) for _, count in self._parts)
 
     @property
     def nbytes(self) -> int:
@@ -75,7 +75,7 @@ class ConcurrentBinaryTree:
     def would_change(self, parts: list[tuple[int, int]]) -> bool:
         """Whether `mark` with these parts would make another tree of this one."""
         cells = self._next.numpy("cells")
-        if sum(count for _, count in parts) != self.leaf_count:
+        if sum(int(count) for _, count in parts) != self.leaf_count:
             return True
         return not np.array_equal(_joined(cells, parts), self.cells())
 

@@ -43,7 +43,7 @@ def _are_of_tree(depths: np.ndarray, max_depth: int) -> bool:
     """Whether leaves of these depths, one after the other, leave no gap: a leaf of 2**j cells begins at a multiple of
     2**j, and the last one ends where the tree does."""
     counts = np.bincount(depths, minlength=1).tolist()
-    if len(counts) > max_depth + 1 or sum(n << max_depth - d for d, n in enumerate(counts)) != 1 << max_depth:
+    if len(counts) > max_depth + 1 or sum(int(n) << max_depth - d for d, n in enumerate(counts)) != 1 << max_depth:
         return False
     sizes = np.int64(1) << max_depth - depths.astype(np.int64)
     return not ((np.cumsum(sizes) - sizes) & (sizes - 1)).any()

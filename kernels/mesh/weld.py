@@ -60,7 +60,7 @@ RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST
 def by_shape(value) -> int:
     """A table of two bits for every shape, the passage and parity that a leaf's word holds, to be shifted by SHAPE."""
     shapes = [(passage, odd) for passage in (LEG_LEG, HYP_LEG, LEG_HYP) for odd in (0, 1)]
-    return sum(value(passage, odd) << (passage | odd << PARITY) for passage, odd in shapes)
+    return sum(int(value(passage, odd)) << (passage | odd << PARITY) for passage, odd in shapes)
 
 
 def first_corner(passage: int, odd: int) -> int:

@@ -21,7 +21,16 @@ from .mesh.pieces import Pieces, middles
 from .mesh.rising import Rising
 from .mesh.surface import Surface
 from .plain_numbers import plain_number, vectors, vertical
-from .refine.contract import MARGIN, Outcome, bound_area_px, bound_edge_px, bound_m, bound_px, reason_of
+from .refine.contract import (
+    MARGIN,
+    Outcome,
+    bound_area_px,
+    bound_edge_px,
+    bound_m,
+    bound_px,
+    factor_of,
+    reason_of,
+)
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, Refinement
@@ -347,6 +356,7 @@ def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made) -> 
     """The update with what holds of its mesh."""
     px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
     edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
+    relaxed = factor_of(criterion, outcome, [px, metres, edge, area])
     return Update(
         bound_px=px and px.value,
         bound_m=metres and metres.value,
@@ -354,7 +364,7 @@ def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made) -> 
         bound_area_px=area and area.value,
         terms_px=px and px.terms,
         terms_m=metres and metres.terms,
-        relaxed=outcome.relaxed,
-        limited=reason_of([px, metres, edge, area], outcome.relaxed),
+        relaxed=relaxed,
+        limited=reason_of([px, metres, edge, area], relaxed),
         **made,
     )

@@ -138,7 +138,7 @@ def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: 
 
     relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
     """
-    if not plain_m > error_m or relaxed == math.inf:  # nothing has so few
+    if not plain_m > error_m:
         return None
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MOST_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))

@@ -7,7 +7,7 @@ beside its own t is nowhere more in the others. So the mean is off by what the f
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import warp as wp
 
@@ -21,6 +21,8 @@ from ..run import launch
 from ..run.buffers import Buffers
 from .terms import MARGIN, Terms, weighed_as
 
+# Where no factor on the criterion keeps to a triangle limit, the roots' own factor is not reported above this.
+MAX_FACTOR = 1e100
 # What keeps a bound above what was asked; of several, the first is told.
 REASONS = ("max_triangles", "max_depth", "precision", "source")
 
@@ -48,9 +50,9 @@ class Excess:
 class Outcome:
     """A refinement and how it ended.
 
-    `relaxed`: the factor by which a triangle limit coarsened what was asked. `stopped`: whether a leaf is still too
-    coarse, and at `max_depth`. `deepest`: the depth of the deepest leaf. `relief`: metres between the lowest and the
-    highest point.
+    `relaxed`: the factor by which a triangle limit coarsened what was asked; infinity where no factor is enough, so
+    that the mesh is the roots. `stopped`: whether a leaf is still too coarse, and at `max_depth`. `deepest`: the depth
+    of the deepest leaf. `relief`: metres between the lowest and the highest point.
     """
 
     domain: Domain
@@ -71,6 +73,13 @@ class Outcome:
         most2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
         return None if total < 0.0 else Excess(math.sqrt(most2), fixed, total)
 
+    def factor(self, what: int, request: float) -> float:
+        """Return the finite factor on a request, in the unit of `search`, that the mesh satisfies."""
+        if self.relaxed < math.inf:
+            return self.relaxed
+        found = replace(self, max_depth=1).search(what, -1.0)
+        return min(max(found.most / request, 1.0), MAX_FACTOR) if found else 1.0
+
     def stopped_above(self, what: int, least: float) -> Excess | None:
         """What leaves that are too coarse have, where that is more than `least`."""
         return self.search(what, least) if self.stopped else None
@@ -89,8 +98,9 @@ def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
     fixed = o.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
-    wanted, source = criterion.error_px * o.relaxed, o.domain.source
-    finest = wanted / mean_ramp(criterion.rises_until)
+    mean, source = mean_ramp(criterion.rises_until), o.domain.source
+    wanted = criterion.error_px * o.factor(ERROR, criterion.error_px / mean)
+    finest = wanted / mean
     least, most = o.domain.rounding + source, _fixed(o)
     # Of what cannot be refined away the source's rounding is a part that is not the same everywhere.
     low, high = (source * fixed.most / metres if metres else 0.0 for metres in (most, least))
@@ -113,34 +123,47 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
     if not criterion.error_m:
         return None
     fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.rises_until)
-    finest = weighed_as(criterion.error_m, source, mean) * o.relaxed
+    finest = weighed_as(criterion.error_m, source, mean)
+    factor = o.factor(METRES, finest)
+    finest *= factor
     kept, limit, rises = _kept(finest, fixed, source, source), o.relief + fixed, (mean - 1) * finest
     over = o.stopped_above(METRES, min(kept, limit))
     precision, value = (over.fixed if over else fixed) - source, over.most + rises if over else min(kept + rises, limit)
-    return _bound(criterion.error_m * o.relaxed, value, precision, source, over is not None)
+    return _bound(criterion.error_m * factor, value, precision, source, over is not None)
 
 
 def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
     """Pixels of the longest edge, also between float32 corners."""
     if not criterion.edge_px:
         return None
-    wanted = criterion.edge_px * o.relaxed
-    finest = wanted / mean_ramp(criterion.rises_until)
+    mean = mean_ramp(criterion.rises_until)
+    wanted = criterion.edge_px * o.factor(EDGE, criterion.edge_px / mean * spans.edge)
+    finest = wanted / mean
     over, longer = o.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(o.deepest)
     longest = over.most / spans.edge + (wanted - finest) if over else wanted
-    return Bound(longest * longer, _of_edges(over, longer))
+    return Bound(min(longest * longer, LARGEST), _of_edges(over, longer))
 
 
 def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
     """Square pixels of the largest triangle; the search has the root of twice that."""
     if not criterion.area_px:
         return None
-    wanted = math.sqrt(2 * criterion.area_px) * o.relaxed
-    finest = wanted / mean_ramp(criterion.rises_until)
+    request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.rises_until)
+    factor = o.factor(AREA, request / mean * spans.edge)
+    wanted, finest = request * factor, request * factor / mean
     over, longer = o.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(o.deepest)
     longest = over.most / spans.edge + (wanted - finest) if over else wanted
-    area = 0.5 * longest * longest if over else criterion.area_px * o.relaxed * o.relaxed
-    return Bound(area * longer * longer, _of_edges(over, longer))
+    area = 0.5 * longest * longest if over else criterion.area_px * factor * factor
+    return Bound(min(area * longer * longer, LARGEST), _of_edges(over, longer))
+
+
+def factor_of(criterion: Criterion, o: Outcome, bounds: list[Bound | None]) -> float:
+    """Return the finite factor by which a triangle limit coarsened a criterion; `bounds` as the functions above."""
+    if o.relaxed < math.inf:
+        return o.relaxed
+    requests = criterion.error_px, criterion.error_m, criterion.edge_px, criterion.area_px
+    ratios = [bound.value / request for bound, request in zip(bounds, requests, strict=True) if bound]
+    return max(1.0, *ratios[:3], *map(math.sqrt, ratios[3:]))
 
 
 def _fixed(o: Outcome) -> float:

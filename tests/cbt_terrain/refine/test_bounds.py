@@ -300,6 +300,29 @@ def test_what_a_depth_limit_leaves_is_found_where_it_is(name, crop):
             assert found.bound_edge_px < 2.5 * edge and found.bound_area_px < 16.0 * area
 
 
+@pytest.mark.parametrize("kind", [PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC])
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+def test_bounds_are_finite_where_no_limit_can_be_kept(kind, interpolation):
+    rng = np.random.default_rng(7)
+    truth = ground("rough", interpolation, rng)
+    eye = sample_position(truth.field, 1, 1)
+    for up, morph, meshlet in ((0.0, 1.0, 0), (1e-3, 1.5, 1), (-30.0, 4.0, 0), (900.0, 1.0, 2)):
+        where = eye + [0.0, 0.0, up]
+        view = View.look(
+            where, where + [0.3, 0.2, -1.0], kind=kind, ortho_width=900.0, fov_deg=1e-5, resolution=(10**6, 9)
+        )
+        limits = {"max_triangles": 0, "morph": morph, "meshlet": meshlet}
+        for tiny in ("error_px", "error_m", "edge_px", "area_px"):
+            request = {"error_px": 1.0, "error_m": 1.0, "edge_px": 8.0, "area_px": 50.0} | {tiny: 1e-30}
+            scale = 1e30 if tiny.startswith("error") else 1.0
+            found = Terrain(truth.field, 1).update(Criterion(**request, **limits), [view], None, scale)
+            check(found, truth, [view], np.eye(4), scale, 0.0)
+            bounds = [found.bound_px, found.bound_m, found.bound_edge_px, found.bound_area_px, found.relaxed]
+            terms = [*vars(found.terms_px).values(), *vars(found.terms_m).values()]
+            assert np.isfinite(bounds).all() and np.isfinite(terms).all() and found.limited == "max_triangles"
+            assert found.bound_m < 3.0 * scale * (truth.field.max_height - truth.field.min_height)
+
+
 def test_nothing_in_view_is_a_bound_of_nothing(crop):
     view = View.look((0, 0, 5000.0), (0, 0, 9000.0))
     found = Terrain(crop.field, 1).update(Criterion(), [view])

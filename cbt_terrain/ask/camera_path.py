@@ -22,10 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import TerrainError, named_once
+from ..errors import TerrainError, named_once, shown
+from ..run.named_file import read_named
 from .linear import length
 from .view import View
 
+MAX_BYTES = 1 << 26
+EXPECTED = "a JSON file of keyframes"
 TOP_KEYS = {"fov", "lens", "sensor", "clip", "keyframes"}
 KEY_KEYS = {"frame", "eye", "target", "fov", "lens"}
 # Degrees; beyond, a picture's scale loses its digits.
@@ -76,14 +79,11 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
 def read_camera_path(path: Path) -> CameraPath:
     """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
     path = Path(path)
+    text = read_named(path, "The camera path", EXPECTED, MAX_BYTES)
     try:
-        if path.exists() and not path.is_file():
-            raise OSError("it is not a regular file")  # to read a pipe may wait for ever
-        data = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=named_once)
-    except (OSError, ValueError, RecursionError) as error:
-        raise TerrainError(
-            f"The camera path {path} cannot be read ({error}); expected a JSON file of keyframes."
-        ) from None
+        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
+    except (ValueError, RecursionError) as error:
+        raise TerrainError(f"The camera path {path} cannot be read ({shown(error)}): expected {EXPECTED}.") from None
     if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
         raise TerrainError(f'The camera path {path} has no keyframes; expected {{"keyframes": [{{"frame": 1, ...}}]}}.')
     _only(path, "the file", data, TOP_KEYS)

@@ -15,6 +15,8 @@ from .effect import Parameter, Places
 
 DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
 
+LARGEST = np.float32(1e9)  # of a colour: sums and products of a few stay finite
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:
@@ -39,12 +41,13 @@ class Picture:
 
 def picture(pixels: np.ndarray, tilts: bool) -> Picture:
     """Of float [rows, columns, 4]: linear colours or, where `tilts`, a normal map in 0 .. 1; alpha is not in them."""
-    rgb, alpha = pixels[..., :3].astype(np.float32), np.clip(pixels[..., 3:].astype(np.float32), 0.0, 1.0)
+    finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
+    rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
         normal = rgb * np.float32(2.0) - np.float32(1.0)
         rgb = np.zeros_like(normal)
         rgb[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], np.float32(0.05))
-    values = np.concatenate([np.nan_to_num(rgb) * alpha, alpha], axis=2)
+    values = np.concatenate([rgb * alpha, alpha], axis=2)
     content = repr((values.shape, tilts)).encode() + values.tobytes()
     return Picture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
 

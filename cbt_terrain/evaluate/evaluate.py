@@ -4,7 +4,7 @@
 import time
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -158,7 +158,7 @@ def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
     while steps:
         make = EFFECTS[steps[0].name].make
         now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
-        values |= make(places, {s.name: EFFECTS[s.name].defaults() | dict(s.parameters) for s in now}, values)
+        values |= _computed(now, places, values)
         steps = [step for step in steps if step not in now]
     return values
 
@@ -232,22 +232,29 @@ def _made_together(steps: Sequence[Asked], stay: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
+def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the values of effects that one function makes. Raises TerrainError where one is not finite."""
+    wanted = {step.name: EFFECTS[step.name].defaults() | dict(step.parameters) for step in group}
+    found = EFFECTS[group[0].name].make(places, wanted, read)
+    for name, array in found.items():
+        if not np.isfinite(array).all():
+            raise places.field.damage(f"its heights give values of {name} that are not finite")
+    return found
+
+
 def _make(
     group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept, once: set[str]
 ) -> int:
     """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
     not known, where `values` has the others; None for all of them. once: see `_held_once`."""
-    effects = [EFFECTS[step.name] for step in group]
-    wanted = {step.name: effect.defaults() | dict(step.parameters) for step, effect in zip(group, effects, strict=True)}
     read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
-        made = effects[0].make(places, wanted, read)
-        for name, array in made.items():
+        for name, array in _computed(group, places, read).items():
             kept.put(name, array, name in once)
             values[name] = array
         return len(places)
     if len(which):
         some = {name: array[which] for name, array in read.items()}
-        for name, array in effects[0].make(places.only(which), wanted, some).items():
+        for name, array in _computed(group, places.only(which), some).items():
             values[name][which] = array
     return len(which)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from ..run import partial_files
+from ..run.named_file import open_regular, read_regular
 from ..run.owned_files import NotOursError
 from . import store as stores
 from . import store_folder
@@ -53,7 +54,7 @@ def copy_store(
         _copy_arrays(source / name, part, on_progress)
         store_folder.remove_arrays(target / name)  # what a copy that was killed has left
         os.rename(part, target / name)
-        text = (source / stores.JSON_NAME).read_bytes()
+        text = read_regular(source / stores.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
         draft = target / name / stores.JSON_NAME
         draft.write_bytes(text)
         os.replace(draft, target / stores.JSON_NAME)
@@ -77,6 +78,8 @@ def copy_store(
 def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None]) -> None:
     """Every array of one folder into another; raises OSError also where a copy is not what it was copied from."""
     files = [file for file in sorted(source.iterdir()) if file.suffix == ".npy"]
+    for file in files:
+        open_regular(file).close()
     total = sum(int(file.stat().st_size) for file in files) or 1
     done = 0
     for file in files:
@@ -93,7 +96,7 @@ def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None
 
 def _copy(source: Path, target: Path, done: int, total: int, on_progress: Callable[[float], None]) -> int:
     """Copy one file; returns the bytes done in all."""
-    with source.open("rb") as reader, target.open("xb") as writer:
+    with open_regular(source) as reader, target.open("xb") as writer:
         while chunk := reader.read(CHUNK_BYTES):
             writer.write(chunk)
             done += len(chunk)

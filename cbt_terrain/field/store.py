@@ -29,6 +29,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import owned_files, partial_files
+from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
 from . import codes
 from .heightfield import HeightField
@@ -41,14 +42,13 @@ from .store_arrays import (
     header,
     is_cut_off,
     map_array,
-    open_regular,
     verify_array,
     write_array,
 )
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
     JSON_NAME,
-    MOST_JSON_BYTES,
+    MAX_JSON_BYTES,
     discard,
     is_own_entry,
     missing_folders,
@@ -84,17 +84,16 @@ def read_json(path: Path) -> dict:
     owned_files.check_no_link(file, AGAIN)
     try:
         with open_regular(file) as handle:
-            text = handle.read(MOST_JSON_BYTES + 1)
-        if len(text) > MOST_JSON_BYTES:
-            raise ValueError(f"it is larger than {MOST_JSON_BYTES} bytes")
+            text = handle.read(MAX_JSON_BYTES + 1)
+        if len(text) > MAX_JSON_BYTES:
+            raise ValueError(f"it is larger than {MAX_JSON_BYTES} bytes")
         content = json.loads(text.decode("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         raise TerrainError(
             f"There is no terrain store at {path}: expected a folder that `import` has written."
         ) from None
     except (OSError, ValueError, RecursionError) as reason:
-        said = getattr(reason, "strerror", None) or reason
-        raise TerrainError(f"The store {file} cannot be read ({said}): import it again.") from reason
+        raise TerrainError(f"The store {file} cannot be read ({cause(reason)}): import it again.") from reason
     if not isinstance(content, dict) or content.get("version") != VERSION:
         found = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
@@ -163,6 +162,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     Raises TerrainError for the first array with a fault.
     """
     field = open_store(path)
+    field.check_samples()
     folder, found = data_folder(field), {}
     shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     shapes |= {layer_name(name): field.layers[name] for name in field.layers}

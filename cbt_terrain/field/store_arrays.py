@@ -11,7 +11,6 @@ in a store makes a kernel leave its arrays is seen to in the kernels.
 
 import mmap
 import os
-import stat
 import struct
 import zlib
 from functools import partial
@@ -21,6 +20,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..run import launch, owned_files, partial_files
+from ..run.named_file import cause, open_regular
 
 PAGE_BYTES = 4096
 BLOCK_BYTES = 1 << 18
@@ -73,18 +73,6 @@ def write_array(file: Path, array: np.ndarray) -> None:
         handle.write(all_checksums(array))
 
 
-def open_regular(file: Path):
-    """Open a file for reading, unless it is a link, a pipe, a device or a folder: to open a pipe may wait for ever."""
-    if file.is_symlink():
-        raise OSError("it is a link, not a regular file")
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-    handle = os.fdopen(os.open(file, flags), "rb")
-    if not stat.S_ISREG(os.fstat(handle.fileno()).st_mode):
-        handle.close()
-        raise OSError("it is not a regular file")
-    return handle
-
-
 def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
     """Map an array copy-on-write: kernels take it as an ordinary array, and nothing can change the file.
 
@@ -131,8 +119,7 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.n
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as reason:
-        said = getattr(reason, "strerror", None) or reason
-        raise TerrainError(f"{file} is damaged ({said}): import the terrain again.") from reason
+        raise TerrainError(f"{file} is damaged ({cause(reason)}): import the terrain again.") from reason
     return array.view(np.ndarray), sums
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from ..errors import TerrainError, shown
 from ..run import owned_files, partial_files
+from ..run.named_file import read_regular
 from ..run.owned_files import NotOursError
-from .store_arrays import open_regular
 from .store_entries import is_data_name
 
 JSON_NAME = "store.json"
-DATA_PREFIX = "data-"
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
-MOST_JSON_BYTES = 1 << 22
+MAX_JSON_BYTES = 1 << 22
+DATA_PREFIX = "data-"
 TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _OWN_FILE = re.compile(
@@ -135,8 +135,7 @@ def named_folder(path: Path) -> Path | None:
     """The folder of arrays that store.json names; None without one, or of a damaged store."""
     file = path / JSON_NAME
     try:
-        with open_regular(file) as handle:
-            name = json.loads(handle.read(MOST_JSON_BYTES).decode("utf-8"))["data"]
+        name = json.loads(read_regular(file, MAX_JSON_BYTES).decode("utf-8"))["data"]
         return path / name if is_data_name(name) else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -11,8 +11,8 @@ from .store_arrays import map_array
 
 
 class LayerFiles(Mapping):
-    """The layers of a store by name, each mapped when it is first asked for. `units`: of each; `opened`: those that are
-    mapped."""
+    """The layers of a store by name, each mapped and checked when it is first asked for. `units`: of each; `opened`:
+    those that are mapped."""
 
     def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]):
         self.units, self._folder, self._shape, self.opened = dict(units), folder, shape, {}
@@ -23,11 +23,14 @@ class LayerFiles(Mapping):
             unit = self.units[name]
             file = self._folder / f"{layer_name(name)}.npy"
             try:
-                self.opened[name] = map_array(file, self._shape, np.float32)
+                layer = map_array(file, self._shape, np.float32)
             except FileNotFoundError:
                 raise TerrainError(
                     f"{file} is missing, the layer {name!r} ({unit}): shape the terrain again."
                 ) from None
+            if not all(np.isfinite(layer[row : row + 256]).all() for row in range(0, len(layer), 256)):
+                raise TerrainError(f"{file} is damaged (a value is not a finite number): shape the terrain again.")
+            self.opened[name] = layer
         return self.opened[name]
 
     def __iter__(self):

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, ellipsoid_of, from_transform
+from ..run.named_file import open_regular
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .vrt_source import read_mosaic
@@ -134,7 +135,7 @@ def _open_file(path: Path, driver: str):
 
 def _check_png(path: Path) -> None:
     """Refuse a PNG that is not whole: GDAL reads one that was cut off without a word where it is asked for all rows."""
-    with path.open("rb") as file:
+    with open_regular(path, links=True) as file:
         damage = png_damage(file)
     if damage:
         raise TerrainError(f"{shown(path)} is damaged ({damage}): expected a whole PNG; get the file again.")

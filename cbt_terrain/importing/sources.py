@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
 from ..field.lands import LANDS
+from ..run.named_file import blocks_reader
 from .exr_source import open_exr
 from .gdal_source import DRIVERS, open_raster
 from .raster import EXR_SUFFIX, RAW_SUFFIXES, ImportSettings, Raster, blank
@@ -52,6 +53,24 @@ def check_file(path: Path, kind: str = "height map") -> None:
         raise TerrainError(f"{path} may not be read by this user: change its permissions.")
     if path.stat().st_size == 0:
         raise TerrainError(f"{path} is empty: expected the file of a {kind}.")
+    check_neighbours(path)
+
+
+def check_neighbours(path: Path) -> None:
+    """Raise TerrainError for a pipe, a socket or a device beside a file, with a name that begins as the file's: GDAL
+    would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait."""
+    stem = path.stem.casefold()
+    parts = f"{stem}.", f"{stem}_"
+    try:
+        with os.scandir(path.absolute().parent) as entries:
+            found = next((e for e in entries if e.name.casefold().startswith(parts) and blocks_reader(e.path)), None)
+    except OSError:
+        return
+    if found is not None:
+        raise TerrainError(
+            f"{shown(found.path)}, beside {shown(path.name)}, is a pipe, a socket or a device; expected a file: remove "
+            "or rename it."
+        )
 
 
 def _open_land(settings: ImportSettings) -> Raster:

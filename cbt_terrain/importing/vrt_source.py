@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from ..errors import TerrainError, shown
+from ..run.named_file import open_regular
 
 MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
 MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
@@ -127,7 +128,7 @@ def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> P
     if source.suffix.lower() not in suffixes:
         raise TerrainError(f"{said}: expected one of {', '.join(sorted(suffixes))}.")
     if source.suffix.lower() != ".vrt":
-        with source.open("rb") as file:
+        with open_regular(source, links=True) as file:
             if file.read(4096).lstrip().startswith(b"<"):
                 raise TerrainError(f"{said}, which holds XML: expected samples, as its suffix says.")
     return source
@@ -140,7 +141,7 @@ def _is_local(source: Path, path: Path) -> bool:
 
 def _parse(path: Path) -> ElementTree.Element:
     """The elements of a VRT that GDAL may see. Raises TerrainError for anything that is not on the list."""
-    with path.open("rb") as file:
+    with open_regular(path, links=True) as file:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         raise TerrainError(f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML: cut it into several VRTs.")

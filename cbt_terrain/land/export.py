@@ -18,7 +18,7 @@ from ..importing.placing import is_placed, unit_lengths
 from ..importing.store_job import ask, serve
 from ..maps.exr import ExrFile
 from ..run import child
-from ..run.partial_files import written_beside
+from ..run.partial_files import is_device, written_beside
 
 MODULE = "cbt_terrain.land.export"
 TIFF, EXR = (".tif", ".tiff"), (".exr",)
@@ -40,6 +40,8 @@ def export_raster(
         if name not in known:
             raise TerrainError(f"The store {store} has no layer {name!r}; expected some of {', '.join(known)}.")
     files = {name: _file_of(file, name) for name in names or known}
+    if HEIGHTS in files:
+        field.check_samples()
     if file.suffix.lower() in EXR:
         for name, path in files.items():
             _write_exr(field, name, path)
@@ -56,7 +58,7 @@ def check_export(file: str | os.PathLike) -> Path:
         raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
     if not file.parent.is_dir():
         raise TerrainError(f"{file} cannot be written: there is no folder {file.parent}; make it, or choose another.")
-    if os.path.exists(file) and not os.path.isfile(file):
+    if is_device(file):
         raise TerrainError(f"{file} is a folder, a device or a pipe; expected the name of a file: choose another.")
     return file
 

@@ -23,15 +23,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..errors import TerrainError, named_once, shown
-from ..field.store_arrays import open_regular
 from ..land_effects.catalogue import LAND_EFFECTS
 from ..land_effects.land_effect import LandEffect
 from ..plain_numbers import keep_plain_numbers, plain_number
+from ..run.named_file import cause, read_named
 from .mask import GroundRule, Mask
 from .mask_reads import BY_PRODUCTS
 
 VERSION = 1
 MOST_BYTES = 1 << 20
+EXPECTED = "a JSON file of entries"
 MOST_ENTRIES, MOST_RULES = 64, 16
 MOST_SEED = 2**31 - 1
 _TOP = ("version", "entries", "heights")
@@ -162,17 +163,11 @@ def _check_entry(where: str, entry: Entry) -> None:
 def read_stack(path: str | os.PathLike) -> Stack:
     """Read and check a stack's file. Raises TerrainError that names the file, the entry and what was expected."""
     path = Path(path)
+    text = read_named(path, "The stack", EXPECTED, MOST_BYTES, links=False)
     try:
-        with open_regular(path) as handle:
-            text = handle.read(MOST_BYTES + 1)
-        if len(text) > MOST_BYTES:
-            raise ValueError(f"it is larger than {MOST_BYTES} bytes")
         content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
-    except (OSError, ValueError, RecursionError) as reason:
-        said = getattr(reason, "strerror", None) or shown(reason)
-        raise TerrainError(
-            f"The stack {shown(path)} cannot be read ({said}): expected a JSON file of entries."
-        ) from None
+    except (ValueError, RecursionError) as reason:
+        raise TerrainError(f"The stack {shown(path)} cannot be read ({cause(reason)}): expected {EXPECTED}.") from None
     return stack_from(content, f"The stack {path}", path.absolute().parent)
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..run.named_file import open_regular
+
 NAMES = {1: ("Y",), 2: ("R", "G"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 MAGIC = struct.pack("<II", 20000630, 2)
 BLOCK = 16  # lines
@@ -94,7 +96,7 @@ def _entry(name: str, kind: str, value: bytes) -> bytes:
 def text_of(path: Path) -> str | None:
     """The text in a file that an ExrFile has written to its end; None if it is no such file."""
     try:
-        with open(path, "rb") as file:
+        with open_regular(path, links=True) as file:
             head = file.read(4096)
             start = head.find(COMMENT.encode() + b"\0string\0")
             end = head.find(b"screenWindowWidth\0float\0")

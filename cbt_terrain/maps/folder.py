@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 
 from ..errors import TerrainError
+from ..run.named_file import cause, read_regular
 
 JSON_NAME = "maps.json"
 VERSION = 1
@@ -28,12 +29,13 @@ def read_index(folder: str | os.PathLike) -> dict | None:
     """The content of a folder's maps.json; None where there is none. Raises TerrainError if it is damaged."""
     file = Path(folder) / JSON_NAME
     try:
-        with open(file, "rb") as handle:
-            content = json.loads(handle.read(MOST_BYTES).decode("utf-8"))
+        content = json.loads(read_regular(file, MOST_BYTES).decode("utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as reason:
-        raise TerrainError(f"The maps {file} cannot be read ({reason}): remove the file and bake them again.") from None
+        raise TerrainError(
+            f"The maps {file} cannot be read ({cause(reason)}): remove the file and bake them again."
+        ) from None
     if not _is_index(content):
         raise TerrainError(
             f"The maps {file} are damaged, or of another version than {VERSION}: remove the file and bake them again."

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..run.named_file import open_regular
+
 # Channels -> colour type.
 COLOUR = {1: 0, 3: 2, 4: 6}
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -76,7 +78,7 @@ def _squeezed(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
 def text_of(path: Path) -> str | None:
     """The text in a file that a PngFile has written to its end; None if it is no such file."""
     try:
-        with open(path, "rb") as file:
+        with open_regular(path, links=True) as file:
             head = file.read(4096)
             file.seek(-len(END), 2)
             whole = file.read() == END

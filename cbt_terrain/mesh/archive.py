@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TerrainError, shown
+from ..run.named_file import open_regular
 from ..run.partial_files import written_beside
 from .surface import Surface
 
@@ -34,7 +35,7 @@ def write_npz(
     seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree (see
     `Terrain.restore`), if one is given; and `info`, JSON text (no times, so that it is a function of the frame alone),
     with the domains and units of the attributes under "attributes". Raises TerrainError for an attribute with the name
-    of another entry.
+    of another entry, and for a number that is not finite.
     """
     about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {
@@ -43,25 +44,42 @@ def write_npz(
         "triangles": surface.triangles,
         "edges": surface.edges,
         "tree": np.frombuffer(tree, np.uint8),
-        "info": np.array(json.dumps(dict(info) | {"attributes": about}, sort_keys=True, default=_plain)),
+        "info": np.array(
+            finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_plain)
+        ),
     }
     if taken := entries.keys() & surface.attributes.keys():
         raise TerrainError(f"An attribute is named {min(taken)!r}, as the file's own entry is: give it another name.")
     if not tree:
         del entries["tree"]
     entries |= {name: attribute.array for name, attribute in surface.attributes.items()}
+    for name, array in entries.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise TerrainError(
+                f"{path} would hold {shown(name)} with a value that is not a finite number; expected finite numbers: "
+                "import the terrain again, or remove the attribute."
+            )
     with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, array in entries.items():
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))
+
+
+def finite_json(content: Mapping, where: str, **options) -> str:
+    """Return JSON text. Raises TerrainError for a number that is not finite, which JSON cannot hold."""
+    try:
+        return json.dumps(content, allow_nan=False, **options)
+    except ValueError:
+        raise TerrainError(
+            f"{where} would hold a number that is not finite, perhaps of a camera or a bound; expected finite numbers: "
+            "check the camera and the terrain's scale."
+        ) from None
 
 
 def read_npz(path: str | os.PathLike) -> dict:
     """Return the entries of a file of `write_npz`, with `info` as a dict. Raises TerrainError for any other file."""
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():  # to read a pipe would wait for ever
-            raise ValueError("it is not a regular file")
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:
             # As `write_npz` writes them: then what they unpack to is bounded by the file's own size.
             if len(archive.infolist()) > MOST_ENTRIES or any(e.compress_type for e in archive.infolist()):
                 raise ValueError("its entries are compressed or too many")

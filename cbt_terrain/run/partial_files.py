@@ -77,8 +77,14 @@ def check_replaceable(path: Path) -> None:
     pipe, as root of /dev/null for the whole machine."""
     if os.path.isdir(path):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if os.path.exists(path) and not os.path.isfile(path):
+    if is_device(path):
         raise FileExistsError(errno.EEXIST, "a device or a pipe is there", str(path))
+
+
+def is_device(path: str | os.PathLike) -> bool:
+    """Tell whether something other than a file stands at a path. /dev/stdout is a link, perhaps to a file: a device."""
+    is_descriptor = os.path.islink(path) and os.path.abspath(path).startswith(("/dev/", "/proc/"))
+    return os.path.exists(path) and (is_descriptor or not os.path.isfile(path))
 
 
 @contextmanager

@@ -14,9 +14,11 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.placing import placing_of
 from ...cbt_terrain.query.ground import ground_at, profile
+from ...cbt_terrain.run.named_file import cause, read_named
 from ...cbt_terrain.run.partial_files import written_beside
 from ..output.exporting import check_target
 
+MAX_BYTES = 1 << 30
 X, Y = "x", "y"
 FOUND = ("height_m", "slope_deg", "normal_x", "normal_y", "normal_z")
 ALONG = ("along_m", X, Y, FOUND[0])
@@ -52,12 +54,12 @@ def numbers(values: np.ndarray) -> list[str]:
 def read_points(path: Path, added: Sequence[str]) -> tuple[list[str], list[list[str]], np.ndarray]:
     """Column names, none of which is to be `added`, rows as they are, and float64 [n, 2] of the columns x and y. Raises
     TerrainError."""
+    content = read_named(path, "The points file", "CSV in UTF-8", MAX_BYTES, own=True)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = content.decode("utf-8-sig")
         rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as reason:
-        said = getattr(reason, "strerror", None) or reason
-        raise TerrainError(f"{path} cannot be read ({said}): expected CSV in UTF-8.") from None
+    except (UnicodeDecodeError, csv.Error) as reason:
+        raise TerrainError(f"{path} cannot be read ({cause(reason)}): expected CSV in UTF-8.") from None
     names = [name.strip() for name in rows[0]] if rows else []
     if names.count(X) != 1 or names.count(Y) != 1:
         said = shown(", ".join(names)) or "nothing"

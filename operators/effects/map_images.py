@@ -15,6 +15,7 @@ import bpy
 
 from ...cbt_terrain.maps.folder import UDIM, read_index
 from ...cbt_terrain.maps.tiling import MARGIN
+from ...cbt_terrain.run.named_file import blocks_reader
 from ..mesh.writer import UV_LAYER
 from ..scene.session import all_terrains, open_field
 from ..scene.shaped_land import store_of
@@ -62,9 +63,10 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
     """
     index, folder = index_of(obj), map_folder(obj)
     entry = index and index["maps"].get(name)
-    if entry is None or not (folder / entry["tiles"][0]["file"]).is_file():
+    files = [folder / tile["file"] for tile in entry["tiles"]] if entry else []
+    if not files or not files[0].is_file() or any(map(blocks_reader, files)):
         return None
-    image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(folder / entry["tiles"][0]["file"]))
+    image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(files[0]))
     if UDIM in entry["file"] and image.source != "TILED":
         image.source = "TILED"
         image.filepath = str(folder / entry["file"])

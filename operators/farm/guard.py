@@ -28,6 +28,8 @@ def fail(message):
 
 def install(zip_path, folder):
     """The worker's preferences come along: they say which graphics cards Cycles uses."""
+    if not os.path.isfile(zip_path):  # a pipe would be waited for
+        fail(f"{zip_path} is no file, expected the extension's zip")
     try:
         with zipfile.ZipFile(zip_path) as archive:
             check_version(tomllib.loads(archive.read("blender_manifest.toml").decode())["version"])

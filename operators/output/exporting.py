@@ -10,11 +10,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.mesh.archive import write_npz
+from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import (
     final_names,
+    is_device,
     private_folder,
     remove_abandoned,
     written_among,
@@ -26,6 +28,7 @@ from .blender_exporters import export_selected, need_no_shear, only_selected, tu
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 
+MAX_SUMMARY_BYTES = 1 << 26
 # More than the blocks in which Blender's exporters write.
 PROBE_BYTES = 1 << 16
 
@@ -79,7 +82,7 @@ def write_frames(
             if complete is None:  # else it says of the files to come what it says of those that stand
                 _remove_summary(summary_path)
             summary = {"frame": frame, "settings": settings, **write(frame)}
-            write_text(summary_path, json.dumps(summary, indent=1) + "\n")
+            write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
             on_frame(frame, summary, False)
         else:
             on_frame(frame, summary, True)
@@ -120,7 +123,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
     if os.path.isdir(path):  # which raises for no name
         raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
-    if os.path.exists(path) and not os.path.isfile(path):
+    if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe; expected a file to write: choose another name.")
 
 
@@ -212,7 +215,7 @@ def figures(piece: Piece) -> dict:
 def _complete(summary_path: Path, settings: str, formats: Sequence[str]) -> dict | None:
     """The summary of a frame that was finished with these settings and formats and whose files all stand, else None."""
     try:
-        summary = json.loads(summary_path.read_text(encoding="utf-8"))
+        summary = json.loads(read_regular(summary_path, MAX_SUMMARY_BYTES).decode("utf-8"))
         if summary["settings"] != settings:
             return None
         sizes = {name: (summary_path.parent / name).stat().st_size for name in summary["files"]}

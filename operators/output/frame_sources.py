@@ -13,7 +13,7 @@ from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.evaluate.evaluate import Evaluator
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
@@ -22,6 +22,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
+from ...cbt_terrain.run.named_file import BLOCK_BYTES, blocks_reader, open_regular
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
@@ -271,11 +272,28 @@ def open_scene(blend: Path) -> tuple:
             bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
     except RuntimeError as error:
         raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
+    check_named_files(blend)
     scene = bpy.context.scene
     objects = session.terrains_of(scene)
     if not objects:
         raise TerrainError(f"The scene {scene.name!r} in {blend} has no adaptive terrain; add one and save it.")
     return scene, objects
+
+
+def check_named_files(blend: Path) -> None:
+    """Raise TerrainError where the open scene names a pipe, a socket or a device: Blender would wait for it."""
+    import bpy
+
+    from ..properties.layer_images import numbered_files
+
+    paths = {Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)}
+    for path in sorted(paths):
+        waiting = next(filter(blocks_reader, [path, *numbered_files(path, "TILED")]), None)
+        if waiting is not None:
+            raise TerrainError(
+                f"The scene {shown(blend)} names {shown(waiting)}, a pipe, a socket or a device; expected a file: "
+                "choose another in Blender."
+            )
 
 
 def import_bpy(what: str):
@@ -310,7 +328,11 @@ def open_empty_file() -> None:
 
 def file_digest(path: Path) -> str:
     """Content of a file as a short hexadecimal text."""
-    return hashlib.blake2b(Path(path).read_bytes(), digest_size=12).hexdigest()
+    digest = hashlib.blake2b(digest_size=12)
+    with open_regular(path, links=True) as file:
+        while block := file.read(BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def field_identity(field) -> list:

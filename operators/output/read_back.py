@@ -6,6 +6,8 @@ import os
 import struct
 from pathlib import Path
 
+from ...cbt_terrain.run.named_file import open_regular
+
 PLY_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
 GLB_HEAD = 20  # magic, version, length of the file; length and kind of the first chunk
 STL_HEAD, STL_TRIANGLE = 84, 50
@@ -16,7 +18,7 @@ def count_triangles(path: Path) -> int:
     """Triangles in the .ply, .obj, .stl or .glb at `path`; raises ValueError where it is not whole."""
     count = {".ply": _in_ply, ".obj": _in_obj, ".stl": _in_stl, ".glb": _in_glb}[path.suffix.lower()]
     try:
-        with path.open("rb") as file:
+        with open_regular(path, links=True) as file:
             return count(file, os.fstat(file.fileno()).st_size)
     except (struct.error, KeyError, IndexError, TypeError) as error:  # what a damaged head makes of the reading
         raise ValueError(f"its head cannot be read back: {error!r}") from None

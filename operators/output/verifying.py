@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
-from .exporting import summary_name
+from ...cbt_terrain.run.named_file import read_regular
+from .exporting import MAX_SUMMARY_BYTES, summary_name
 
 MOST_NAMED = 5
 BOUNDS = ("bound_px", "bound_m", "bound_edge_px", "bound_area_px")
@@ -36,7 +37,7 @@ def verify_frames(out: Path, frames: Sequence[int]) -> list[dict]:
 
 def _read(path: Path, frame: int) -> dict:
     """What is asked of the summary of a frame; raises what damage makes of it."""
-    summary = json.loads(path.read_text(encoding="utf-8"))
+    summary = json.loads(read_regular(path, MAX_SUMMARY_BYTES).decode("utf-8"))
     if summary["frame"] != frame:
         raise ValueError("it is of another frame")
     files = {str(name): int(size) for name, size in summary["files"].items()}

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Images as splat layers and decals read them: what is made of their pixels, kept until an image changes."""
 
+import glob
 import io
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -11,8 +13,9 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ...cbt_terrain.effects.splat_rules import Painted
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.importing.png_file import png_damage
+from ...cbt_terrain.run.named_file import blocks_reader, open_regular
 
 T = TypeVar("T")
 # By the names of images and what is made of them: what they were made from, and that.
@@ -32,6 +35,7 @@ def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray
     """What `make` makes of an image and its pixels, float32 [rows, columns, channels], row 0 at the lower edge; kept
     until the image changes. Raises TerrainError for one without pixels, or whose file is cut off."""
     image = image.original
+    check_image_files(image, whose)
     mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
     kept = _read.get((image.name_full, kind))
     if kept is None or kept[0] != mark:
@@ -49,6 +53,27 @@ def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray
     return kept[1]
 
 
+def check_image_files(image, whose: str) -> None:
+    """Raise TerrainError where Blender would wait for the pixels of an image: its file is a pipe or a device."""
+    if image.source == "GENERATED" or image.packed_file is not None:
+        return
+    path = Path(bpy.path.abspath(image.filepath_raw, library=image.library))
+    waiting = next(filter(blocks_reader, [path, *numbered_files(path, image.source)]), None)
+    if waiting is not None:
+        raise TerrainError(
+            f"The image {image.name!r} {whose} is {shown(waiting)}, a pipe, a socket or a device; expected an image "
+            "file: choose another."
+        )
+
+
+def numbered_files(path: Path, source: str) -> list[Path]:
+    """Return the files of a tiled image or of a sequence, of which `path` names one or the pattern."""
+    number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)", "MOVIE": None}.get(source)
+    if number is None or not path.name:
+        return []
+    return list(path.parent.glob("*".join(map(glob.escape, re.split(number, path.name)))))
+
+
 def _check_whole(image, whose: str) -> None:
     """Blender shows what it can read of a PNG that was cut off, and black for the rest."""
     if image.is_dirty or image.source != "FILE":
@@ -56,7 +81,7 @@ def _check_whole(image, whose: str) -> None:
     path = Path(bpy.path.abspath(image.filepath_raw, library=image.library))
     try:
         packed = image.packed_file
-        with path.open("rb") if packed is None else io.BytesIO(packed.data) as file:
+        with open_regular(path, links=True) if packed is None else io.BytesIO(packed.data) as file:
             damage = png_damage(file)
     except OSError:
         return  # what was read once may be gone by now

@@ -10,6 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
 from ...cbt_terrain.land.stack import Entry, Stack
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.run.named_file import blocks_reader
 from ..properties.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
 from . import land_masks
 from .imported import imported_of
@@ -148,6 +149,8 @@ def _fill_mask(mask, given: Mask) -> list[str]:
     if given.image:
         mask.kind = BY_IMAGE
         try:
+            if blocks_reader(given.image):
+                raise RuntimeError("it is a pipe, a socket or a device")
             mask.image = bpy.data.images.load(given.image, check_existing=True)
         except RuntimeError:
             left_out.append(f"the image {given.image} of its mask cannot be read; choose another")

@@ -11,13 +11,16 @@ import numpy as np
 
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.field.store_arrays import open_regular
 from ...cbt_terrain.land.tiles import tiles_seen
 from ...cbt_terrain.run import owned_files
+from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.partial_files import written_beside
 
 # By level: of each tile, metres by which its heights may be off.
 Tiles = list[dict[int, float]]
+
+
+MAX_BYTES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +45,7 @@ def _file(folder: str) -> Path:
 def known(folder: str) -> Tiles:
     """What the store in `folder` was asked for; [] where that is not known, or damaged."""
     try:
-        with open_regular(_file(folder)) as handle:
-            digest, text = handle.read().decode().split("\n", 1)
+        digest, text = read_regular(_file(folder), MAX_BYTES).decode("utf-8").split("\n", 1)
         levels = json.loads(text) if digest == _digest(text) else []
     except (OSError, ValueError):
         return []

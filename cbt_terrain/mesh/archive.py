@@ -44,9 +44,7 @@ def write_npz(
         "triangles": surface.triangles,
         "edges": surface.edges,
         "tree": np.frombuffer(tree, np.uint8),
-        "info": np.array(
-            finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_plain)
-        ),
+        "info": np.array(finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_plain)),
     }
     if taken := entries.keys() & surface.attributes.keys():
         raise TerrainError(f"An attribute is named {min(taken)!r}, as the file's own entry is: give it another name.")

@@ -37,11 +37,13 @@ def run_render(arguments) -> None:
 def run_verify(arguments) -> None:
     from ..output.verifying import verify_frames
 
-    summaries = verify_frames(arguments.folder, arguments.frames)
+    summaries, missing = verify_frames(arguments.folder, arguments.frames)
     terrains = [terrain for summary in summaries for terrain in summary["terrains"]]
     line = f"{len(summaries):,} frames are whole, {sum(t['triangles'] for t in terrains):,} triangles"
     bar = Progress(1.0, "verify", arguments.progress)
     bar.say(f"{line}, largest bound {largest_bound(terrains)}")
+    if missing:
+        bar.say(f"{missing:,} of the files that they were made of are not here and were not compared")
     bar.to(1.0)
     bar.close()
 

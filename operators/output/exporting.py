@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
 
-import hashlib
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
-from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import (
     final_names,
@@ -27,8 +25,16 @@ from ..text.console import quiet
 from .blender_exporters import export_selected, need_no_shear, only_selected, turn_faces_over
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
+from .summaries import (
+    closed_summary,
+    complete_summary,
+    content_digest,
+    file_sizes,
+    input_name,
+    settings_digest,
+    summary_name,
+)
 
-MAX_SUMMARY_BYTES = 1 << 26
 # More than the blocks in which Blender's exporters write.
 PROBE_BYTES = 1 << 16
 
@@ -44,13 +50,14 @@ def export_frames(
 ) -> None:
     """Write every frame of `source` (a StoreFrames or SceneFrames) into the folder `out`.
 
-    A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and the digest of the
-    settings. With `resume`, frames whose summary stands there, made with these settings, are left as they are. Several
-    processes may write into one folder at once.
+    A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and digests. With
+    `resume`, frames are left as they are if settings, inputs and files agree with the digests in their summaries.
+    Several processes may write into one folder at once.
     """
     write_frames(
         lambda frame: _export_frame(source, frame, formats, out),
         source.settings,
+        source.inputs,
         frames,
         out,
         formats=formats,
@@ -62,6 +69,7 @@ def export_frames(
 def write_frames(
     write: Callable[[int], dict],
     settings: dict,
+    inputs: Callable[[int], Sequence[Path]],
     frames: Sequence[int],
     out: Path,
     *,
@@ -69,23 +77,28 @@ def write_frames(
     resume: bool,
     on_frame: Callable[[int, dict, bool], None],
 ) -> None:
-    """Have `write` write each frame's files into `out`, and close the frame with what it returns: "files" (sizes in
-    bytes by name), "terrains" (their figures) and "elapsed_ms". `settings`: all that a frame is made of, as JSON."""
+    """Have `write` write each frame's files into `out`, and close the frame with the dict that it returns: "files"
+    (sizes in bytes by name), "terrains" (their figures) and "elapsed_ms".
+
+    `settings`: what all frames have in common, as JSON. `inputs`: the files that a frame is made of. They are read
+    once, before the first frame that needs them: Blender keeps them, too, and a later change is none of these frames'.
+    """
     make_folder(out)
-    settings = hashlib.blake2b(json.dumps(settings, sort_keys=True).encode(), digest_size=12).hexdigest()
+    settings, contents = settings_digest(settings), cache(content_digest)
     for frame in frames:
         stopping.check()
         summary_path = out / summary_name(frame)
-        complete = _complete(summary_path, settings, formats)
-        summary = complete if resume else None
-        if summary is None:
-            if complete is None:  # else it says of the files to come what it says of those that stand
-                _remove_summary(summary_path)
-            summary = {"frame": frame, "settings": settings, **write(frame)}
-            write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
-            on_frame(frame, summary, False)
-        else:
-            on_frame(frame, summary, True)
+        digests = {input_name(path, out): contents(path) for path in inputs(frame)}
+        complete = complete_summary(out, frame, settings, digests, formats)
+        if complete is not None and resume:
+            on_frame(frame, complete, True)
+            continue
+        if complete is None:  # else it says of the files to come what it says of those that stand
+            _remove_summary(summary_path)
+        summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
+        summary = closed_summary(summary, out)
+        write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
+        on_frame(frame, summary, False)
 
 
 def _remove_summary(path: Path) -> None:
@@ -97,10 +110,6 @@ def _remove_summary(path: Path) -> None:
             f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "
             "another."
         ) from None
-
-
-def summary_name(frame: int) -> str:
-    return f"frame_{frame:04d}.json"
 
 
 def make_folder(path: Path) -> None:
@@ -128,7 +137,7 @@ def check_target(path: Path) -> None:
 
 
 @contextmanager
-def _written(path: Path):
+def named_failures(path: Path):
     """Failures to write `path` become one sentence that names it, whatever writes it."""
     check_target(path)
     try:
@@ -147,7 +156,7 @@ def _written(path: Path):
 
 def check_room(path: Path, size: int) -> None:
     """Raise TerrainError where `size` bytes cannot be written beside `path`."""
-    with _written(path), private_folder(path.parent) as folder:
+    with named_failures(path), private_folder(path.parent) as folder:
         (folder / path.name).write_bytes(bytes(size))
 
 
@@ -160,7 +169,7 @@ def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
     """Write files, by name, into a folder: old ones are replaced once all are written, else none."""
     with ExitStack() as stack:
         for path, content in ((folder / name, content) for name, content in contents.items()):
-            stack.enter_context(_written(path))
+            stack.enter_context(named_failures(path))
             whole = content if isinstance(content, bytes) else content.encode()
             stack.enter_context(written_beside(path)).write_bytes(whole)
 
@@ -182,7 +191,7 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
         write_blend(pieces, files[-1])
     elapsed = (time.perf_counter() - start) * 1e3
     return {
-        "files": {file.name: file.stat().st_size for file in files},
+        "files": file_sizes(files, out),
         "terrains": [figures(piece) for piece in pieces],
         "elapsed_ms": round(elapsed, 3),
     }
@@ -195,7 +204,7 @@ def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
     files = []
     for name, (points, placement) in piece.scatters.items():
         files.append(out / f"{name}_{frame:04d}.csv")
-        with _written(files[-1]):
+        with named_failures(files[-1]):
             write_points_csv(files[-1], points, placement)
     return files
 
@@ -212,24 +221,11 @@ def figures(piece: Piece) -> dict:
     }
 
 
-def _complete(summary_path: Path, settings: str, formats: Sequence[str]) -> dict | None:
-    """The summary of a frame that was finished with these settings and formats and whose files all stand, else None."""
-    try:
-        summary = json.loads(read_regular(summary_path, MAX_SUMMARY_BYTES).decode("utf-8"))
-        if summary["settings"] != settings:
-            return None
-        sizes = {name: (summary_path.parent / name).stat().st_size for name in summary["files"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    have = {Path(name).suffix[1:] for name in sizes}
-    return summary if sizes == summary["files"] and have >= set(formats) else None
-
-
 def write_piece(piece: Piece, path: Path) -> None:
     """Write one terrain to `path`; the suffix is the format."""
     form = path.suffix[1:].lower()
     if form == "npz":
-        with _written(path):
+        with named_failures(path):
             write_npz(path, piece.surface, piece.origin, piece.info, piece.tree)
     elif form == "blend":
         write_blend([piece], path)
@@ -272,7 +268,7 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     path = path.resolve()
     for piece in pieces:
         _need_count(piece, path, len(piece.obj.data.polygons))
-    with _written(path), _written_by_blender(path, written_among) as partial, quiet():
+    with named_failures(path), _written_by_blender(path, written_among) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
         _need_all_written(partial)
 
@@ -285,7 +281,7 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
     """
     if form == "glb":
         need_no_shear(piece.obj)
-    with _written(path), _written_by_blender(path) as partial:
+    with named_failures(path), _written_by_blender(path) as partial:
         with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
             export_selected(str(partial.resolve()), form)
         _need_all_written(partial)

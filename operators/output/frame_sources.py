@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,11 +21,12 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
-from ...cbt_terrain.run.named_file import BLOCK_BYTES, blocks_reader, open_regular
+from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
 from ..scene.pauses import paused
 from ..text.console import quiet
+from .summaries import content_digest
 
 MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
 
@@ -68,6 +68,7 @@ class StoreFrames:
         detail: Detail | None = None,
     ):
         """`effects`: names of those whose attributes the mesh gets, at one scale: the raster's."""
+        self.files = [Path(store), Path(path)]
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
         self.field = with_detail(interpolated(open_store(store), interpolation), detail)
@@ -77,11 +78,15 @@ class StoreFrames:
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
             "store": field_identity(self.field),
-            "path": file_digest(path),
+            "path": content_digest(path),
             "resolution": list(resolution),
             "criterion": asdict(criterion),
             "effects": sorted(effects),
         }
+
+    def inputs(self, frame: int) -> list[Path]:
+        """List the files, and the folder of the store, that a frame is made of."""
+        return self.files
 
     def pieces(self, frame: int) -> Iterator[Piece]:
         """The terrain as the path's camera sees it at `frame`."""
@@ -120,6 +125,7 @@ class SceneFrames:
         detail: Detail | None = None,
         with_scatters: bool = False,
     ):
+        content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
         self.scene, self.objects = open_scene(blend)
         import bpy
 
@@ -142,9 +148,14 @@ class SceneFrames:
         asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **asdict(self.overrides)}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
-        # Cameras, parents and actions may be linked: their files are part of what a frame is made of.
-        linked = {library.filepath: _linked_digest(library) for library in bpy.data.libraries}
-        self.settings = {"scene": file_digest(blend), "libraries": linked, "height_fields": fields, **asked}
+        self.settings = {"scene": content, "height_fields": fields, **asked}
+        self.files = [Path(blend), *(Path(bpy.path.abspath(path)) for path in stores.values() if path)]
+
+    def inputs(self, frame: int) -> list[Path]:
+        """List the files, and the folders of stores, that a frame is made of."""
+        from .scene_files import color_config, scene_files
+
+        return [*self.files, *color_config(), *scene_files([frame])]
 
     def pieces(self, frame: int) -> Iterator[Piece]:
         """Every terrain of the scene at `frame`; its mesh is written first."""
@@ -326,15 +337,6 @@ def open_empty_file() -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
-def file_digest(path: Path) -> str:
-    """Content of a file as a short hexadecimal text."""
-    digest = hashlib.blake2b(digest_size=12)
-    with open_regular(path, links=True) as file:
-        while block := file.read(BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
-
-
 def field_identity(field) -> list:
     """What an export takes from a height field; the key covers heights and spacing."""
     return [field.key, field.origin.tolist(), field.crs]
@@ -357,13 +359,3 @@ def _need_distinct_names(objects) -> None:
                 f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
                 "rename one of them."
             )
-
-
-def _linked_digest(library) -> str:
-    """Content of a linked library's file; empty where the file is missing."""
-    import bpy
-
-    try:
-        return file_digest(bpy.path.abspath(library.filepath))
-    except OSError:
-        return ""

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -19,7 +20,9 @@ from ..request.request import RENDER
 from ..scene import session, stale_renders
 from ..scene.pauses import paused
 from .exporting import check_room, check_target, write_frames
+from .file_outputs import literal, publish_outputs, redirected_outputs
 from .frame_sources import SceneFrames, bounds_of
+from .summaries import file_sizes
 
 # Blender does not say that a picture found no room. But then there is none for this: more than a file's buffer, which
 # comes last, and is as large as a network folder's block.
@@ -45,36 +48,38 @@ def render_frames(
             "a picture a frame: choose an image format under Output."
         )
     settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
-    write_frames(lambda frame: _render(source, frame, out), settings, frames, out, resume=resume, on_frame=on_frame)
+    write = partial(_render, source, out)
+    write_frames(write, settings, source.inputs, frames, out, resume=resume, on_frame=on_frame)
 
 
-def _render(source: SceneFrames, frame: int, out: Path) -> dict:
-    """One frame; a render with several views has as many pictures."""
+def _render(source: SceneFrames, out: Path, frame: int) -> dict:
+    """Render one frame: a picture for each of its views, and those of the compositor's File Output nodes."""
     start = time.perf_counter()
     scene, terrains = source.scene, []
     with paused():  # the render sets it again, and then updates each terrain once
         scene.frame_set(frame)
     _check_land(source.objects, frame)
     with private_folder(out) as folder:
-        partial = folder / "pictures"
-        scene.render.filepath = _as_it_is(partial / f"frame_{frame:04d}")
+        single, others = folder / "pictures", folder / "outputs"
+        scene.render.filepath = literal(single / f"frame_{frame:04d}")
         scene.render.use_file_extension = True
-        with _noted(terrains, source.objects), stale_renders.raising():
+        with _noted(terrains, source.objects), redirected_outputs(scene, others), stale_renders.raising():
             try:
                 bpy.ops.render.render(write_still=True)
             except RuntimeError as error:
                 raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
         stopping.check()
-        files = sorted(partial.iterdir()) if partial.is_dir() else []
-        if files:
-            check_room(out / files[0].name, ROOM)
-        for file in files:
-            check_target(out / file.name)
-        for file in files:
-            os.replace(file, out / file.name)
-    if not files:
+        pictures = sorted(single.iterdir()) if single.is_dir() else []
+        if pictures:
+            check_room(out / pictures[0].name, ROOM)
+        for picture in pictures:
+            check_target(out / picture.name)
+        files = publish_outputs(scene, others)
+        for picture in pictures:
+            os.replace(picture, out / picture.name)
+    if not pictures:
         raise TerrainError(f"Blender wrote no picture of frame {frame} into {out}; check the disk and its messages.")
-    sizes = {file.name: (out / file.name).stat().st_size for file in files}
+    sizes = file_sizes([*(out / picture.name for picture in pictures), *files], out)
     return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
 
 
@@ -90,11 +95,6 @@ def _check_land(objects: list, frame: int) -> None:
             raise TerrainError(f"Frame {frame} is not rendered, since its mesh would be stale. {error}") from None
         except TerrainError:
             pass  # the render finds it too, if it needs the land
-
-
-def _as_it_is(path: Path) -> str:
-    """A path for Blender to write to: from 4.5 on it puts values in place of names in braces."""
-    return str(path) if bpy.app.version < (4, 5, 0) else str(path).replace("{", "{{").replace("}", "}}")
 
 
 @contextmanager

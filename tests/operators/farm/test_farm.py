@@ -15,7 +15,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
-from adaptive_terrain.operators.output import preparing, verifying
+from adaptive_terrain.operators.output import preparing
 from adaptive_terrain.operators.request import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
@@ -279,50 +279,6 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
         assert run("render", *frames, "5") == 1
         assert "frame_0005.png is a device or a pipe" in capsys.readouterr().err
         assert (out / "frame_0005.png").is_fifo() and not (out / "frame_0005.json").exists()
-
-
-NO_BOUNDS = dict.fromkeys(verifying.BOUNDS)
-
-
-@pytest.mark.parametrize(
-    ("damage", "why"),
-    [
-        (lambda out: (out / "frame_0006.json").unlink(), "frame 6 is missing"),
-        (lambda out: (out / "frame_0006.json").write_text('{"files": 3}'), "frame_0006.json is damaged"),
-        (lambda out: (out / "frame_0006.json").write_text("[]"), "frame_0006.json is damaged"),
-        (lambda out: (out / "a_0006.npz").write_bytes(b"12"), "a_0006.npz is not whole"),
-        (lambda out: (out / "a_0006.npz").unlink(), "a_0006.npz is not whole"),
-        *(
-            (lambda out, what=what: change(out / "frame_0006.json", **what), "frame_0006.json is damaged")
-            for what in (
-                {"frame": 5},
-                {"files": {"a": 1e999}},
-                {"terrains": [{"triangles": "x", **NO_BOUNDS}]},
-                {"terrains": [{"triangles": 1, **NO_BOUNDS, "bound_px": "x"}]},
-            )
-        ),
-        (lambda out: (out / "frame_0006.json").write_text("[" * 100_000), "frame_0006.json is damaged"),
-        (lambda out: change(out / "frame_0006.json", files={"a\0": 3}), "a? is not whole"),
-        (lambda out: change(out / "frame_0006.json", settings="b"), "frame 6 was made of another scene"),
-    ],
-)
-def test_what_is_not_whole_is_named(tmp_path, capsys, damage, why):
-    terrain = {"name": "a", "triangles": 5, "bound_px": 1.0, "bound_m": None, "bound_edge_px": None}
-    for frame in (4, 5, 6):
-        summary = {"frame": frame, "settings": "a", "files": {f"a_{frame:04d}.npz": 3}, "elapsed_ms": 1.0}
-        summary["terrains"] = [terrain | {"bound_area_px": None}]
-        (tmp_path / f"frame_{frame:04d}.json").write_text(json.dumps(summary))
-        (tmp_path / f"a_{frame:04d}.npz").write_bytes(b"123")
-    assert run("verify", tmp_path, "--frames", "4-6", "--progress", "openjd") == 0
-    assert "3 frames are whole, 15 triangles, largest bound 1 px" in capsys.readouterr().out
-    damage(tmp_path)
-    assert run("verify", tmp_path, "--frames", "4-6", "--progress", "openjd") == 1
-    said = capsys.readouterr()
-    assert why in said.err and said.out.splitlines()[-1].startswith("openjd_fail: ") and why in said.out
-
-
-def change(path: Path, **changed) -> None:
-    path.write_text(json.dumps(json.loads(path.read_text()) | changed))
 
 
 def test_a_frame_that_would_be_stale_is_no_picture(shot, tmp_path, capsys):

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of the compositor's File Output nodes: written into a private folder while a frame is rendered, and moved to
+their places when it is complete."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.run.partial_files import written_beside
+from .exporting import check_target, make_folder, named_failures
+
+FOLDER_PROPERTIES = ("directory", "base_path")  # of a File Output node: from Blender 5.0 on, and before
+
+
+@contextmanager
+def redirected_outputs(scene, folder: Path) -> Iterator[None]:
+    """Let the File Output nodes of a scene write below `folder` during the block: each to its whole path, from there.
+
+    So Blender still fills in the names in braces that stand in a node's own path.
+    """
+    nodes = output_nodes(scene)
+    before = [node_folder(node) for node in nodes]
+    try:
+        for node, path in zip(nodes, before, strict=True):
+            drive, tail = os.path.splitdrive(_whole(path))
+            _set_folder(node, os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\")))
+        yield
+    finally:
+        for node, path in zip(nodes, before, strict=True):
+            _set_folder(node, path)
+
+
+def publish_outputs(scene, folder: Path) -> list[Path]:
+    """Move the files that nodes have written below `folder` to their places; returns these. Raises TerrainError."""
+    moves = []
+    for drive in sorted({os.path.splitdrive(_whole(node_folder(node)))[0] for node in output_nodes(scene)}):
+        below = folder / _drive_name(drive)
+        files = sorted(Path(inner) / name for inner, _, names in os.walk(below) for name in names)
+        moves += [(file, Path(drive + os.sep) / file.relative_to(below)) for file in files]
+    for _, place in moves:
+        make_folder(place.parent)
+        check_target(place)
+    for file, place in moves:
+        with named_failures(place), written_beside(place) as partial:
+            shutil.move(file, partial)  # a rename, or a copy where the place is on another disk
+    return [place for _, place in moves]
+
+
+def output_nodes(scene) -> list:
+    """List the File Output nodes of a scene's compositor, also those in its groups."""
+    if hasattr(scene, "compositing_node_group"):  # from Blender 5.0 on
+        trees = [scene.compositing_node_group]
+    else:
+        trees = [scene.node_tree if scene.use_nodes else None]
+    trees, nodes = [tree for tree in trees if tree], []
+    for tree in trees:
+        nodes += [node for node in tree.nodes if node.type == "OUTPUT_FILE"]
+        inner = (getattr(node, "node_tree", None) for node in tree.nodes)
+        trees += [tree for tree in inner if tree and tree not in trees]
+    return nodes
+
+
+def node_folder(node) -> str:
+    """Return the path that a File Output node writes to, as the file has it."""
+    return next(getattr(node, name) for name in FOLDER_PROPERTIES if hasattr(node, name))
+
+
+def literal(path: Path) -> str:
+    """Return a path for Blender to write to: from 4.5 on it puts values in the place of names in braces."""
+    return str(path) if bpy.app.version < (4, 5, 0) else str(path).replace("{", "{{").replace("}", "}}")
+
+
+def _set_folder(node, path: str) -> None:
+    setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
+
+
+def _whole(path: str) -> str:
+    """Return an absolute path; a separator at its end, after which Blender puts a file's name, stays."""
+    if path.startswith("//"):
+        path = os.path.join(literal(Path(bpy.data.filepath).parent), path[2:])
+    end = os.sep if path.endswith(("/", "\\")) else ""
+    return os.path.abspath(path) + end
+
+
+def _drive_name(drive: str) -> str:
+    return "files_" + "".join(c if c.isalnum() else "_" for c in drive)

@@ -315,6 +315,8 @@ def _add_farm(subparsers) -> None:
     )
     memory = positive(MAX_MEMORY_GIB)
     verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")
+    outside = "also bring files from outside the scene's folder that are no images, height maps or stores"
+    verb.add_argument("--allow-outside", action="store_true", help=outside)
 
     verb = _verb(subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare)
     verb.add_argument("--scene", **scene)

@@ -65,5 +65,6 @@ def run_submit(arguments) -> None:
         formats=() if arguments.render else arguments.format,
         extension=arguments.extension,
         min_memory_gib=arguments.min_memory,
+        allow_outside=arguments.allow_outside,
     ):
         print(line)

@@ -8,22 +8,23 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.source_info import versions
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_images import map_folder
 from ..effects.map_request import read_as_images
 from ..importing.import_terrain import settings_of
 from ..output.exporting import make_folder
+from ..output.file_outputs import output_folders
 from ..output.preparing import is_missing, store_of
+from ..output.scene_files import scene_files
 from ..properties.properties import land_of
 from ..request.land_folders import folder_beside
 from ..scene.shot import frames_of
 from .bundle import Job, openjd_command, write_bundle
+from .outside_files import check_outside, named_some
 
 FRAMES, INSTALLED = "frames", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
-UDIM = "<UDIM>"
 NOTE = "note: "  # begins a line that tells what is left to do
 
 
@@ -37,19 +38,34 @@ def submit(
     formats: Sequence[str],
     extension: str | None,
     min_memory_gib: float = 0.0,
+    allow_outside: bool = False,
 ) -> list[str]:
     """Write the job of the saved file that is open into the folder `out`; returns lines that say what to know of it.
 
     frames: None for the scene's. formats: of meshes; none for pictures. extension: a zip that workers install for the
-    job alone, INSTALLED for the one that runs, None where they have it. min_memory_gib: of a worker, 0 for any. Raises
-    TerrainError.
+    job alone, INSTALLED for the one that runs, None where they have it. min_memory_gib: of a worker, 0 for any.
+    allow_outside: the job may bring any file from outside the scene's folder. Raises TerrainError.
     """
+    from ... import __version__
+
     blend, out = Path(bpy.data.filepath).resolve(), Path(out).resolve()
-    files, folders, made, notes = _listed_files(), [], [], []
+    frames = frames or frames_of(scene)
+    files = list(dict.fromkeys(path.resolve() for path in scene_files(frames) if path.is_file()))
+    height_maps, folders, made, notes = [], [], [], []
     for obj in objects:
-        _add_terrain(obj, files, folders, made)
+        _add_terrain(obj, height_maps, folders, made)
         if not store_of(obj).resolve().is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_of(obj)}")
+    if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
+        notes.append(f"{len(outside):,} from outside the scene's folder go with the job: {named_some(outside)}")
+    for folder in [] if formats else output_folders(scene):
+        if folder.is_relative_to(blend.parent) or folder.is_relative_to(out):
+            made.append(folder)
+        else:
+            notes.append(
+                f"a File Output node writes to {shown(folder)}, which farms do not bring back: choose a folder "
+                "beside the file"
+            )
     make_folder(out)
     zip_path = None if extension is None else _zip_path(extension, out)
     if zip_path is None:
@@ -57,13 +73,13 @@ def submit(
     job = Job(
         name=f"{blend.stem} {'meshes' if formats else 'pictures'}",
         blend=blend,
-        frames=frames or frames_of(scene),
+        frames=frames,
         chunk=chunk,
         formats=formats,
         out=out / FRAMES,
-        version=versions()["adaptive-terrain"],
+        version=__version__,
         zip_path=zip_path,
-        files=files + ([] if zip_path is None else [zip_path]),
+        files=[*files, *height_maps, *([] if zip_path is None else [zip_path])],
         folders=folders,
         made=made,
         platforms=() if zip_path is None else _platforms(zip_path),
@@ -75,16 +91,7 @@ def submit(
     return lines + [NOTE + note for note in notes]
 
 
-def _listed_files() -> list[Path]:
-    """Files that Blender knows the scene to be made of (images, libraries, caches) and that are there."""
-    found = []
-    for path in map(Path, bpy.utils.blend_paths(absolute=True, packed=False, local=False)):
-        tiles = path.parent.glob(path.name.replace(UDIM, "[0-9]" * 4)) if UDIM in path.name else [path]
-        found += [tile.resolve() for tile in tiles if tile.is_file()]
-    return found
-
-
-def _add_terrain(obj, files: list[Path], folders: list[Path], made: list[Path]) -> None:
+def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[Path]) -> None:
     """What one terrain is made of, and what is made of it ahead of the frames."""
     store = store_of(obj)
     if is_missing(store):
@@ -96,7 +103,7 @@ def _add_terrain(obj, files: list[Path], folders: list[Path], made: list[Path]) 
                     f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}; import it "
                     "again, or choose where they are."
                 )
-            files.append(source.resolve())
+            height_maps.append(source.resolve())
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []

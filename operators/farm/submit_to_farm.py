@@ -36,6 +36,12 @@ class SubmitToFarm(bpy.types.Operator):
         description="Workers install this extension for the job alone: same platform, 200 MB. Else they need it",
         default=True,
     )
+    allow_outside: bpy.props.BoolProperty(
+        name="Allow Outside",
+        description="Also bring files from outside this file's folder that are no images, height maps or stores",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context):
@@ -69,6 +75,7 @@ class SubmitToFarm(bpy.types.Operator):
                 chunk=self.chunk,
                 formats=() if self.render else ("npz",),
                 extension=INSTALLED if self.bring else None,
+                allow_outside=self.allow_outside,
             )
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))

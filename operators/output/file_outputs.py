@@ -2,6 +2,7 @@
 """Pictures of the compositor's File Output nodes: written into a private folder while a frame is rendered, and moved to
 their places when it is complete."""
 
+import itertools
 import os
 import shutil
 from collections.abc import Iterator
@@ -14,24 +15,31 @@ from ...cbt_terrain.run.partial_files import written_beside
 from .exporting import check_target, make_folder, named_failures
 
 FOLDER_PROPERTIES = ("directory", "base_path")  # of a File Output node: from Blender 5.0 on, and before
+FRAME_NUMBER = "####"  # which Blender replaces
 
 
 @contextmanager
 def redirected_outputs(scene, folder: Path) -> Iterator[None]:
     """Let the File Output nodes of a scene write below `folder` during the block: each to its whole path, from there.
 
-    So Blender still fills in the names in braces that stand in a node's own path.
+    So Blender still fills in the names in braces that stand in a node's own path. From 5.0 on it leaves the frame's
+    number out of the names while it renders one frame; here they get it, as in a render of all frames.
     """
     nodes = output_nodes(scene)
     before = [node_folder(node) for node in nodes]
+    names = [(node, _names_of(node)) for node in nodes if hasattr(node, "file_name")]
     try:
         for node, path in zip(nodes, before, strict=True):
             drive, tail = os.path.splitdrive(_whole(path))
             _set_folder(node, os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\")))
+        for node, (name, items) in names:
+            _set_names(node, *_numbered_names(node, name, items))
         yield
     finally:
         for node, path in zip(nodes, before, strict=True):
             _set_folder(node, path)
+        for node, (name, items) in names:
+            _set_names(node, name, items)
 
 
 def publish_outputs(scene, folder: Path) -> list[Path]:
@@ -64,6 +72,17 @@ def output_nodes(scene) -> list:
     return nodes
 
 
+def output_folders(scene) -> list[Path]:
+    """List the folders that File Output nodes write to, as far as they are the same for all frames."""
+    found = []
+    for node in output_nodes(scene):
+        path = os.path.abspath(bpy.path.abspath(node_folder(node)))
+        is_file = hasattr(node, "base_path") and node.format.file_format == "OPEN_EXR_MULTILAYER"
+        parts = Path(os.path.dirname(path) if is_file else path).parts
+        found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))
+    return list(dict.fromkeys(found))
+
+
 def node_folder(node) -> str:
     """Return the path that a File Output node writes to, as the file has it."""
     return next(getattr(node, name) for name in FOLDER_PROPERTIES if hasattr(node, name))
@@ -76,6 +95,28 @@ def literal(path: Path) -> str:
 
 def _set_folder(node, path: str) -> None:
     setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
+
+
+def _names_of(node) -> tuple[str, list[str]]:
+    return node.file_name, [item.name for item in node.file_output_items]
+
+
+def _set_names(node, name: str, items: list[str]) -> None:
+    node.file_name = name
+    for item, item_name in zip(node.file_output_items, items, strict=True):
+        if item.name != item_name:  # which would make new sockets
+            item.name = item_name
+
+
+def _numbered_names(node, name: str, items: list[str]) -> tuple[str, list[str]]:
+    """Return the names of a node's file and items with a place for the frame's number, which may have one already."""
+    if node.format.media_type == "MULTI_LAYER_IMAGE":  # items are layers of one file
+        return _numbered(name), items
+    return name, [_numbered(name + item)[len(name) :] for item in items]
+
+
+def _numbered(name: str) -> str:
+    return name if "#" in name.rsplit("/", 1)[-1] else name + FRAME_NUMBER
 
 
 def _whole(path: str) -> str:

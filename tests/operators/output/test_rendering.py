@@ -43,7 +43,8 @@ def recolor(path: Path, color: bytes) -> None:
 def show_image(obj, image):
     """Give a terrain a material that glows as an image; returns its image node."""
     material = bpy.data.materials.new("Shown")
-    material.use_nodes = True
+    if bpy.app.version < (5, 0, 0):  # else it has nodes
+        material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
     node, glow = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeEmission")

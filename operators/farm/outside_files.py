@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that a job would bring from outside the scene's folder: a stranger's scene may name any file of this user."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.field.store import JSON_NAME as STORE_JSON
+from ...cbt_terrain.importing.raster import EXR_SUFFIX, PLACED_SUFFIXES, RAW_SUFFIXES
+from ...cbt_terrain.maps.folder import JSON_NAME as MAPS_JSON
+from ..request.land_request import BESIDE as LAND
+
+HEIGHT_MAP_SUFFIXES = {*PLACED_SUFFIXES, *RAW_SUFFIXES, EXR_SUFFIX, ".npy"}
+MAX_NAMED = 10
+
+
+def check_outside(
+    home: Path, files: Sequence[Path], height_maps: Sequence[Path], folders: Sequence[Path], allowed: bool
+) -> list[Path]:
+    """Return the files and folders of a job that are outside `home`, the scene's folder, links resolved.
+
+    Images, height maps, stores, shaped land and baked maps may be there. Raises TerrainError for anything else, unless
+    all is `allowed`. A file counts by its own suffix, not by the suffix of a link to it.
+    """
+    home = home.resolve()
+    known = [folder.resolve() for folder in folders if _is_terrain_folder(folder)]
+    links = [link for folder in known for link in _links_in(folder)]
+    paths = dict.fromkeys(path.resolve() for path in (*files, *folders, *links))
+    outside = [path for path in paths if not path.is_relative_to(home)]
+    height_maps = {path.resolve() for path in height_maps}
+    refused = [
+        path
+        for path in outside
+        if not any(path.is_relative_to(folder) for folder in known)
+        and path.suffix.lower() not in bpy.path.extensions_image
+        and not (path in height_maps and path.suffix.lower() in HEIGHT_MAP_SUFFIXES)
+    ]
+    if refused and not allowed:
+        raise TerrainError(
+            f"The job would bring files from outside the scene's folder {shown(home)} that are neither images, height "
+            f"maps nor stores: {named_some(refused)}; expected them in that folder: move them there, or use "
+            "--allow-outside (Allow Outside)."
+        )
+    return outside
+
+
+def named_some(paths: Sequence[Path]) -> str:
+    """Name some paths and count the others."""
+    more = f" and {len(paths) - MAX_NAMED:,} more" if len(paths) > MAX_NAMED else ""
+    return ", ".join(shown(path) for path in paths[:MAX_NAMED]) + more
+
+
+def _is_terrain_folder(folder: Path) -> bool:
+    """Whether a folder is a store, has the shaped land of one, or baked maps."""
+    store = folder.parent / folder.name.removesuffix(LAND)
+    return (store / STORE_JSON).is_file() or (folder / MAPS_JSON).is_file()
+
+
+def _links_in(folder: Path) -> list[Path]:
+    walked = (os.path.join(inner, name) for inner, dirs, names in os.walk(folder) for name in (*dirs, *names))
+    return [Path(path) for path in walked if os.path.islink(path)]

@@ -54,7 +54,7 @@ def named_some(paths: Sequence[Path]) -> str:
 
 
 def _is_terrain_folder(folder: Path) -> bool:
-    """Whether a folder is a store, has the shaped land of one, or baked maps."""
+    """Tell whether a folder is a store, has the shaped land of one, or baked maps."""
     store = folder.parent / folder.name.removesuffix(LAND)
     return (store / STORE_JSON).is_file() or (folder / MAPS_JSON).is_file()
 

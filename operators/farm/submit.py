@@ -92,7 +92,7 @@ def submit(
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[Path]) -> None:
-    """What one terrain is made of, and what is made of it ahead of the frames."""
+    """Add the files and folders of one terrain, and the folders that earlier steps of the job make."""
     store = store_of(obj)
     if is_missing(store):
         made.append(store)
@@ -125,7 +125,7 @@ def _platforms(zip_path: Path) -> list[str]:
 
 
 def _zip_path(extension: str, out: Path) -> Path:
-    """The zip that goes with the job."""
+    """Return the zip that goes with the job."""
     if extension != INSTALLED:
         if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # a pipe would be waited for
             raise TerrainError(f"{extension} is no zip; expected the extension's, or {INSTALLED!r}.")

@@ -138,7 +138,7 @@ def check_target(path: Path) -> None:
 
 @contextmanager
 def named_failures(path: Path):
-    """Failures to write `path` become one sentence that names it, whatever writes it."""
+    """Turn failures of the block to write `path` into one sentence that names it."""
     check_target(path)
     try:
         yield
@@ -198,7 +198,7 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
 
 
 def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
-    """The files that were written."""
+    """Write the scatters of a piece; returns the files."""
     from .scatter_files import write_points_csv
 
     files = []
@@ -210,7 +210,7 @@ def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
 
 
 def figures(piece: Piece) -> dict:
-    """The figures of one terrain for the summary; the only place where an export keeps times."""
+    """Return the figures of one terrain for the summary, with times, which nothing else of an export has."""
     update = piece.update
     return {
         "name": piece.name,

@@ -122,7 +122,7 @@ def file_fault(summary: dict, name: str, out: Path) -> str | None:
 
 
 def _contents(inputs: dict[str, str | None]) -> list[tuple]:
-    """Inputs without their folders: in another place, or on another machine, they are the same."""
+    """Return inputs without their folders: in another place, or on another machine, they are the same."""
     return [(name.rsplit("/", 1)[-1], digest) for name, digest in inputs.items()]
 
 
@@ -132,7 +132,7 @@ def summary_checksum(summary: dict) -> str:
 
 
 def _is_valid(summary, frame: int) -> bool:
-    """Whether a summary is that of the frame, with values of the right types; damage may raise, too."""
+    """Tell whether a summary is that of the frame, with values of the right types. Damage may also raise."""
     files, digests, inputs = summary["files"], summary["digests"], summary["inputs"]
     return (
         summary["checksum"] == summary_checksum(summary)

@@ -13,7 +13,7 @@ from adaptive_terrain.operators.cli import command_line
 
 @pytest.fixture
 def shot(scene, add_terrain, store, tmp_path):
-    """A saved scene whose store is outside its folder."""
+    """Save a scene with a store outside its folder."""
     shutil.copytree(store, tmp_path / "stores" / "hills")
     (tmp_path / "shot").mkdir()
     path = tmp_path / "shot" / "shot.blend"
@@ -25,7 +25,7 @@ def shot(scene, add_terrain, store, tmp_path):
 
 @pytest.fixture
 def submit(shot, tmp_path, capsys):
-    """A function that saves the scene and submits it; returns the exit code, the output and the job's inputs."""
+    """Return a function that saves and submits the scene; it returns the exit code, the output and the job's inputs."""
 
     def submitted(*options) -> tuple[int, str, dict]:
         bpy.ops.wm.save_mainfile()
@@ -136,7 +136,6 @@ def test_of_many_files_ten_are_named(submit, tmp_path):
 
 
 def test_a_folder_without_maps_is_no_folder_of_maps(submit, tmp_path, monkeypatch):
-    """A scene may name any folder as that of its maps."""
     from adaptive_terrain.operators.farm import submit as module
 
     (tmp_path / "private").mkdir()

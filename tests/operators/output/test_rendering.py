@@ -59,7 +59,7 @@ def show_image(obj, image):
 
 @pytest.fixture
 def shot(scene, add_terrain, store, tmp_path):
-    """A saved scene of 16 x 9 pixels with one terrain, whose folder holds all that it is made of."""
+    """Save a scene of 16 x 9 pixels with one terrain, whose folder holds all that it is made of."""
     shutil.copytree(store, tmp_path / "shot" / "hills")
     path = tmp_path / "shot" / "shot.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
@@ -74,7 +74,7 @@ def shot(scene, add_terrain, store, tmp_path):
 
 @pytest.fixture
 def resume(shot, tmp_path, capsys):
-    """A function that renders frames with --resume and returns the numbers of those that it did not find complete."""
+    """Return a function that renders frames with --resume and returns those that it did not find complete."""
 
     def rendered(frames="1", scene=shot, out=tmp_path / "out") -> list[int]:
         capsys.readouterr()
@@ -106,7 +106,6 @@ def colors_of(picture: Path) -> set[str]:
 
 
 def test_a_changed_texture_is_rendered_again(shot, resume, tmp_path, capsys):
-    """Also one with the size and the time of the old one."""
     texture, out = shot.parent / "tex.png", tmp_path / "out"
     save_image(texture, RED)
     show_image(bpy.data.objects["Hills"], bpy.data.images.load("//tex.png"))
@@ -145,7 +144,6 @@ def test_an_image_of_a_library_counts(shot, resume, tmp_path, capsys):
 
 
 def test_a_painted_layer_counts(shot, resume):
-    """Painted pixels are part of the file that they are saved in, packed or beside."""
     image = bpy.data.images.new("Paint", 4, 4)
     layer = bpy.data.objects["Hills"].adaptive_terrain.layers.add()
     layer.image = image
@@ -169,7 +167,6 @@ def test_a_painted_layer_counts(shot, resume):
 
 
 def test_a_changed_file_of_a_sequence_is_of_one_frame(shot, resume, tmp_path, capsys):
-    """The file that Blender shows, with an offset, is the one whose change makes a frame stale."""
     for number in range(3, 8):
         save_image(shot.parent / f"s_{number:03d}.png", RED)
     image = bpy.data.images.load("//s_003.png")
@@ -192,7 +189,7 @@ def test_a_changed_file_of_a_sequence_is_of_one_frame(shot, resume, tmp_path, ca
 
 @pytest.mark.parametrize("cyclic", [False, True])
 def test_a_sequence_counts_with_the_file_that_blender_shows(shot, resume, tmp_path, cyclic):
-    """Each frame is compared with the picture itself, before the sequence, within it and after."""
+    """Compare the listed file with the picture, before the sequence, within it and after."""
     colors = {number: color for number, color in zip(range(9, 13), (RED, GREEN, BLUE, b"\xff\xff\0"), strict=True)}
     for number, color in colors.items():
         save_image(shot.parent / f"v2_{number:02d}_x.png", color)
@@ -296,3 +293,44 @@ def test_other_settings_of_the_scene_render_again(shot, resume):
             setattr(bpy.context.scene.render, name, value)
         bpy.ops.wm.save_mainfile()
         assert [resume(), resume()] == [[1], []], change
+
+
+def test_layers_of_one_file_and_nodes_in_groups_are_found(shot, resume, tmp_path):
+    scene = bpy.context.scene
+    node = add_output(scene, "//layers/all_")
+    tree = node.id_data
+    if hasattr(node, "directory"):
+        node.directory, node.file_name = "//layers", "all_"
+        node.format.media_type = "MULTI_LAYER_IMAGE"
+    node.format.file_format = "OPEN_EXR_MULTILAYER"
+    group = bpy.data.node_groups.new("Inner", "CompositorNodeTree")
+    group.interface.new_socket("Image", in_out="INPUT", socket_type="NodeSocketColor")
+    begin, inner = group.nodes.new("NodeGroupInput"), group.nodes.new("CompositorNodeOutputFile")
+    if hasattr(inner, "directory"):
+        inner.directory, inner.file_name = "//inner#", "##of_"
+        inner.file_output_items.new("RGBA", "Image")
+        inner.format.media_type = "IMAGE"
+    else:
+        inner.base_path, inner.file_slots[0].path = "//inner#", "##of_Image"
+    group.links.new(begin.outputs[0], inner.inputs[0])
+    outer = tree.nodes.new("CompositorNodeGroup")
+    outer.node_tree = group
+    layers = next(other for other in tree.nodes if other.type == "R_LAYERS")
+    tree.links.new(layers.outputs["Image"], outer.inputs[0])
+    bpy.ops.wm.save_mainfile()
+    assert [resume("7-8"), resume("7-8")] == [[7, 8], []]
+    found = {str(path.relative_to(shot.parent)) for path in outputs_in(shot.parent) if path.suffix in (".png", ".exr")}
+    assert found == {f"layers/all_000{frame}.exr" for frame in (7, 8)} | {f"inner#/0{n}of_Image.png" for n in (7, 8)}
+    assert sorted(path.name for path in file_outputs.output_folders(bpy.context.scene)) == ["layers", shot.parent.name]
+
+
+def test_a_frame_that_is_not_rendered_leaves_no_other_files(shot, tmp_path, capsys):
+    hills = bpy.data.objects["Hills"]
+    for frame, scale in ((1, 1.0), (2, 0.0)):
+        hills.scale.z = scale
+        hills.keyframe_insert("scale", index=2, frame=frame)
+    add_output(bpy.context.scene, "//layers/")
+    bpy.ops.wm.save_mainfile()
+    assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "1-2") == 1
+    assert "Frame 2 is not rendered" in capsys.readouterr().err
+    assert [path.stem[-4:] for path in outputs_in(shot.parent / "layers")] == ["0001"]

@@ -11,7 +11,7 @@ from adaptive_terrain.operators.output import scene_files
 
 @pytest.fixture
 def home(scene, tmp_path):
-    """The folder of a saved, empty scene."""
+    """Return the folder of a saved, empty scene."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     return tmp_path
 
@@ -28,7 +28,7 @@ def add_object(data=None):
 
 @pytest.mark.parametrize("mode", ["CLIP", "EXTEND", "REPEAT", "PING_PONG"])
 @pytest.mark.parametrize("length", [2, 4])  # of one file, PING_PONG crashes Blender
-def test_a_volume_sequence_counts_with_the_file_that_blender_loads(home, mode, length):
+def test_a_volume_counts_with_the_file_that_blender_loads(home, mode, length):
     volume = bpy.data.volumes.new("Smoke")
     volume.filepath, volume.is_sequence, volume.sequence_mode = "//smoke_001.vdb", True, mode
     volume.frame_start, volume.frame_duration, volume.frame_offset = 2, length, 3

@@ -24,7 +24,7 @@ def run(*arguments) -> int:
 
 @pytest.fixture
 def frames(tmp_path):
-    """Three frames in a folder, made of one image beside it."""
+    """Write three frames into a folder, made of one image beside it."""
     (tmp_path / "tex.png").write_bytes(b"red")
     out = tmp_path / "out"
     out.mkdir()

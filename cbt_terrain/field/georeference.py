@@ -5,6 +5,8 @@ import math
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..ask.linear import length
 from ..errors import TerrainError
 
@@ -14,16 +16,26 @@ WGS84 = (6378137.0, 298.257223563)
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-30, 1e30
 # A part of a length by which degrees are said to be off, from here on.
 SHOWN_RIM_ERROR = 1e-3
+Transform = tuple[float, float, float, float, float, float]
+_EPSG = re.compile(r"EPSG:\d{1,7}")
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)')
 
-# What is said of a raster whose rows are not along x of its coordinate system.
+# Skew per cell, in cells, below which rows count as parallel to an axis or perpendicular to columns: rounding.
+MAX_SKEW = 1e-6
+
+# Stores written before `rotation_deg` stood in their report have this warning instead.
 ROTATED = "The raster is rotated against its coordinate system; it is laid out along its own rows."
 
 
 @dataclass(frozen=True)
 class Georeference:
-    """Distances of samples in metres; `middle` is the CRS position (x, y) of the raster's middle, in the CRS's unit.
-    `size_warnings` are those that an extent in metres makes needless."""
+    """Spacing of samples in metres, and the position of the raster's middle (x, y) in units of its CRS.
+
+    first_row_south, first_column_east: whether the file's first sample lies in the south, in the east. transposed:
+    whether the file's rows run along y, its columns along x; `step_x` and `middle` are always those of x. rotation_deg:
+    degrees from x of the CRS to x of the terrain, counterclockwise. size_warnings: warnings that do not apply once the
+    user has given an extent in metres.
+    """
 
     step_x: float = 1.0
     step_y: float = 1.0
@@ -31,8 +43,16 @@ class Georeference:
     crs: str = ""
     first_row_south: bool = False
     first_column_east: bool = False
+    transposed: bool = False
+    rotation_deg: float = 0.0
     warnings: tuple[str, ...] = ()
     size_warnings: tuple[str, ...] = ()
+
+    def in_file_order(self, heights: np.ndarray) -> np.ndarray:
+        """Return a view of `heights` [y, x], row 0 south, whose rows and columns are those of the file."""
+        heights = heights if self.first_row_south else heights[::-1]
+        heights = heights[:, ::-1] if self.first_column_east else heights
+        return heights.T if self.transposed else heights
 
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
@@ -66,8 +86,33 @@ def rim_error(latitude: float, rims: list[float], ellipsoid: tuple[float, float]
     return max(abs(taken[axis] / lengths[axis] - 1.0) for lengths in true for axis in (0, 1))
 
 
+def without_dust(transform: Transform) -> Transform:
+    """Return a geotransform whose skew is 0 where it is rounding: less than MAX_SKEW cells per cell.
+
+    Raises TerrainError for cells without an area.
+    """
+    a, b, c, d, e, f = transform
+    area, lengths = abs(a * e - b * d), length((a, d)) * length((b, e))
+    if not math.isfinite(lengths) or area <= MAX_SKEW * lengths:
+        raise TerrainError(
+            f"The raster's georeference {tuple(transform)} gives its cells no size: give the extent in metres."
+        )
+    if abs(b) < MAX_SKEW * abs(a) and abs(d) < MAX_SKEW * abs(e):
+        b = d = 0.0
+    elif abs(a) < MAX_SKEW * abs(b) and abs(e) < MAX_SKEW * abs(d):
+        a = e = 0.0
+    return a, b, c, d, e, f
+
+
+def is_sheared(transform: Transform, metres_x: float, metres_y: float) -> bool:
+    """Return whether rows and columns are not perpendicular on the ground; metres: of a unit along x and y."""
+    a, b, _, d, e, _ = transform
+    column, row = (a * metres_x, d * metres_y), (b * metres_x, e * metres_y)
+    return abs(column[0] * row[0] + column[1] * row[1]) > MAX_SKEW * length(column) * length(row)
+
+
 def from_transform(
-    transform: tuple[float, float, float, float, float, float],
+    transform: Transform,
     width: int,
     height: int,
     *,
@@ -76,44 +121,70 @@ def from_transform(
     metres: float = 1.0,
     ellipsoid: tuple[float, float] = WGS84,
 ) -> Georeference:
-    """The georeference of a raster of `width` x `height` samples.
+    """Return the georeference of a raster of `width` x `height` samples.
 
     transform: (a, b, c, d, e, f) takes column and row of a cell's *corner* to x = a col + b row + c and
     y = d col + e row + f. Samples lie in the middle of cells: of a pixel-is-area raster by definition, of a
     pixel-is-point raster because GDAL has moved its corner by half a cell, so that both differ by half a cell, exactly.
     degrees: degrees in the CRS's unit if that is an angle, else 0. metres: metres in the CRS's unit if it is a length.
     """
-    a, b, c, d, e, f = transform
+    a, b, c, d, e, f = without_dust(transform)
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f
-    along, down = length((a, d)), length((b, e))
-    if not all(map(math.isfinite, (x, y, along, down))) or along == 0.0 or down == 0.0:
-        raise TerrainError(f"The raster's georeference {transform} gives its cells no size: give the extent in metres.")
-    warnings, size_warnings = [], []
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise TerrainError(f"The raster's middle is at ({x}, {y}): expected finite numbers; give the extent in metres.")
+    size_warnings = []
+    metres_x = metres_y = metres
     if degrees:
-        latitude = y * degrees
-        if abs(latitude) > 89.9:
-            raise TerrainError(
-                f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no "
-                "length: project it first, or give the extent in metres."
-            )
-        per_x, per_y = (degrees * length for length in degree_lengths(latitude, ellipsoid))
+        metres_x, metres_y = _metres_of_degrees(y, degrees, ellipsoid)
         rims = [degrees * (d * column + e * row + f) for column in (0, width) for row in (0, height)]
-        error = rim_error(latitude, rims, ellipsoid)
-        if error >= SHOWN_RIM_ERROR:
-            off = f"by up to {100.0 * error:.2g} %" if error < 10.0 else "many times over, since a pole is near"
-            size_warnings.append(
-                f"The raster is in degrees, whose length at its middle latitude is taken everywhere: at its rim, "
-                f"lengths are off {off}. To have them right, import it with a projection (utm, or EPSG:n)."
-            )
-    else:
-        per_x = per_y = metres
-        if not crs and max(along, down) < 0.1 and abs(x) <= 180.0 and abs(y) <= 90.0:
-            size_warnings.append(
-                f"The file names no coordinate system and its cells measure {along:.6g}: taken as metres. If these are "
-                "degrees, give the extent in metres."
-            )
-    if b or d:
-        warnings.append(ROTATED)
-    south, east = (e > 0.0, a < 0.0) if not (b or d) else (False, False)
-    steps = along * per_x, down * per_y
-    return Georeference(*steps, (x, y), crs, south, east, tuple(warnings), tuple(size_warnings))
+        size_warnings += _rim_warnings(y * degrees, rims, ellipsoid)
+    elif not crs and max(map(abs, (a, b, d, e))) < 0.1 and abs(x) <= 180.0 and abs(y) <= 90.0:
+        size_warnings.append(
+            f"The file names no coordinate system and its cells measure {length((a, d)):.6g}: taken as metres. If "
+            "these are degrees, give the extent in metres."
+        )
+    along, down = length((a * metres_x, d * metres_y)), length((b * metres_x, e * metres_y))
+    place = {"middle": (x, y), "crs": crs, "size_warnings": tuple(size_warnings)}
+    if a == e == 0.0:
+        return Georeference(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True, **place)
+    if b == d == 0.0:
+        return Georeference(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0, **place)
+    # Rows and columns that turn counterclockwise from one to the other would be mirrored with the first row north.
+    rotation = math.degrees(math.atan2(d * metres_y, a * metres_x))
+    warning = _rotation_warning(rotation, crs, bool(degrees))
+    return Georeference(along, down, first_row_south=a * e > b * d, rotation_deg=rotation, warnings=(warning,), **place)
+
+
+def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:
+    """Return metres in a unit of a geographic CRS along x and y, at the raster's middle `y`, in that unit."""
+    latitude = y * degrees
+    if abs(latitude) > 89.9:
+        raise TerrainError(
+            f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no "
+            "length: project it first, or give the extent in metres."
+        )
+    along_x, along_y = degree_lengths(latitude, ellipsoid)
+    return degrees * along_x, degrees * along_y
+
+
+def _rim_warnings(latitude: float, rims: list[float], ellipsoid: tuple[float, float]) -> list[str]:
+    """Return a warning if lengths at the latitudes `rims` differ too much from those at the raster's middle."""
+    error = rim_error(latitude, rims, ellipsoid)
+    if error < SHOWN_RIM_ERROR:
+        return []
+    off = f"by up to {100.0 * error:.2g} %" if error < 10.0 else "many times over, since a pole is near"
+    return [
+        f"The raster is in degrees, whose length at its middle latitude is taken everywhere: at its rim, "
+        f"lengths are off {off}. To have them right, import it with a projection (utm, or EPSG:n)."
+    ]
+
+
+def _rotation_warning(rotation: float, crs: str, geographic: bool) -> str:
+    """Return the warning about a rotated raster, with what straightens it."""
+    straighten = f"import it with --project {crs if _EPSG.fullmatch(crs) and not geographic else 'utm'}"
+    if not crs:
+        straighten = "write its coordinate system into the file and import it with --project"
+    return (
+        f"The raster is rotated by {rotation:.6g} degrees against {'its' if crs else 'an unnamed'} coordinate system "
+        f"and is laid out along its own rows. To straighten it, {straighten}."
+    )

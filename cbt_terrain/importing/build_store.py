@@ -19,6 +19,7 @@ from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from .drafts import drafted, figures
 from .raster import ImportSettings, Raster
+from .sidecars import sidecars
 from .sources import check_file, open_source
 
 READING = "Reading"  # the part of an import in which files from outside are read
@@ -29,7 +30,6 @@ METHOD = 2
 # Heights by which files mean that there is none, often without saying so.
 NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
 DOUBT = ", or check that the file's header tells its true size"
-SIDECARS = (".prj", ".tfw", ".tifw", ".pgw", ".wld", ".aux.xml", ".hdr", ".ovr", ".msk")
 
 
 def run_import(
@@ -53,8 +53,8 @@ def run_import(
         report = finished_before(path, digest) if raster.sources else None
         if report is not None:
             return report
-        width, height = max(raster.width, 2), max(raster.height, 2)
         place = _place(settings, raster)
+        width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         with drafted(path, folder, lattice, doubt=DOUBT) as draft:
             field, lowest = _build(settings, raster, place, draft, (height, width), on_progress)
@@ -104,9 +104,7 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
     if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
-        files = [source, *(source.with_suffix(suffix) for suffix in SIDECARS)]
-        files += [source.with_name(source.name + suffix) for suffix in SIDECARS]
-        for file in [*files, *sources]:
+        for file in [source, *sidecars(source), *sources]:
             if os.path.isfile(file):  # unlike Path.is_file, never an error: with a suffix a name may be too long
                 stat = file.stat()
                 parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
@@ -147,16 +145,22 @@ def describe(path: str | os.PathLike) -> dict:
 def _place(settings: ImportSettings, raster: Raster) -> Georeference:
     """The raster's georeference, or 1 m a sample, with the distances of the extent if one is given."""
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
+    width, height = _size(raster, place)
     if settings.extent is None:
-        extent = place.step_x * max(raster.width - 1, 1), place.step_y * max(raster.height - 1, 1)
+        extent = place.step_x * max(width - 1, 1), place.step_y * max(height - 1, 1)
         if not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in extent):
             raise TerrainError(
                 f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference: expected lengths "
                 f"between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; give the extent in metres."
             )
         return place
-    step_x, step_y = settings.extent[0] / max(raster.width - 1, 1), settings.extent[1] / max(raster.height - 1, 1)
+    step_x, step_y = settings.extent[0] / max(width - 1, 1), settings.extent[1] / max(height - 1, 1)
     return dataclasses.replace(place, step_x=step_x, step_y=step_y, size_warnings=())
+
+
+def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
+    """Return a raster's samples along x and y of the terrain."""
+    return (raster.height, raster.width) if georeference.transposed else (raster.width, raster.height)
 
 
 def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
@@ -183,6 +187,7 @@ def _read_heights(
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
     scale, offset = _scaling(raster, settings)
     missing, largest, converted, lowest = 0, 0.0, 0.0, np.inf
+    in_file_order = place.in_file_order(heights)
     for first in range(0, raster.height, rows_at_once):
         count = min(rows_at_once, raster.height - first)
         rows = raster.read(first, count)
@@ -199,13 +204,7 @@ def _read_heights(
             lowest = min(lowest, float(np.nanmin(rows)))
             if not np.can_cast(exact.dtype, np.float32):
                 converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
-        if place.first_column_east:
-            rows = rows[:, ::-1]
-        if place.first_row_south:
-            heights[first : first + len(rows)] = rows
-        else:
-            end = heights.shape[0] - first
-            heights[end - len(rows) : end] = rows[::-1]
+        in_file_order[first : first + len(rows)] = rows
         on_progress((first + count) / raster.height)
     source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
     return missing, source_max, lowest
@@ -246,11 +245,12 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
         warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
     against = ""  # the file's own raster
     if raster.projected_from:
-        against = f"the raster as reprojected from {raster.projected_from} to {place.crs}, bilinear"
+        against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"
     return {
         "format": raster.format,
         "raster": [raster.width, raster.height],
         **figures(field),
+        "rotation_deg": place.rotation_deg,
         "bounds_against": against,
         "warnings": warnings,
     }

@@ -5,7 +5,7 @@ rasterio is imported inside functions only, which run in the import's child proc
 of Blender. The child first calls `keep_only_drivers`.
 """
 
-import math
+import dataclasses
 import os
 import warnings
 from pathlib import Path
@@ -13,10 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..field.georeference import Georeference, ellipsoid_of, from_transform
+from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
+from .file_grid import FileGrid, grid_of, has_shear, unit_of
+from .length_scale import length_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
+from .sidecars import aux_file, named_crs, read_aux
+from .tiff_orientation import orientation_of, oriented
 from .vrt_source import read_mosaic
 
 # GDAL may try no other driver on a file than the one of its suffix.
@@ -26,10 +30,12 @@ MAX_BANDS = 1024
 # Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
 LARGEST_BLOCK = 256 << 20
 CACHE_BYTES = 256 << 20  # rasterio takes bytes, where GDAL's own variable takes megabytes
-# No network, no code out of a file, no sidecar files written, a bounded cache.
+# No network, no code out of a file, a bounded cache. PAM is GDAL's name for reading and writing .aux.xml files. It is
+# switched on only where there is one to read: GDAL writes none for a dataset that it only reads.
 OPTIONS = {
     "GDAL_CACHEMAX": CACHE_BYTES,
     "GDAL_PAM_ENABLED": "NO",
+    "GDAL_DISABLE_READDIR_ON_OPEN": "FALSE",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
 }
@@ -77,6 +83,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
+        notes = [] if driver == "VRT" else _allow_aux_file(path)
         opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [])
     dataset, sources, texts = opened
     band = settings.band
@@ -85,7 +92,6 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     stored = np.dtype(dataset.dtypes[band - 1])
     if stored.kind not in "fiu":
         raise TerrainError(f"{path} holds {stored} values: expected real numbers.")
-    notes = []
     if dataset.count > 1 and driver == "PNG":
         notes.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
     if dataset.colorinterp[band - 1] == ColorInterp.palette:
@@ -96,15 +102,29 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     in_metres = UNITS_IN_METRES.get(unit, 1.0)
     if in_metres != 1.0:
         notes.append(f"Heights are in {unit} in the file; they were converted to metres.")
+    grid = _grid_of(dataset, settings)
+    if grid.transform is not None and grid.crs is None and driver != "VRT":
+        grid = grid._replace(crs=named_crs(path, notes))
+    if grid.problem and settings.extent is None:
+        notes.append(
+            f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
+            f"metres (--extent), or place the raster first ({grid.tool})."
+        )
     read_from, masked, no_data, projected_from = dataset, False, None, ""
-    if settings.project:
+    sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
+    if settings.project or sheared:
         from .reproject import reprojected
 
-        read_from = reprojected(path, dataset, stored, settings)
-        projected_from = dataset.crs.to_string()
+        projected_from = grid.name if settings.project else "a sheared grid"
+        read_from, grid = reprojected(path, dataset, grid, stored, settings)
+        if not settings.project:
+            notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
     else:
         flags = dataset.mask_flag_enums[band - 1]
         masked, no_data = settings.no_data is None and MaskFlags.all_valid not in flags, settings.no_data
+    georeference = _georeference(grid, read_from.width, read_from.height, settings)
+    if georeference is None and driver == "GTiff":
+        georeference = oriented(orientation_of(path))
     return Raster(
         width=read_from.width,
         height=read_from.height,
@@ -112,7 +132,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         block_rows=read_from.block_shapes[band - 1][0],
         stored=str(stored),
         format=driver,
-        georeference=_georeference(read_from),
+        georeference=georeference,
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
@@ -194,17 +214,43 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None)
     return read
 
 
-def _georeference(dataset) -> Georeference | None:
-    if dataset.transform.is_identity and dataset.crs is None:
+def _allow_aux_file(path: Path) -> list[str]:
+    """Let GDAL read the .aux.xml beside a raster, if there is one and it is harmless; return a warning if it is not."""
+    from rasterio.env import setenv
+
+    file = aux_file(path)
+    if file is None:
+        return []
+    try:
+        read_aux(file)
+    except TerrainError as reason:
+        return [f"{reason} What it says of the raster is missing."]
+    setenv(GDAL_PAM_ENABLED="YES")
+    return []
+
+
+def _grid_of(dataset, settings: ImportSettings) -> FileGrid:
+    """Return the grid of a dataset; none for an invalid geotransform if the user has given an extent instead."""
+    try:
+        return grid_of(dataset)
+    except TerrainError:
+        if settings.extent is None:
+            raise
+        return FileGrid()
+
+
+def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
+    """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it."""
+    if grid.transform is None:
         return None
-    crs, about = dataset.crs, {}
-    if crs is not None and crs.is_geographic:
-        about["degrees"] = math.degrees(crs.units_factor[1])
-        about["ellipsoid"] = ellipsoid_of(crs.to_wkt())
-    elif crs is not None and crs.is_projected:
-        about["metres"] = crs.linear_units_factor[1]
-    name = crs.to_string() if crs is not None else ""
-    return from_transform(tuple(dataset.transform)[:6], dataset.width, dataset.height, crs=name, **about)
+    try:
+        georeference = from_transform(grid.transform, width, height, crs=grid.name, **unit_of(grid.crs))
+    except TerrainError:
+        if settings.extent is None:
+            raise
+        return None
+    found = length_warnings(grid, width, height, georeference)
+    return dataclasses.replace(georeference, size_warnings=(*georeference.size_warnings, *found))
 
 
 def _check_blocks(path: Path, dataset) -> None:

@@ -8,18 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ..field import store as stores
-from ..field.georeference import ROTATED, degree_lengths, ellipsoid_of
+from ..field.georeference import ROTATED, degree_lengths
 from ..field.heightfield import HeightField
+from .file_grid import unit_of
 from .store_job import ask, serve
 
 MODULE = "cbt_terrain.importing.placing"
 
 
 class Placing(NamedTuple):
-    """The terrain's middle has the coordinates (x, y); a unit of the coordinate system has so many metres along each.
+    """The terrain's middle has the coordinates (x, y), and a unit of the coordinate system is `metres_x` and `metres_y`
+    long.
 
-    crs: its name; "" where coordinates are metres from the middle: there is none, someone has given the extent in
-    metres, or the raster is rotated against it.
+    crs: its name; "" where coordinates are metres from the middle: there is none, the user has given the extent in
+    metres, or the raster is rotated against it. period: of x, 360 degrees in units of a geographic system, else 0:
+    longitudes that differ by it are the same.
     """
 
     x: float = 0.0
@@ -27,45 +30,67 @@ class Placing(NamedTuple):
     metres_x: float = 1.0
     metres_y: float = 1.0
     crs: str = ""
+    period: float = 0.0
 
     def to_terrain(self, coordinates: np.ndarray) -> np.ndarray:
-        """float64 [n, 2] metres in the terrain's own space, of coordinates [n, 2]."""
-        return (coordinates - (self.x, self.y)) * (self.metres_x, self.metres_y)
+        """Return positions in the terrain's own space, float64 [n, 2] metres, of coordinates [n, 2]."""
+        offsets = coordinates - (self.x, self.y)
+        if self.period:
+            offsets[:, 0] -= self.period * np.round(offsets[:, 0] / self.period)
+        return offsets * (self.metres_x, self.metres_y)
 
-    def from_terrain(self, places: np.ndarray) -> np.ndarray:
-        """The other way."""
-        return places / (self.metres_x, self.metres_y) + (self.x, self.y)
+    def from_terrain(self, positions: np.ndarray) -> np.ndarray:
+        """Return coordinates, float64 [n, 2], of positions in the terrain's own space."""
+        return positions / (self.metres_x, self.metres_y) + (self.x, self.y)
 
 
 def is_placed(field: HeightField, store: str | os.PathLike) -> bool:
-    """Whether the origin and the steps of a store's field are those of its coordinate system, be that without a
+    """Return whether the origin and the steps of a store's field are those of its coordinate system, with or without a
     name."""
     sized = field.provenance.get("settings", {}).get("extent") is not None
-    return not sized and ROTATED not in stores.read_json(Path(store))["report"].get("warnings", ())
+    return not sized and rotation_of(store) == 0.0
+
+
+def rotation_of(store: str | os.PathLike) -> float | None:
+    """Return degrees by which the terrain of a store is rotated against its coordinate system; None if it is by an
+    angle that an older version has not written."""
+    report = stores.read_json(Path(store))["report"]
+    return report.get("rotation_deg", None if ROTATED in report.get("warnings", ()) else 0.0)
 
 
 def unit_lengths(field: HeightField) -> tuple[float, float]:
-    """Metres of a unit of a placed field's coordinate system along x and y. Loads GDAL: in child processes only."""
+    """Return metres of a unit of a placed field's coordinate system along x and y.
+
+    Loads GDAL: only for child processes.
+    """
     from rasterio.crs import CRS
 
-    crs = CRS.from_string(field.crs)
-    if crs.is_geographic:
-        degrees = np.degrees(crs.units_factor[1])
-        lengths = degree_lengths(float(field.origin[1]) * degrees, ellipsoid_of(crs.to_wkt()))
-        return degrees * lengths[0], degrees * lengths[1]
-    return (crs.linear_units_factor[1],) * 2 if crs.is_projected else (1.0, 1.0)
+    unit = unit_of(CRS.from_string(field.crs))
+    if "degrees" in unit:
+        lengths = degree_lengths(float(field.origin[1]) * unit["degrees"], unit["ellipsoid"])
+        return unit["degrees"] * lengths[0], unit["degrees"] * lengths[1]
+    return (unit.get("metres", 1.0),) * 2
 
 
 def placing_of(store: str | os.PathLike) -> Placing:
-    """Where the terrain of a store lies. Raises TerrainError."""
+    """Return the position of a store's terrain. Raises TerrainError."""
     store = Path(store)
     field = stores.open_store(store)
     if not field.crs or not is_placed(field, store):
         return Placing()
-    lengths = ask(MODULE, {"store": str(store.absolute())}, f"the coordinate system of the store {store}")
-    return Placing(*(float(c) for c in field.origin[:2]), *lengths, field.crs)
+    *lengths, period = ask(MODULE, {"store": str(store.absolute())}, f"the coordinate system of the store {store}")
+    return Placing(*(float(c) for c in field.origin[:2]), *lengths, field.crs, period)
 
 
 def child_main() -> None:
     """Answer one request."""
-    serve(lambda asked, *_: unit_lengths(stores.open_store(asked["store"])), lambda asked: f"Reading {asked['store']}")
+    serve(lambda request, *_: _units(request["store"]), lambda request: f"Reading {request['store']}")
+
+
+def _units(store: str) -> tuple[float, float, float]:
+    """Return the lengths of a store's units and the period of x, as of Placing."""
+    from rasterio.crs import CRS
+
+    field = stores.open_store(store)
+    degrees = unit_of(CRS.from_string(field.crs)).get("degrees")
+    return *unit_lengths(field), 360.0 / degrees if degrees else 0.0

@@ -7,41 +7,60 @@ nothing. Cubic weights are negative in places: they overshoot at cliffs and woul
 """
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 
-from ..ask.linear import lengths
+from ..ask.linear import length, lengths
 from ..errors import TerrainError, shown
+from .file_grid import FileGrid
 from .raster import ImportSettings, stands_for_missing
 
 # Samples of the raster by which GDAL may be off where it interpolates positions: 3 cm in a raster of 30 m.
 TOLERANCE = 0.001
-RIM_SAMPLES = 1024  # of each side, by which the new raster's extent is found
-MOST_GROWTH = 4.0  # times as many samples as before
+BORDER_SAMPLES = 1024  # of each side, by which the new raster's extent is found
+MAX_GROWTH = 4.0  # times as many samples as before
+INNER_SAMPLES = 33  # along each axis, that must be found again from the new system
+UNNAMED = 'LOCAL_CS["unnamed",UNIT["metre",1]]'  # in place of none, for a raster that is straightened in its own system
+_MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","[^"]*"\])?\]')
+_CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
 
-def reprojected(path: Path, dataset, stored: np.dtype, settings: ImportSettings):
-    """A view of a rasterio dataset (values `stored`) in the coordinate system `settings.project`: float64, NaN where
-    there is none, north up, with about as many samples a metre along each axis. Raises TerrainError."""
+def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings: ImportSettings) -> tuple:
+    """Return a resampled view of a rasterio dataset, and its grid.
+
+    The view is float64, NaN where there is none, north up, with about as many samples a metre along each axis. grid: of
+    the dataset, whose values are `stored`. The new one is in the coordinate system `settings.project`, or in the old
+    one if that is empty. Raises TerrainError.
+    """
+    from rasterio.crs import CRS
     from rasterio.enums import Resampling
+    from rasterio.transform import Affine
     from rasterio.vrt import WarpedVRT
 
-    if dataset.crs is None:
+    if grid.problem:
+        raise TerrainError(
+            f"{shown(path)} cannot be reprojected, because it {grid.problem}: place the raster first ({grid.tool})."
+        )
+    if settings.project and grid.crs is None:
         raise TerrainError(
             f"{shown(path)} names no coordinate system, so it cannot be reprojected: give it one (gdal_edit -a_srs), "
             "or import it as it is."
         )
-    crs = _target(path, dataset, settings.project)
-    transform, width, height = _grid(path, dataset, crs, settings.project)
+    source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
+    crs = _target(path, dataset, source, settings.project) if settings.project else source.crs
+    transform, width, height = _grid(path, dataset, source, crs)
     options = {}
     if settings.no_data is not None:
         value = settings.no_data
         options["src_nodata"] = value if stands_for_missing(value, stored) else None
-    return WarpedVRT(
+    view = WarpedVRT(
         dataset,
+        src_crs=source.crs,
+        src_transform=Affine(*source.transform),
         crs=crs,
-        transform=transform,
+        transform=Affine(*transform),
         width=width,
         height=height,
         resampling=Resampling.bilinear,
@@ -53,15 +72,38 @@ def reprojected(path: Path, dataset, stored: np.dtype, settings: ImportSettings)
         YSCALE=1,
         **options,
     )
+    return view, FileGrid(crs if settings.project else grid.crs, transform)
 
 
-def _target(path: Path, dataset, name: str):
-    """The coordinate system that `name` (ImportSettings.project) asks for."""
+def _centred(grid: FileGrid, dataset) -> FileGrid:
+    """Return a grid in degrees whose longitudes pass 180 degrees with its prime meridian moved to its middle.
+
+    PROJ answers longitudes within 180 degrees of the prime meridian, so samples beyond would not be found.
+    """
+    from rasterio.crs import CRS
+
+    wkt = grid.crs.to_wkt()
+    meridian = _MERIDIAN.search(wkt)
+    if not grid.crs.is_geographic or not meridian or abs(math.degrees(grid.crs.units_factor[1]) - 1.0) > 1e-9:
+        return grid
+    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (dataset.width, dataset.height)
+    longitudes, _ = grid.positions(*corners.T)
+    if np.abs(longitudes).max() <= 180.0:
+        return grid
+    middle = float(longitudes.min() + longitudes.max()) / 2
+    moved = (float(meridian[1]) + middle + 180.0) % 360.0 - 180.0
+    wkt = f'{wkt[: meridian.start()]}PRIMEM["moved",{moved!r}]{wkt[meridian.end() :]}'
+    a, b, c, d, e, f = grid.transform
+    return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
+
+
+def _target(path: Path, dataset, source: FileGrid, name: str):
+    """Return the coordinate system that `name` (ImportSettings.project) stands for."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
     if name.upper() == "UTM":
-        name = _utm_zone(path, dataset)
+        name = _utm_zone(path, dataset, source)
     try:
         crs = CRS.from_epsg(int(name.partition(":")[2]))
     except (CRSError, ValueError) as reason:
@@ -71,12 +113,12 @@ def _target(path: Path, dataset, name: str):
     return crs
 
 
-def _utm_zone(path: Path, dataset) -> str:
-    """The WGS 84 UTM zone of a raster's middle, as EPSG:n."""
+def _utm_zone(path: Path, dataset, source: FileGrid) -> str:
+    """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n."""
     from rasterio.crs import CRS
 
-    middle = _position(dataset, np.array([dataset.width / 2]), np.array([dataset.height / 2]))
-    x, y = _transformed(path, dataset.crs, CRS.from_epsg(4326), *middle)
+    middle = source.positions(np.array([dataset.width / 2]), np.array([dataset.height / 2]))
+    x, y = _transformed(path, source.crs, CRS.from_epsg(4326), *middle)
     longitude, latitude = float(x[0]), float(y[0])
     if not -80.0 <= latitude <= 84.0:
         raise TerrainError(
@@ -87,35 +129,56 @@ def _utm_zone(path: Path, dataset) -> str:
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
-def _grid(path: Path, dataset, crs, name: str) -> tuple:
-    """The new raster's transform, width and height: over the old one's samples, as dense as they are at its middle."""
-    from rasterio.transform import Affine
-
+def _grid(path: Path, dataset, source: FileGrid, crs) -> tuple:
+    """Return the new raster's transform, width and height: over the old samples, as dense as they are at its middle."""
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples lie in the middle of cells
-    sides = np.linspace([0.5, 0.5], [right, bottom], RIM_SAMPLES)
+    sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
     columns, rows = sides.T
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])
     rows = np.concatenate([np.full_like(rows, 0.5), np.full_like(rows, bottom), rows, rows])
-    x, y = _transformed(path, dataset.crs, crs, *_position(dataset, columns, rows))
+    x, y = _transformed(path, source.crs, crs, *source.positions(columns, rows))
     column, row = dataset.width / 2, dataset.height / 2
-    near = _position(dataset, np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
-    near_x, near_y = _transformed(path, dataset.crs, crs, *near)
-    steps = lengths(np.stack([near_x[1:] - near_x[0], near_y[1:] - near_y[0]]))
-    along_x = abs(near_y[1] - near_y[0]) < 0.1 * steps[0]
-    step_x, step_y = steps if along_x else (steps.min(), steps.min())
+    near = source.positions(np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
+    near_x, near_y = _transformed(path, source.crs, crs, *near)
+    step_x, step_y = _steps(near_x[1] - near_x[0], near_x[2] - near_x[0], near_y[1] - near_y[0], near_y[2] - near_y[0])
     width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))
-    if width * height > MOST_GROWTH * dataset.width * dataset.height + 1e4:
+    name = crs.to_string()[:80]
+    if width * height > MAX_GROWTH * dataset.width * dataset.height + 1e4:
         raise TerrainError(
             f"{shown(path)} would have {width} x {height} samples in {name}, in place of {dataset.width} x "
-            f"{dataset.height}: it lies too far from that system's area; choose another one."
+            f"{dataset.height}: it is oblique there or too far from that system's area; choose another system."
         )
-    return Affine(step_x, 0.0, x.min() - step_x / 2, 0.0, -step_y, y.max() + step_y / 2), width, height
+    _check_way_back(path, dataset, source, crs)
+    return (step_x, 0.0, x.min() - step_x / 2, 0.0, -step_y, y.max() + step_y / 2), width, height
 
 
-def _position(dataset, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where columns and rows (from the raster's corner) lie in its own coordinate system."""
-    a, b, c, d, e, f = tuple(dataset.transform)[:6]
-    return a * columns + b * rows + c, d * columns + e * rows + f
+def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tuple[float, float]:
+    """Return the steps along x and y of a straight grid as dense as one whose column and row steps are given."""
+    column, row = length((column_x, column_y)), length((row_x, row_y))
+    area = abs(column_x * row_y - column_y * row_x)
+    if abs(column_y) < 0.1 * column:
+        return column, area / column
+    if abs(column_x) < 0.1 * column:
+        return area / column, column
+    step = max(min(column, row), math.sqrt(area / 2))
+    return step, step
+
+
+def _check_way_back(path: Path, dataset, source: FileGrid, crs) -> None:
+    """Refuse a raster whose samples are not found again from where they lie in the new system.
+
+    A projected raster may pass the edge of its own system, as one in Web Mercator that passes 180 degrees.
+    """
+    inner = np.linspace(0.02, 0.98, INNER_SAMPLES)
+    columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
+    x, y = source.positions(columns, rows)
+    back_x, back_y = _transformed(path, crs, source.crs, *_transformed(path, source.crs, crs, x, y))
+    cell = max(length(source.transform[0:4:3]), length(source.transform[1:5:3]))
+    if lengths(np.stack([back_x - x, back_y - y])).max() > cell:
+        raise TerrainError(
+            f"{shown(path)} passes the edge of its coordinate system {source.crs.to_string()[:80]}, so parts of it are "
+            "not found in another one: cut it there (gdalwarp -te), or import it as it is."
+        )
 
 
 def _transformed(path: Path, source, target, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

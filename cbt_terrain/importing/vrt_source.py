@@ -25,10 +25,13 @@ LARGEST_NUMBER = 2.0**31  # of pixels, in a window
 _SOURCE = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRect"}
 _COMPLEX = _SOURCE | {"ScaleOffset", "ScaleRatio", "NODATA", "LUT", "UseMaskBand"}
 _BAND = {"NoDataValue", "HideNoDataValue", "UnitType", "Offset", "Scale", "ColorInterp", "MaskBand"}
+_POINT = ("Pixel", "Line", "X", "Y", "Z")
 _RECTANGLE = {"xOff", "yOff", "xSize", "ySize"}
 # Element: its attributes and the elements in it.
 ALLOWED = {
-    "VRTDataset": ({"rasterXSize", "rasterYSize"}, {"SRS", "GeoTransform", "VRTRasterBand", "MaskBand"}),
+    "VRTDataset": ({"rasterXSize", "rasterYSize"}, {"SRS", "GeoTransform", "GCPList", "VRTRasterBand", "MaskBand"}),
+    "GCPList": ({"Projection", "dataAxisToSRSAxisMapping"}, {"GCP"}),
+    "GCP": ({"Id", "Info", "Pixel", "Line", "X", "Y", "Z"}, set()),
     "SRS": ({"dataAxisToSRSAxisMapping", "coordinateEpoch"}, set()),
     "VRTRasterBand": (
         {"dataType", "band", "blockXSize", "blockYSize"},
@@ -44,7 +47,7 @@ ALLOWED = {
     "DstRect": (_RECTANGLE, set()),
 }
 # What says nothing of a height; left out with all that is in it.
-IGNORED = {"CategoryNames", "ColorTable", "Description", "GCPList", "Histograms", "Metadata"}
+IGNORED = {"CategoryNames", "ColorTable", "Description", "Histograms", "Metadata"}
 IGNORED |= {"Overview", "OverviewList"}
 # Attributes that say what holds anyway.
 PLAIN = {("subClass", "VRTSourcedRasterBand"), ("subClass", "VRTDataset")}
@@ -52,16 +55,16 @@ PLAIN = {("subClass", "VRTSourcedRasterBand"), ("subClass", "VRTDataset")}
 _NUMBER = r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?"
 _COUNT, _NAME = r"\d{1,10}", r"[\w :/²°.-]{0,64}"
 TEXTS = {
-    "SRS": r"EPSG:\d{1,7}|[A-Z_]+\s*\[.*|",
+    **dict.fromkeys(("SRS", "Projection"), r"EPSG:\d{1,7}|[A-Z_]+\s*\[.*|"),
     "GeoTransform": rf"{_NUMBER}(\s*,\s*{_NUMBER}){{5}}",
     "LUT": rf"{_NUMBER}\s*:\s*{_NUMBER}(\s*,\s*{_NUMBER}\s*:\s*{_NUMBER})*",
     "UseMaskBand": "true|false",
     "SourceBand": r"\d{1,5}|mask|mask,\d{1,5}",
     "dataAxisToSRSAxisMapping": r"[-,\d]{1,16}",
-    **dict.fromkeys(("Offset", "Scale", "ScaleOffset", "ScaleRatio", "coordinateEpoch", *_RECTANGLE), _NUMBER),
+    **dict.fromkeys(("Offset", "Scale", "ScaleOffset", "ScaleRatio", "coordinateEpoch", *_POINT, *_RECTANGLE), _NUMBER),
     **dict.fromkeys(("NoDataValue", "NODATA"), rf"(?i:{_NUMBER}|[-+]?nan|[-+]?inf)"),
     **dict.fromkeys(("HideNoDataValue", "relativeToVRT", "shared"), "[01]"),
-    **dict.fromkeys(("UnitType", "ColorInterp", "name"), _NAME),
+    **dict.fromkeys(("UnitType", "ColorInterp", "name", "Id", "Info"), _NAME),
     **dict.fromkeys(("resampling", "dataType", "DataType"), r"\w{1,16}"),
     **dict.fromkeys(("rasterXSize", "rasterYSize", "RasterXSize", "RasterYSize", "band"), _COUNT),
     **dict.fromkeys(("blockXSize", "blockYSize", "BlockXSize", "BlockYSize"), _COUNT),

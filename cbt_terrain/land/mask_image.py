@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
+from ..field.georeference import Georeference
 from ..field.store_arrays import map_array, write_array
 from ..importing.guard import guard
 from ..importing.raster import ImportSettings
@@ -55,12 +56,10 @@ def _read(asked: dict, *_) -> list[int]:
         stored = np.dtype(raster.stored)
         largest = float(np.iinfo(stored).max) if stored.kind in "iu" else 1.0
         rows = raster.read(0, raster.height).astype(np.float32) / np.float32(largest)
-        if raster.georeference is not None and raster.georeference.first_column_east:
-            rows = rows[:, ::-1]
-        if raster.georeference is None or not raster.georeference.first_row_south:
-            rows = rows[::-1]
+        georeference = raster.georeference or Georeference()
+        image = np.empty(rows.T.shape if georeference.transposed else rows.shape, np.float32)
+        georeference.in_file_order(image)[:] = np.clip(np.nan_to_num(rows), 0.0, 1.0)
     finally:
         raster.close()
-    image = np.ascontiguousarray(np.clip(np.nan_to_num(rows), 0.0, 1.0), np.float32)
     write_array(kept, image)
     return list(image.shape)

@@ -14,10 +14,10 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import store, store_folder
 from ..field.build import build
-from ..field.georeference import ROTATED
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
 from ..importing.drafts import drafted, figures, room_for
+from ..importing.placing import rotation_of
 from ..run import launch
 from .level_plan import MOST_WHOLE
 from .level_work import METHOD
@@ -192,8 +192,7 @@ def _provenance(
 def _report(field: HeightField, source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))
-    # Whoever asks where the land lies goes by it.
-    warnings = [ROTATED] if ROTATED in store.read_json(Path(source))["report"].get("warnings", ()) else []
+    warnings = []
     rms, most = shaped.left_out_m
     if most > 0.0:
         warnings.append(
@@ -205,6 +204,7 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
         "format": "shaped",
         "raster": [lattice.width, lattice.height],
         **figures(field),
+        "rotation_deg": rotation_of(source),
         "bounds_against": "the surface as shaped",
         "effects": [entry.effect for entry in stack.active],
         "layers": sorted(field.layers) or sorted(layer_units(heights, stack)),

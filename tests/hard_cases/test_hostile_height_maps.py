@@ -131,14 +131,13 @@ def test_case_63_the_process_that_reads_has_nothing_to_attack_with(tmp_path, ask
 
 
 def test_case_63_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
-    """A named pipe beside a grid holds GDAL up for ever: stopped by import and `info`, in one sentence."""
+    """A named pipe beside a raster holds GDAL up for ever: stopped by import and `info`, in one sentence."""
     monkeypatch.setattr(stall, "STALL_SECONDS", 3.0)
-    grid = write_raster(tmp_path / "a.asc", hills(9, 9))
-    (tmp_path / "a.prj").unlink(missing_ok=True)
-    os.mkfifo(tmp_path / "a.prj")
+    grid = write_raster(tmp_path / "a.tif", hills(9, 9))
+    os.mkfifo(tmp_path / "a_RPC.TXT")  # rarer than the sidecars that are looked at first
     settings = ImportSettings(source=str(grid))
     for read in (lambda: import_source(settings, tmp_path / "store"), lambda: describe_source(settings)):
-        with pytest.raises(TerrainError, match="a.asc made no progress for 3 s and was stopped: .*[.]$"):
+        with pytest.raises(TerrainError, match="a.tif made no progress for 3 s and was stopped: .*[.]$"):
             read()
     assert not (tmp_path / "store").exists()
 

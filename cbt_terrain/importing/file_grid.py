@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The grid of a GDAL dataset: its coordinate system and its geotransform, where the file has them."""
+
+import json
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..ask.linear import lengths, product
+from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
+
+# Cells by which ground control points may lie beside a straight grid that is taken in their place.
+MAX_GCP_CELLS = 0.05
+
+
+class FileGrid(NamedTuple):
+    """crs: a rasterio CRS or None. transform: takes columns and rows of cells' corners to x and y; None where the file
+    does not place its samples. problem: why it is None, "" where the file has no georeference at all; tool: what places
+    the raster."""
+
+    crs: object = None
+    transform: Transform | None = None
+    problem: str = ""
+    tool: str = ""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the coordinate system, "" if there is none."""
+        return self.crs.to_string() if self.crs is not None else ""
+
+    def positions(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of columns and rows, counted from the raster's corner."""
+        a, b, c, d, e, f = self.transform
+        return a * columns + b * rows + c, d * columns + e * rows + f
+
+
+def grid_of(dataset) -> FileGrid:
+    """Return the grid of a rasterio dataset. Raises TerrainError for a geotransform without an area.
+
+    An identity is what GDAL answers where there is no geotransform.
+    """
+    if not dataset.transform.is_identity:
+        return FileGrid(dataset.crs, without_dust(tuple(dataset.transform)[:6]))
+    points, crs = dataset.gcps
+    if points:
+        return _from_control_points(points, crs)
+    if dataset.rpcs is not None:
+        return FileGrid(dataset.crs, None, "places its samples by rational polynomials (RPC)", "gdalwarp -rpc")
+    if dataset.crs is not None:
+        problem = f"names the coordinate system {FileGrid(dataset.crs).name[:80]}, but not the position of its samples"
+        return FileGrid(dataset.crs, None, problem, "gdal_edit.py -a_ullr")
+    return FileGrid()
+
+
+def _from_control_points(points: list, crs) -> FileGrid:
+    """Return the straight grid through ground control points, if there is one."""
+    pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
+    ground = np.array([(point.x, point.y) for point in points], np.float64)
+    if np.isfinite(pixels).all() and np.isfinite(ground).all():
+        middle, shift = pixels.mean(axis=0) * (1.0, 1.0, 0.0), ground.mean(axis=0)
+        fit, _, rank, _ = np.linalg.lstsq(pixels - middle, ground - shift, rcond=None)
+        if rank == 3:
+            off = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
+            if lengths(off).max() <= MAX_GCP_CELLS:
+                (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]
+                numbers = tuple(float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
+                return FileGrid(crs, without_dust(numbers))
+    problem = f"places its samples by {len(points)} ground control point(s) that fit no straight grid"
+    return FileGrid(crs, None, problem, "gdalwarp -tps")
+
+
+def unit_of(crs) -> dict:
+    """Return what `from_transform` has to know of a coordinate system: its unit, and the ellipsoid of degrees."""
+    if crs is not None and crs.is_geographic:
+        return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
+    return {"metres": crs.linear_units_factor[1]} if crs is not None and crs.is_projected else {}
+
+
+def has_shear(grid: FileGrid, width: int, height: int) -> bool:
+    """Return whether the rows and columns of a placed raster are not perpendicular on the ground."""
+    unit = unit_of(grid.crs)
+    if "degrees" not in unit:
+        return is_sheared(grid.transform, 1.0, 1.0)
+    latitude = unit["degrees"] * float(grid.positions(width / 2, height / 2)[1])
+    along_x, along_y = degree_lengths(latitude, unit["ellipsoid"])
+    return is_sheared(grid.transform, along_x, along_y)
+
+
+def base_crs(crs):
+    """Return the geographic system below a projected one, None if it has none."""
+    from rasterio.crs import CRS
+
+    content = crs.to_dict(projjson=True)
+    parts = [content, *content.get("components", ()), content.get("source_crs", {})]
+    base = next((part["base_crs"] for part in parts if "base_crs" in part), None)
+    return None if base is None else CRS.from_user_input(json.dumps(base))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that belong to a raster and lie beside it: world files, .prj, and GDAL's .aux.xml.
+
+GDAL reads an .aux.xml with its own parser. It is looked at here first, and GDAL may read it only where nothing in it
+names another file.
+"""
+
+import contextlib
+import os
+import re
+from pathlib import Path
+from xml.parsers import expat
+
+from ..errors import TerrainError, shown
+
+AUX = ".aux.xml"
+SUFFIXES = (".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX, ".hdr", ".ovr", ".msk")
+MAX_BYTES, MAX_DEPTH = 16 << 20, 64
+# A code or WKT: what else GDAL takes for a coordinate system may name a file.
+_SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)
+
+
+def sidecars(path: Path) -> list[Path]:
+    """Return the files beside a raster that may belong to it, whatever the case of their suffix.
+
+    Raises TerrainError for one that is no regular file, because GDAL would wait for what it holds.
+    """
+    stem, name = path.stem.lower(), path.name.lower()
+    wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
+    try:
+        found = [path.with_name(other) for other in sorted(os.listdir(path.parent)) if other.lower() in wanted]
+    except OSError:  # a folder that may be entered but not listed
+        found = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
+    for file in found:
+        if not file.is_file() and not file.is_dir() and file.exists():
+            raise TerrainError(
+                f"{shown(file)}, which belongs to {shown(path)} by its name, is not a regular file: remove it."
+            )
+    return [file for file in found if file.is_file()]
+
+
+def aux_file(path: Path) -> Path | None:
+    """Return the .aux.xml of a raster, if there is one."""
+    return next((file for file in sidecars(path) if file.name.lower() == path.name.lower() + AUX), None)
+
+
+def read_aux(file: Path) -> str:
+    """Return the coordinate system that an .aux.xml names, "" if it names none. Raises TerrainError for what GDAL is
+    not to read."""
+    depth, texts, in_system = 0, [], False
+
+    def refuse(problem: str) -> None:
+        raise TerrainError(f"{shown(file)} is not read, because it {problem}: write it again with GDAL.")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, in_system
+        depth, in_system = depth + 1, depth == 1 and name == "SRS"
+        if depth > MAX_DEPTH:
+            refuse(f"has elements more than {MAX_DEPTH} deep")
+        if "OVERVIEW_FILE" in attributes.values():
+            refuse("names another file")
+        if not _SYSTEM.fullmatch(attributes.get("Projection", "").strip()):
+            refuse("names no coordinate system where one is expected")
+
+    def end(_name: str) -> None:
+        nonlocal depth, in_system
+        depth, in_system = depth - 1, False
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = lambda text: texts.append(text) if in_system else None
+    parser.StartDoctypeDeclHandler = lambda *_: refuse("has a document type, which may define entities")
+    try:
+        parser.Parse(_content(file), True)
+    except (expat.ExpatError, ValueError, LookupError) as reason:
+        refuse(f"is no well-formed XML ({reason})")
+    system = "".join(texts).strip()
+    if not _SYSTEM.fullmatch(system):
+        refuse("names no coordinate system where one is expected")
+    return system
+
+
+def named_crs(path: Path, notes: list[str]):
+    """Return the coordinate system in the files beside a raster that names none itself; None if there is none.
+
+    GDAL reads a .prj only of ASCII grids, and the system in an .aux.xml not of those. notes: gets a warning about a
+    .prj that cannot be read.
+    """
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    aux = aux_file(path)
+    with contextlib.suppress(TerrainError, CRSError):
+        if aux is not None and (system := read_aux(aux)):
+            return CRS.from_user_input(system)
+    for file in sidecars(path):
+        if file.suffix.lower() == ".prj":
+            try:
+                return CRS.from_wkt(_content(file).decode())
+            except (TerrainError, CRSError, UnicodeDecodeError):
+                notes.append(f"{shown(file)} is not read, because it holds no coordinate system: write WKT into it.")
+    return None
+
+
+def _content(file: Path) -> bytes:
+    """Return what a sidecar holds. Raises TerrainError for one that is too large or cannot be read."""
+    try:
+        with file.open("rb") as opened:
+            content = opened.read(MAX_BYTES + 1)
+    except OSError as reason:
+        cause = reason.strerror or reason
+        raise TerrainError(f"{shown(file)} is not read, because {cause}: change its permissions.") from reason
+    if len(content) > MAX_BYTES:
+        raise TerrainError(f"{shown(file)} is not read, because it has more than {MAX_BYTES >> 20} MB: write it again.")
+    return content

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The TIFF tag Orientation (274), which GDAL does not report: where the first row and column of a picture lie."""
+
+import os
+import struct
+from pathlib import Path
+
+from ..field.georeference import Georeference
+
+ORIENTATION, SHORT = 274, 3
+MAX_TAGS = 4096  # of a file's first directory that are looked at
+
+
+def orientation_of(path: Path) -> int:
+    """Return the orientation of a TIFF's first picture, 1 to 8; 1 where the file does not tell."""
+    with path.open("rb") as file:
+        head = file.read(16)
+        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        if order is None or len(head) < 16:
+            return 1
+        (version,) = struct.unpack_from(order + "H", head, 2)
+        # Of BigTIFF, offsets and counts have 8 bytes: a directory's count, an entry's count and its value.
+        start, count, entry, value = (8, "Q", 20, 12) if version == 43 else (4, "I", 12, 8)
+        (offset,) = struct.unpack_from(order + count, head, start)
+        kind = "Q" if version == 43 else "H"
+        if offset > os.fstat(file.fileno()).st_size:
+            return 1
+        file.seek(offset)
+        number = file.read(struct.calcsize(kind))
+        if len(number) < struct.calcsize(kind):
+            return 1
+        (tags,) = struct.unpack(order + kind, number)
+        content = file.read(min(tags, MAX_TAGS) * entry)
+    for at in range(0, len(content) - entry + 1, entry):
+        tag, type_ = struct.unpack_from(order + "HH", content, at)
+        if tag == ORIENTATION and type_ == SHORT:
+            (orientation,) = struct.unpack_from(order + "H", content, at + value)
+            return orientation if 1 <= orientation <= 8 else 1
+    return 1
+
+
+def oriented(orientation: int) -> Georeference | None:
+    """Return the directions of rows and columns for a picture that is not placed; None for the usual ones."""
+    if orientation == 1:
+        return None
+    return Georeference(
+        first_row_south=orientation in (3, 4, 7, 8),
+        first_column_east=orientation in (2, 3, 6, 7),
+        transposed=orientation >= 5,
+    )

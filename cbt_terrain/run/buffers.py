@@ -105,7 +105,7 @@ class Buffers:
     def nbytes(self) -> int:
         """Bytes of all arrays, touched or not, with what is lent of earlier ones."""
         memory = [array for array, _ in self._arrays.values()] + [array for array, _ in self._lent]
-        return sum({id(array): array.nbytes for array in memory}.values())
+        return sum(int(array.nbytes) for array in {id(array): array for array in memory}.values())
 
 
 def _taken_from(spare: list[np.ndarray], memory: np.ndarray) -> np.ndarray:

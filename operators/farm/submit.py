@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_images import map_folder
 from ..effects.map_request import read_as_images
@@ -108,6 +109,8 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[P
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
     derived += [map_folder(obj)] if read_as_images(obj) else []
+    for folder in derived:
+        check_folder(folder)
     made += derived
     folders += [folder for folder in derived if folder.is_dir()]
 

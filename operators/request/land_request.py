@@ -27,10 +27,9 @@ from ...cbt_terrain.land.preview import Preview, preview
 from ...cbt_terrain.land.shape_process import shape_store
 from ...cbt_terrain.land.stack import Stack, land_name
 from ...cbt_terrain.run import launch, owned_files
-from ...cbt_terrain.run.named_file import cause, open_regular
 from ...cbt_terrain.run.owned_files import NotOursError
 from ..properties.land_properties import SEEN
-from . import land_stack, land_tiles
+from . import land_masks, land_stack, land_tiles
 from .land_folders import (
     MASKS,
     OF_VIEWS,
@@ -313,16 +312,7 @@ def remove_old(land: Land) -> None:
 def _images_of(stack: Stack) -> dict[str, np.ndarray]:
     """The files that land_masks.py has written, row 0 south."""
     files = {entry.mask.image for entry in stack.active if entry.mask is not None and entry.mask.image}
-    return {file: _array_in(file)[::-1] for file in files}
-
-
-def _array_in(file: str) -> np.ndarray:
-    """Return the array in a .npy file. Raises TerrainError."""
-    try:
-        with open_regular(file, links=True) as handle:
-            return np.lib.format.read_array(handle, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as reason:
-        raise TerrainError(f"The mask {file} cannot be read ({cause(reason)}): remove it, it is made again.") from None
+    return {file: land_masks.read(file)[::-1] for file in files}
 
 
 def preview_of(land: Land) -> Preview | None:

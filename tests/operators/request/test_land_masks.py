@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where an effect on heights acts: masks by rules, images and objects."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -123,3 +125,14 @@ def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
     file.write_bytes(whole)
     entry.mask.image = bpy.data.images.load(str(file))
     session.update_object(terrain)
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x93NUMPY\x01\x00\xff", b"mine"])
+def test_a_damaged_mask_file_is_named(terrain, tmp_path, damage):
+    entry = add("thermal")
+    entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
+    [found] = stack_now(terrain, tmp_path).entries
+    assert land_masks.read(found.mask.image).shape == (4, 4)
+    Path(found.mask.image).write_bytes(damage)
+    with pytest.raises(session.TerrainError, match=r"\.npy is damaged .*: delete the file, it is made again"):
+        land_masks.read(found.mask.image)

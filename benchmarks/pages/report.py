@@ -177,7 +177,7 @@ def write_text(path: Path, text: str) -> None:
                 part.replace(target)
         finally:
             if whole:
-                remove_file(part)
+                remove_file(part, may_be_link=True)
     except OSError as reason:
         raise _unwritable(path, reason) from reason
 

@@ -49,7 +49,7 @@ def write_tiff(field: HeightField, path: Path) -> Path:
     array = path.with_suffix(".npy")
     np.save(array, field.heights())
     run_child("rig.tiff", array, path, field.lattice.step_x)
-    remove_file(array)
+    remove_file(array, may_be_link=True)
     return path
 
 

@@ -108,7 +108,7 @@ def bake(
                     target.replace(file, made, file)
         for file in listed - files_of(index):
             if _key_in(folder / file) is not None:  # else it is not the image that was baked
-                owned_files.remove_file(folder / file)
+                owned_files.remove_file(folder / file, may_be_link=True)
     except OSError as reason:
         raise TerrainError(
             f"The maps cannot be written into {folder} ({reason.strerror or reason}); choose another folder."

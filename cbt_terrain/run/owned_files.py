@@ -205,11 +205,15 @@ def _not_ours(path: Path, found: os.stat_result, expected: str, then: str = "try
     )
 
 
-def check_folder(path: str | os.PathLike) -> None:
-    """Raise NotOursError unless a path is a folder that the program may use, or is missing."""
+def check_folder(path: str | os.PathLike, *names: str) -> None:
+    """Raise NotOursError unless a path, and the folders `names` in it, are folders that the program may use, or are
+    missing. Raises TerrainError where that cannot be found out."""
     try:
-        with open_folder(path):
-            pass
+        with open_folder(path) as folder:
+            for name in names:
+                found = folder.find(name)
+                if found is not None and (is_link(found) or not stat.S_ISDIR(found.st_mode)):
+                    raise _not_ours(folder.path / name, found, "a folder")
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as reason:
@@ -219,14 +223,15 @@ def check_folder(path: str | os.PathLike) -> None:
         ) from reason
 
 
-def remove_file(path: str | os.PathLike) -> None:
-    """Remove a regular file in a folder that the user chose or the program derives; a missing one is no error.
+def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
+    """Remove a regular file; a missing one is no error.
 
-    Raises NotOursError for a link or a folder, and OSError.
+    may_be_link: of the file's folder, as of `open_folder`. Raises NotOursError for a link or a folder in its place, and
+    OSError.
     """
     path = Path(path)
     try:
-        with open_folder(path.absolute().parent, may_be_link=True) as folder:
+        with open_folder(path.absolute().parent, may_be_link=may_be_link) as folder:
             found = folder.find(path.name)
             if found is None:
                 return
@@ -238,16 +243,18 @@ def remove_file(path: str | os.PathLike) -> None:
         pass
 
 
-def remove_tree(path: str | os.PathLike, is_own: Callable[[str, bool], bool] | None = None) -> None:
+def remove_tree(
+    path: str | os.PathLike, is_own: Callable[[str, bool], bool] | None = None, may_be_link: bool = False
+) -> None:
     """Remove a folder with all that is in it; a missing one is no error.
 
     is_own: whether this program made an entry, by its name and whether it is a folder. None: all of it is, as in a
-    folder that this process made. Raises NotOursError before anything is removed, where the folder is a link, or an
-    entry is a link or not the program's. Raises OSError.
+    folder that this process made. may_be_link: of the folder above, as of `open_folder`. Raises NotOursError
+    before anything is removed, where the folder is a link, or an entry is a link or not the program's. Raises OSError.
     """
     path = Path(path)
     try:
-        with open_folder(path.absolute().parent, may_be_link=True) as above:
+        with open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
             with above.open(path.name) as folder:
                 names = folder.entries()
                 for name in names if is_own else ():

@@ -69,7 +69,7 @@ def written_among(path: Path) -> Iterator[Path]:
             with open_folder(path.parent, may_be_link=True) as parent:
                 parent.replace(path.name, parent, partial.name)
         finally:
-            owned_files.remove_file(partial)
+            owned_files.remove_file(partial, may_be_link=True)
 
 
 def check_replaceable(path: Path) -> None:
@@ -97,7 +97,7 @@ def private_folder(parent: Path) -> Iterator[Path]:
     finally:
         os.close(lock)
         with suppress(OSError, NotOursError):
-            owned_files.remove_tree(folder)
+            owned_files.remove_tree(folder, may_be_link=True)
 
 
 def is_partial_name(name: str) -> bool:
@@ -199,8 +199,8 @@ def remove_if_abandoned(
                     os.close(lock)
                     lock = None
                 for file in folder.parent.glob(f"{folder.name}-*"):
-                    owned_files.remove_file(file)
-                owned_files.remove_tree(folder, is_own)
+                    owned_files.remove_file(file, may_be_link=True)
+                owned_files.remove_tree(folder, is_own, may_be_link=is_own is None)
         finally:
             if lock is not None:
                 os.close(lock)

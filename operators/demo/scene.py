@@ -77,7 +77,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
         settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
-    remove_file(file + "1")  # Blender's backup of the first
+    remove_file(file + "1", may_be_link=True)  # Blender's backup of the first
     return scene, obj
 
 

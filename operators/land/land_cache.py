@@ -24,7 +24,7 @@ def held(store: str) -> list[tuple[str, Path, int]]:
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
         tiles = folder_beside(source) / store_folder.TILES
-        check_folder(tiles)
+        check_folder(tiles.parent, tiles.name)
         found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
     return found
 

@@ -93,7 +93,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
             raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays.")
-        remove_file(found)
+        remove_file(found, may_be_link=True)
         return {"FINISHED"}
 
 

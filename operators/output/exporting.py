@@ -104,7 +104,7 @@ def write_frames(
 def _remove_summary(path: Path) -> None:
     """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
     try:
-        remove_file(path)
+        remove_file(path, may_be_link=True)
     except OSError as error:
         raise TerrainError(
             f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "
@@ -241,7 +241,7 @@ def _written_by_blender(path: Path, written=written_beside):
     """
     with written(path) as partial, paused():
         partial.touch()
-        remove_file(partial)
+        remove_file(partial, may_be_link=True)
         yield partial
 
 

@@ -41,14 +41,6 @@ def is_land_name(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
-def check_folders(folder: Path) -> None:
-    """Raise TerrainError where a link or a file stands in place of the folders of shaped land `folder`."""
-    for used in (folder, folder.with_name(folder.name.removesuffix(OF_VIEWS) + OF_VIEWS)):
-        owned_files.check_folder(used)
-    for used in (store_folder.TILES, MASKS):
-        owned_files.check_folder(folder.with_name(used))
-
-
 def records(provenance: dict, folder: str, source_key: str) -> bool:
     """Return whether a store records that it is the land its folder is named for, and False for an older record.
 

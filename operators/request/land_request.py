@@ -33,7 +33,6 @@ from . import land_masks, land_stack, land_tiles
 from .land_folders import (
     MASKS,
     OF_VIEWS,
-    check_folders,
     folder_beside,
     is_land_name,
     is_of_views,
@@ -111,12 +110,12 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
         return None
     source = bpy.path.abspath(settings.store)
     folder = folder_beside(source)
-    owned_files.check_folder(folder / MASKS)
+    owned_files.check_folder(folder, MASKS, store_folder.TILES)
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
     if not stack.active:
         return None
     land = Land(source, str(folder / land_name(_source_key(source), stack)), waits, stack)
-    check_folders(Path(land.folder))
+    owned_files.check_folder(folder, *(Path(some.folder).name for some in (land, land.of_views_alone)))
     _note_use(obj.session_uid, land)
     return land.of_views_alone if settings.land.where == SEEN else land
 

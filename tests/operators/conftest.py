@@ -2,5 +2,5 @@
 """The fixtures for Blender are shared with the hard cases."""
 
 from blender_scenes import add_terrain, empty, grid_surface, preparing, scene, store  # noqa: F401
-from land_scenes import terrain, wide_store  # noqa: F401
+from land_scenes import first_shaped, shaped, terrain, wide_store  # noqa: F401
 from store_exports import export, flight  # noqa: F401

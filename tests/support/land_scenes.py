@@ -2,6 +2,7 @@
 """A terrain whose land is shaped in Blender: its stack, and a store large enough for tiles."""
 
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft
 from adaptive_terrain.operators.request import land_request, land_stack
+from adaptive_terrain.operators.scene import session, shaped_land
 
 
 @pytest.fixture
@@ -21,6 +23,28 @@ def terrain(scene, add_terrain, store, tmp_path):
     land_request.forget()
     land_request.made.update(previews=0, stores=0)
     return obj
+
+
+@pytest.fixture(scope="module")
+def first_shaped(tmp_path_factory):
+    """Where the first test that needs it leaves a copy of all that its stack has made."""
+    return tmp_path_factory.mktemp("shaped") / "land"
+
+
+@pytest.fixture
+def shaped(terrain, first_shaped):
+    """The folder of the land that `terrain` shows, shaped by its stack of one entry."""
+    add("thermal")
+    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    if not first_shaped.exists():
+        assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+        shutil.copytree(beside, first_shaped)
+        land_request.made["stores"] = 0
+    else:
+        shutil.copytree(first_shaped, beside)
+        session.update_object(terrain)
+    assert shaped_land.state_of(terrain).shown == "Shaped" and land_request.made["stores"] == 0
+    return Path(shaped_land.store_of(terrain))
 
 
 def add(effect: str, **numbers):

@@ -20,28 +20,6 @@ from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
 
-@pytest.fixture(scope="module")
-def first_shaped(tmp_path_factory):
-    """Where the first test that needs it leaves a copy of all that its stack has made."""
-    return tmp_path_factory.mktemp("shaped") / "land"
-
-
-@pytest.fixture
-def shaped(terrain, first_shaped):
-    """The folder of the land that `terrain` shows, shaped by its stack of one entry."""
-    add("thermal")
-    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
-    if not first_shaped.exists():
-        assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
-        shutil.copytree(beside, first_shaped)
-        land_request.made["stores"] = 0
-    else:
-        shutil.copytree(first_shaped, beside)
-        session.update_object(terrain)
-    assert shaped_land.state_of(terrain).shown == "Shaped" and land_request.made["stores"] == 0
-    return Path(shaped_land.store_of(terrain))
-
-
 def test_shaped_land_that_was_damaged_is_made_again(terrain, shaped):
     """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
     samples = next(shaped.glob("data-*/samples.npy"))

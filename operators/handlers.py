@@ -21,6 +21,7 @@ from .mesh import freed_memory
 from .report import accuracy_report, measuring
 from .request.request import RENDER, VIEWPORT
 from .scene import pauses, session, stale_renders
+from .text.console import print_line
 from .viewport import live, resting_land
 
 # A terrain's mesh depends on no other, nor does what is read of it.
@@ -71,7 +72,7 @@ def update_all(scene, depsgraph, mode: str) -> list[str]:
 
 def _update_viewport(scene, depsgraph) -> None:
     for reason in update_all(scene, depsgraph, VIEWPORT):
-        print(f"Adaptive Terrain: {reason}")
+        print_line(f"Adaptive Terrain: {reason}")
 
 
 def _mesh_is_needed_now() -> bool:
@@ -111,7 +112,7 @@ def _settle(scene, depsgraph) -> list[str]:
     waits = depsgraph.mode == RENDER or pauses.paused_now() or _mesh_is_needed_now()
     try:
         for note in keep_ground.settle(scene, depsgraph, depsgraph.mode, waits=waits, frame_changes=True):
-            print(f"Adaptive Terrain: {note}")
+            print_line(f"Adaptive Terrain: {note}")
     except Exception as error:
         if not isinstance(error, TerrainError):
             traceback.print_exc()

@@ -9,7 +9,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..blender import need_bpy
 from ..report import accuracy_page, accuracy_report
 from ..report.accuracy_subject import Subject
-from ..text.console import Progress
+from ..text.console import Progress, print_line
 
 
 def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -> None:
@@ -20,7 +20,7 @@ def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -
     accuracy_report.prepare(out)
     measure(subjects, show_progress)
     accuracy_report.write(subjects, out)
-    print(f"{out / accuracy_report.PAGE} shows it")
+    print_line(f"{out / accuracy_report.PAGE} shows it")
     accuracy_report.check_bounds(subjects)
 
 

@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
-from ..text.console import BAR, OPENJD, open_streams, unwritten
+from ..text.console import BAR, LONGEST_LINE, OPENJD, open_streams, print_line, unwritten
 from . import farm_verbs, verbs
 from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive, some
 
@@ -75,13 +75,13 @@ def _run(argv: list[str] | None) -> int:
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:
-        print(f"{PROGRAM} {arguments.verb}: error: {shown(error, verbs.LONGEST_LINE)}", file=sys.stderr)
+        print_line(f"{PROGRAM} {arguments.verb}: error: {shown(error, LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        said = unwritten(error) or shown(_sentence(error), verbs.LONGEST_LINE)
-        print(f"{PROGRAM}: error: {said}", file=sys.stderr)
+        said = unwritten(error) or shown(_sentence(error), LONGEST_LINE)
+        print_line(f"{PROGRAM}: error: {said}", file=sys.stderr)
         if arguments.progress == OPENJD:
-            print(f"openjd_fail: {said}", flush=True)
+            print_line(said, "openjd_fail")
         return 1
     return 0
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs that a render farm calls, and the one that writes its job."""
 
-from ..text.console import Progress
+from ..text.console import Progress, print_line
 from .verbs import frames_told, largest_bound
 
 
@@ -67,4 +67,4 @@ def run_submit(arguments) -> None:
         min_memory_gib=arguments.min_memory,
         allow_outside=arguments.allow_outside,
     ):
-        print(line)
+        print_line(line)

@@ -17,6 +17,7 @@ from ...cbt_terrain.query.ground import ground_at, profile
 from ...cbt_terrain.run.named_file import cause, read_named
 from ...cbt_terrain.run.partial_files import written_beside
 from ..output.exporting import check_target
+from ..text.console import print_line
 
 MAX_BYTES = 1 << 30
 X, Y = "x", "y"
@@ -43,7 +44,7 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     write(names, lines, out)
     where = f"in {placing.crs}" if placing.crs else "in metres from the terrain's middle"
     line = f"{len(lines):,} places, x and y {shown(where)}; {int((~inside).sum()):,} have no ground"
-    print(line, file=sys.stderr if out is None else sys.stdout)
+    print_line(line, file=sys.stderr if out is None else sys.stdout)
 
 
 def numbers(values: np.ndarray) -> list[str]:

@@ -8,11 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...cbt_terrain.errors import shown
-from ..text.console import Progress, duration
+from ..text.console import LONGEST_LINE, Progress, duration, print_line
 
 DEFAULT_RESOLUTION = (1920, 1080)
 DEFAULT_MAP = "detail_normal"
-LONGEST_LINE = 10_000  # a coordinate system may be long
 
 
 class UsageError(Exception):
@@ -52,7 +51,7 @@ def run_import(arguments) -> None:
     finally:
         bar.close()
     print_fields(report)
-    print(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+    print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 
 
 def run_info(arguments) -> None:
@@ -88,7 +87,7 @@ def _verify(path) -> None:
     from ...cbt_terrain.field.store import verify
 
     blocks = verify(path)
-    print(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
+    print_line(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
 
 
 def _versions() -> dict:
@@ -130,9 +129,9 @@ def run_bake(arguments) -> None:
     finally:
         bar.close()
     write_piece(piece, arguments.out)
-    print(summary_line(arguments.out.name, [figures(piece)]))
+    print_line(summary_line(arguments.out.name, [figures(piece)]))
     if arguments.fit and not piece.update.rounds:
-        print("the fit saved no triangles: this is the mesh without it")
+        print_line("the fit saved no triangles: this is the mesh without it")
 
 
 def _detail(arguments):
@@ -220,11 +219,13 @@ def run_effects(arguments) -> None:
         raise UsageError("--camera belongs to --scene")
     if arguments.scene:
         need_bpy("A .blend file")
-        print("\n".join(effects_command.of_scene(arguments.scene, arguments.camera)))
+        for line in effects_command.of_scene(arguments.scene, arguments.camera):
+            print_line(line)
         return
     print_fields(effects_command.catalogue())
     if arguments.store:
-        print("\n".join(effects_command.of_store(arguments.store)))
+        for line in effects_command.of_store(arguments.store):
+            print_line(line)
 
 
 def run_maps(arguments) -> None:
@@ -276,10 +277,10 @@ def run_shape(arguments) -> None:
     levels = report.pop("levels")
     print_fields(report | {"tiles": f"{report['tiles_built']:,} built of {report['tiles_there_are']:,} there are"})
     for line in levels:
-        print(f"level: {shown(line)}")
+        print_line(f"level: {shown(line)}")
     for file in shape_command.export(arguments.out, arguments.export) if arguments.export else ():
-        print(f"{file} is written")
-    print(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
+        print_line(f"{file} is written")
+    print_line(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
 
 
 def run_query(arguments) -> None:
@@ -360,12 +361,12 @@ def print_fields(fields: dict, indent: str = "") -> None:
     """One line a field, a dict below its own name; what is empty is left out. The texts may come from outside."""
     for name, value in fields.items():
         if isinstance(value, dict):
-            print(f"{indent}{name}:")
+            print_line(f"{indent}{name}:")
             print_fields(value, indent + "  ")
         elif name == "warnings":
             for warning in value:
-                print(f"{indent}warning: {shown(warning, LONGEST_LINE)}")
+                print_line(f"{indent}warning: {shown(warning, LONGEST_LINE)}")
         elif isinstance(value, list | tuple):
-            print(f"{indent}{shown(name)}: {shown(', '.join(map(str, value)), LONGEST_LINE)}")
+            print_line(f"{indent}{shown(name)}: {shown(', '.join(map(str, value)), LONGEST_LINE)}")
         elif value != "" and value is not None:
-            print(f"{indent}{shown(name)}: {shown(value, LONGEST_LINE)}")
+            print_line(f"{indent}{shown(name)}: {shown(value, LONGEST_LINE)}")

@@ -21,8 +21,13 @@ VERSION = ""  # of the extension that the job was made with; any will do where t
 USER_FOLDER = "BLENDER_USER_RESOURCES"
 
 
+def one_line(text):
+    """Return a text as one line without control characters, of which a farm would obey some."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in str(text))
+
+
 def fail(message):
-    print(f"openjd_fail: {message}", flush=True)
+    print(f"openjd_fail: {one_line(message)}", flush=True)
     sys.exit(1)
 
 
@@ -46,6 +51,8 @@ def install(zip_path, folder):
     how = ["extension", "install-file", "-r", "user_default", "--enable"]
     if subprocess.run([bpy.app.binary_path, "--command", *how, zip_path], env=environment).returncode:
         fail(f"the extension's zip cannot be installed: {zip_path}")
+    if one_line(folder) != folder:
+        fail(f"the session's folder has a name that no message can hold: {folder}")
     print(f"openjd_env: {USER_FOLDER}={folder}", flush=True)
 
 
@@ -59,7 +66,7 @@ def check_extension():
 def check_version(found):
     if VERSION and found != VERSION:
         fail(f"Adaptive Terrain {found} is here, the job was made with {VERSION}")
-    print(f"Adaptive Terrain {found}, Blender {bpy.app.version_string}", flush=True)
+    print(f"Adaptive Terrain {one_line(found)}, Blender {bpy.app.version_string}", flush=True)
 
 
 def check_file():

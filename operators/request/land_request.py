@@ -29,6 +29,7 @@ from ...cbt_terrain.land.stack import Stack, land_name
 from ...cbt_terrain.run import launch, owned_files
 from ...cbt_terrain.run.owned_files import NotOursError
 from ..properties.land_properties import SEEN
+from ..text.console import print_line
 from . import land_masks, land_stack, land_tiles
 from .land_folders import (
     MASKS,
@@ -260,7 +261,7 @@ def _take_away(store: str, changed_ns: int, why: TerrainError) -> bool:
         except OSError:
             return False
         _repairs[store] += 1
-        print(f"Adaptive Terrain: {_damage(store, why)}")
+        print_line(f"Adaptive Terrain: {_damage(store, why)}")
     return True
 
 

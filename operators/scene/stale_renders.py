@@ -16,6 +16,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import remove_empty
+from ..text.console import print_line
 
 EXIT_CODE = 1
 FRAMES_NAMED = 10
@@ -50,10 +51,10 @@ def meet(scene, reasons: list[str]) -> None:
         _caught.append(f"Frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}")
         return
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
-        print(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
+        print_line(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
         _shown_stale[scene.frame_current] = why
         return
-    print(
+    print_line(
         f"Adaptive Terrain: frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}",
         file=sys.stderr,
     )

@@ -15,6 +15,32 @@ BAR_WIDTH = 28
 BAR, OPENJD = "bar", "openjd"
 
 
+LONGEST_LINE = 10_000  # a coordinate system may be long
+# What a line begins with that a farm obeys.
+MESSAGE = "openjd_"
+
+
+def one_line(text: object) -> str:
+    """Return a text as one line without control characters, which terminals and farms obey. Spaces stay as they are."""
+    line = "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in str(text))
+    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..."
+
+
+def print_line(text: object, message: str = "", file=None) -> None:
+    """Print a line that may hold names of strangers; everything that the product prints goes through here.
+
+    Args:
+        message: the kind of Open Job Description message, such as "openjd_status"; no other line is one.
+        file: standard output by default.
+    """
+    line = one_line(text)
+    if message:
+        line = f"{message}: {line}"
+    elif line.startswith(MESSAGE):
+        line = f" {line}"
+    print(line, file=file, flush=True)
+
+
 class Progress:
     """A bar on stderr, redrawn in place; it shows only where someone looks at a terminal, or where it is asked for.
 
@@ -23,7 +49,7 @@ class Progress:
     """
 
     def __init__(self, total: float, label: str, show: bool | str | None = None):
-        self.total, self.label = total, label
+        self.total, self.label = total, one_line(label)
         self.show = sys.stderr.isatty() if show is None else show
         self.done = self._worked = 0.0
         self._drawn = ""
@@ -41,7 +67,7 @@ class Progress:
     def say(self, line: str) -> None:
         """Print a line to stdout, above the bar."""
         self._clear()
-        print(f"openjd_status: {line}" if self.show == OPENJD else line, flush=True)
+        print_line(line, "openjd_status" if self.show == OPENJD else "")
         self._draw()
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source
 from adaptive_terrain.cbt_terrain.importing.sources import open_source
-from adaptive_terrain.cbt_terrain.run import stall
+from adaptive_terrain.cbt_terrain.run import child, stall
 from hostile_files import PART, damaged, seeds, source, vrt, write_attacks
 from rasters import hills, imported, write_raster
 
@@ -131,13 +131,18 @@ def test_case_63_the_process_that_reads_has_nothing_to_attack_with(tmp_path, ask
 
 
 def test_case_63_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
-    """A named pipe beside a raster holds GDAL up for ever: stopped by import and `info`, in one sentence."""
+    """A reader that never answers is stopped by import and `info`, in one sentence."""
+
+    def start(_module, variables, **streams):
+        command = [sys.executable, "-c", "import time; time.sleep(600)"]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, env=os.environ | variables, **streams)
+
     monkeypatch.setattr(stall, "STALL_SECONDS", 3.0)
-    grid = write_raster(tmp_path / "a.tif", hills(9, 9))
-    os.mkfifo(tmp_path / "a_RPC.TXT")  # rarer than the sidecars that are looked at first
+    monkeypatch.setattr(child, "start", start)
+    grid = write_raster(tmp_path / "a.asc", hills(9, 9))
     settings = ImportSettings(source=str(grid))
     for read in (lambda: import_source(settings, tmp_path / "store"), lambda: describe_source(settings)):
-        with pytest.raises(TerrainError, match="a.tif made no progress for 3 s and was stopped: .*[.]$"):
+        with pytest.raises(TerrainError, match="a.asc made no progress for 3 s and was stopped: .*[.]$"):
             read()
     assert not (tmp_path / "store").exists()
 

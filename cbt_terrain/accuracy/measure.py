@@ -28,7 +28,8 @@ from .screen import Sight
 
 @dataclass(frozen=True)
 class Measured:
-    """What was found.
+    """What was found. Percentiles and means are by area: of the ground in plan without its holes, on screen of the
+    picture.
 
     `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the
     maximum over the continuous surface, exact of a bilinear reference. `rounding_m`: largest height by which float32
@@ -78,12 +79,13 @@ def measure(
     difference, worst = mesh.differences()
     on_progress(0.1)
     rounding = mesh.edge_extremes(worst)
-    between, _ = mesh.differences_at(ground.random_points(random_points, seed))
-    vertical = errors_of(np.concatenate([difference.reshape(-1), between]))
+    between, owner = mesh.differences_at(ground.random_points(random_points, seed))
+    covered = slice(None) if mesh.covered is None else mesh.covered.reshape(-1)
+    vertical = errors_of(np.concatenate([difference.reshape(-1)[covered], between[owner >= 0]]))
     on_progress(0.2)
     facet, shading = (np.zeros(difference.size, np.float32) for _ in range(2))
     mesh.walk(normal_kernels.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
-    facet_deg, shading_deg = errors_of(facet), errors_of(shading)
+    facet_deg, shading_deg = errors_of(facet[covered]), errors_of(shading[covered])
     on_progress(0.3)
     screen = hidden = outline = None
     if view is not None:
@@ -141,7 +143,8 @@ def triangle_errors(
         sight = Sight(ground, view, placement)
         mesh.walk(screen_kernels.triangle_px, [sight.eye, shared(worst, wp.float64)])
         there, owner = mesh.differences_at(sight.visible_points())
-        np.maximum.at(worst, owner, sight.point_errors(np.zeros_like(there), there))
+        found = owner >= 0
+        np.maximum.at(worst, owner[found], sight.point_errors(np.zeros_like(there), there)[found])
     return worst.astype(np.float32)
 
 

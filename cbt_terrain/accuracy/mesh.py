@@ -105,6 +105,8 @@ class MeasuredMesh:
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite: it cannot be measured.")
+        # Samples that the mesh covers, bool [height, width], once `differences` has found holes; None: all of them.
+        self.covered: np.ndarray | None = None
         m = self.packed = kernels.Mesh()
         m.positions, m.normals = shared(surface.positions, wp.vec3f), shared(surface.normals, wp.vec3f)
         m.corners = shared(surface.corner_verts, wp.int32)
@@ -141,7 +143,8 @@ class MeasuredMesh:
         if valid is not None:
             beside = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
             ground = np.lib.stride_tricks.sliding_window_view(beside, (2, 2)).any(axis=(2, 3))
-            difference[np.isnan(difference) | ~ground] = 0.0
+            self.covered = ~np.isnan(difference) & ground
+            difference[~self.covered] = 0.0
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):
             missing = int(np.isnan(difference).sum())
@@ -167,10 +170,10 @@ class MeasuredMesh:
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mesh less reference at int64 [n, 2] points (units of 2^-(bits + 7) cells), float64 [n] metres.
 
-        And the triangle that covers each, int32 [n].
+        And the triangle that covers each, int32 [n]; -1 in a hole.
         """
         g, count = self.ground, len(points)
-        difference, owner = np.zeros(count), np.zeros(count, np.int32)
+        difference, owner = np.zeros(count), np.full(count, -1, np.int32)
         x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
         key = np.zeros(count, np.int64)
         inputs = [*g.point_ends, *(shared(a, wp.int64) for a in (x, y, key))]

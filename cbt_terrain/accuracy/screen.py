@@ -14,6 +14,7 @@ the vertical way to it comes to that depth: the error stays finite, and understa
 nearer than 1e-9 of the terrain's size, the error counts as 0; no error counts as more than 1e30, the largest bound.
 """
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -163,12 +164,16 @@ class Sight:
         return self._state
 
     def errors(self, before: np.ndarray, after: np.ndarray, there: tuple[np.ndarray, np.ndarray]) -> tuple:
-        """Errors, twice, in pixels between two heights of visible points and of hidden ones.
+        """Return the errors in pixels between two heights: of visible points and of hidden ones.
+
+        The largest of the visible ones is that of all points. The rest of their distribution is that of the points seen
+        in the pixels, so it is by area on the screen: samples are dense far away. That of the hidden ones, all of which
+        are samples, is by area on the ground.
 
         before, after: float32 [height, width], metres above the reference at every sample. there: float64 [n] twice,
         the same at the visible points.
         """
-        seen, unseen, states = [self.point_errors(*there)], [], self.states()
+        seen, unseen, states = [], [], self.states()
         (height, width), bits = before.shape, self.ground.bits + POINT_BITS
         for row, rows in _row_blocks(height, width):
             start, end = row * width, (row + rows) * width
@@ -177,7 +182,10 @@ class Sight:
             pixels = self._apart(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
             seen.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
             unseen.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
-        return errors_of(np.concatenate(seen)), errors_of(np.concatenate(unseen))
+        pixels, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(seen))
+        found = pixels if pixels.count else samples
+        found = replace(found, count=pixels.count + samples.count, max=max(pixels.max, samples.max))
+        return found, errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """float32 [n]: pixels between two heights (float64 [n], metres above the reference) of the visible points."""

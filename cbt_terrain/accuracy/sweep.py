@@ -24,12 +24,14 @@ from ..terrain import Terrain
 from . import Errors, Measured, Sight, look, measure, popping
 from .cost_curve import CostCurve
 from .sweep_settings import Setting
-from .timed_runs import RUNS, Frame, median_by_step, timed_runs, to_finished_mesh
+from .timed_runs import FRAME_RUNS, RUNS, Frame, fastest, median_by_step, timed_runs, to_finished_mesh
 
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
 KEPT_SIGHTS = 16
 # Errors that differ by less than this part are the same for the Pareto front.
 DIFFERENT = 0.02
+# Runs of the same that differ by more than this factor say nothing of what an error costs.
+MAX_SPREAD = 2.0
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
 STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
@@ -46,15 +48,16 @@ class Row:
     mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
     (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
     `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
-    "effects", making attributes, and "ingest", writing a Blender mesh, come on top. `spread_ms`: the fastest
-    and the slowest run, to the finished mesh.
+    "effects", making attributes, and "ingest", writing a Blender mesh, come on top; of each frame those of its fastest
+    run. `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of the fastest and of the
+    slowest run, of the frame where they differ most.
     """
 
     setting: Setting
     bound: float
     limited: str
-    triangles: int
-    vertices: int
+    triangles: float
+    vertices: float
     surface_mb: float
     buffers_mb: float | None
     measured: Measured
@@ -62,6 +65,7 @@ class Row:
     popping_px: Errors | None = None
     ms: dict[str, float] = field(default_factory=dict)
     spread_ms: tuple[float, float] | None = None
+    cpu_ms: float | None = None
 
     @property
     def error(self) -> float:
@@ -73,6 +77,11 @@ class Row:
         """From the camera to the finished mesh, in Blender's memory if that was measured."""
         return to_finished_mesh(self.ms)
 
+    @property
+    def cost_ms(self) -> float:
+        """Processor time of all threads to the finished mesh; elapsed time where that was not measured."""
+        return self.whole_ms if self.cpu_ms is None else self.cpu_ms
+
     def figures(self) -> dict[str, float | int | str | None]:
         """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
@@ -80,6 +89,7 @@ class Row:
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
         figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
         figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
+        figures["ms_cpu"] = self.cpu_ms
         figures |= dict(zip(("ms_fastest", "ms_slowest"), self.spread_ms or (None, None), strict=True))
         figures |= {"surface_mb": self.surface_mb, "buffers_mb": self.buffers_mb}
         measured = {f.name: getattr(self.measured, f.name) for f in dataclasses.fields(self.measured)}
@@ -138,9 +148,21 @@ def sweep(
 
 
 def curve_of(rows: Sequence[Row]) -> CostCurve:
-    """The cost curve through `curve_rows`, to the finished mesh. Raises TerrainError where these are of one error."""
-    points = [(row.setting.error, row.triangles, row.whole_ms) for row in curve_rows(rows)]
+    """Return the cost curve through `curve_rows`, in processor time to the finished mesh. Raises TerrainError where
+    these are of one error."""
+    points = [(row.setting.error, row.triangles, row.cost_ms) for row in curve_rows(rows)]
     return CostCurve.through(rows[0].setting.unit if rows else "px", points)
+
+
+def unsteady_row(rows: Sequence[Row]) -> Row | None:
+    """Return the row of the cost curve whose runs differ most, if by more than MAX_SPREAD: then there is no curve."""
+    found = max(curve_rows(rows), key=_spread, default=None)
+    return found if found is not None and _spread(found) > MAX_SPREAD else None
+
+
+def _spread(row: Row) -> float:
+    low, high = row.spread_ms or (1.0, 1.0)
+    return high / low if low > 0.0 else math.inf
 
 
 def curve_rows(rows: Sequence[Row]) -> list[Row]:
@@ -168,7 +190,7 @@ def _row(
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     looks = [(frame, view) for frame in frames for view in frame.views or [None]]
-    updates, sizes, measured, popped, runs = [], [], [], [], []
+    updates, sizes, measured, popped, runs, spreads = [], [], [], [], [], []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
         # The next update overwrites the surface.
@@ -192,11 +214,15 @@ def _row(
         def made(surface: Surface, views: Sequence[View], frame: Frame = frame) -> dict[str, Attribute]:
             return evaluator.attributes(effects, heights, surface, views, *frame.heights)
 
-        count = RUNS if len(frames) == 1 else 1
-        runs += timed_runs(terrain, criterion, frame, count, write, made if effects.steps else None)
+        count = RUNS if len(frames) == 1 else FRAME_RUNS
+        found = timed_runs(terrain, criterion, frame, count, write, made if effects.steps else None)
+        runs.append(fastest(found))
+        spreads.append(spread_of([run["cpu"] for run in found]))
         if frame.after:
             popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
-    triangles, vertices, surface_bytes = (statistics.median_high(column) for column in zip(*sizes, strict=True))
+    triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
+    ms = median_by_step(runs)
+    cpu = ms.pop("cpu")
     in_pixels = setting.unit == "px"
     bounds = [update.bound_px if in_pixels else update.bound_m for update in updates]
     loosest = int(np.argmax(bounds))
@@ -211,9 +237,16 @@ def _row(
         worst(measured),
         updates[loosest].terms_px if in_pixels else updates[loosest].terms_m,
         worst(popped),
-        median_by_step(runs),
-        spread_of([to_finished_mesh(run) for run in runs]),
+        ms,
+        max(spreads, key=lambda times: times[1] / max(times[0], 1e-9)),
+        cpu,
     )
+
+
+def median_count(counts: Sequence[int]) -> float:
+    """Return the median of counts, of an even number of them the mean of the two in the middle; whole where it can."""
+    found = statistics.median(counts)
+    return int(found) if found == int(found) else found
 
 
 def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long an update takes while a camera moves a little each frame: warm memory, and what the last frame leaves."""
+"""How long an update takes while a camera moves a little each frame: warm memory, and what the last frame leaves.
+
+Runs are compared by the processor time of all threads of this process: other programs lengthen the elapsed time of a
+run by any factor, its processor time by little. The fastest run is the one that was disturbed least.
+"""
 
 import dataclasses
 import statistics
@@ -17,8 +21,10 @@ from ..mesh.surface import Surface
 from ..plain_numbers import keep_plain_numbers
 from ..terrain import Terrain
 
-# A time is the median of this many runs, after one that finds cold memory; of more where a run is short.
-RUNS, SHORT_RUNS, SHORT_MS = 5, 15, 5.0
+# A time is that of the fastest of this many runs, after one that finds cold memory; of several frames FRAME_RUNS each.
+RUNS, FRAME_RUNS = 5, 3
+# Where an update takes less than SHORT_MS, a run is the mean of this many.
+SHORT_UPDATES, SHORT_MS = 3, 5.0
 # How far the camera moves between runs, and heights where that changes no leaf, as parts of the terrain's size.
 MOVE, NUDGE = 1e-3, 1e-6
 
@@ -51,8 +57,10 @@ def timed_runs(
     write: Callable[[Surface], float] | None = None,
     effects: Callable[[Surface, Sequence[View]], dict[str, Attribute]] | None = None,
 ) -> list[dict[str, float]]:
-    """Milliseconds by step of `count` updates, more where they are short; "ingest" are those that `write` says it took,
-    "effects" those of making the attributes that it then writes too.
+    """Return milliseconds by step of `count` runs: an update, or the mean of several where they are short.
+
+    "ingest" are those that `write` says it took, "effects" those of making the attributes that it then writes too, and
+    "cpu" the processor time of all threads to the finished mesh.
 
     The camera stands a little to the right of its place, then to the left, and so on; where that changes no leaf,
     heights move instead.
@@ -61,29 +69,53 @@ def timed_runs(
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
     step = MOVE * diagonal * _stretch(frame.placement)
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
-    runs, side = [], 1
-    while len(runs) <= (count if not runs or runs[0]["total"] > SHORT_MS else SHORT_RUNS):
+    updates, side = [], 1
+    while len(updates) <= count * _updates_a_run(updates):
         side = -side
         views = [_moved(view, side * step) for view in frame.views]
+        start_cpu = cpu_ms()
         update = terrain.update(criterion, views, *frame.heights)
         if not update.changed:
             offset = frame.vertical_offset + side * nudge
+            start_cpu = cpu_ms()
             update = terrain.update(criterion, views, frame.placement, scale, offset)
-        runs.append(dict(update.ms))
+        updates.append(dict(update.ms))
         surface = update.surface
         if effects is not None:
             start = time.perf_counter()
             surface = surface.with_attributes(effects(surface, views))
-            runs[-1]["effects"] = (time.perf_counter() - start) * 1e3
+            updates[-1]["effects"] = (time.perf_counter() - start) * 1e3
         if write is not None:
-            runs[-1]["ingest"] = write(surface)
-    return runs[1:]  # the first found memory that was cold
+            updates[-1]["ingest"] = write(surface)
+        updates[-1]["cpu"] = cpu_ms() - start_cpu
+    each = _updates_a_run(updates)
+    warm = updates[1:]  # the first found memory that was cold
+    return [_by_step(warm[first : first + each], statistics.fmean) for first in range(0, len(warm), each)]
+
+
+def _updates_a_run(updates: list[dict[str, float]]) -> int:
+    return SHORT_UPDATES if updates and updates[0]["total"] < SHORT_MS else 1
+
+
+def cpu_ms() -> float:
+    """Return the processor time of this process so far; elapsed time where the system counts it too coarsely."""
+    is_fine = time.get_clock_info("process_time").resolution < 1e-4
+    return (time.process_time() if is_fine else time.perf_counter()) * 1e3
+
+
+def fastest(runs: list[dict[str, float]]) -> dict[str, float]:
+    """Return the run of the least processor time."""
+    return min(runs, key=lambda run: run["cpu"])
 
 
 def median_by_step(runs: list[dict[str, float]]) -> dict[str, float]:
-    """A step that a run did not take took it no time."""
+    """Return the median of each step; a step that a run did not take took it no time."""
+    return _by_step(runs, statistics.median)
+
+
+def _by_step(runs: list[dict[str, float]], mean: Callable) -> dict[str, float]:
     steps = dict.fromkeys(step for run in runs for step in run)
-    return {step: statistics.median(run.get(step, 0.0) for run in runs) for step in steps}
+    return {step: mean([run.get(step, 0.0) for run in runs]) for step in steps}
 
 
 def to_finished_mesh(ms: dict[str, float]) -> float:

@@ -6,7 +6,7 @@ import io
 import json
 
 from ...cbt_terrain.accuracy import interpolation
-from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of, curve_rows
+from ...cbt_terrain.accuracy.sweep import MAX_SPREAD, STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -50,8 +50,14 @@ WORDS = [
     ),
     (
         "ms",
-        "The median of warm updates between which the camera moves by two thousandths of the terrain, as in a flight. "
-        "A pale bar in a plot goes from the fastest to the slowest of them. A fit is made once; its time is that run.",
+        "Elapsed time of the fastest of several warm updates, between which the camera moves by two thousandths of the "
+        "terrain, as in a flight. A fit is made once; its time is that run.",
+    ),
+    (
+        "ms of CPU",
+        "Processor time of all threads, of the same update: by it runs are compared, and it is what plots and what is "
+        "said of half the error show. A pale bar goes from the fastest to the slowest run. Where these differ by more "
+        "than a factor of 2 there is no curve.",
     ),
     ("depth", "A limit of bisections of a root square."),
     ("meshlet m", "Each leaf is drawn as 4^m triangles."),
@@ -127,7 +133,7 @@ def as_json(subjects, machine: dict[str, str]) -> str:
             "seen": s.seen,
             "frames": s.numbers,
             "current": None if s.current is None else label(s.current),
-            "notes": s.notes,
+            "notes": s.notes + timing_notes(s),
             "curves": [json.loads(curve.to_json()) for curve in curves(s)],
             "rows": [row.figures() for row in s.rows],
         }
@@ -169,7 +175,7 @@ def front(subject, prefix: str) -> list:
     ]
     for unit in dict.fromkeys(row.setting.unit for row in rows):
         blocks += plots(subject, unit, current, prefix)
-    return blocks + [Text(note) for note in subject.notes]
+    return blocks + [Text(note) for note in subject.notes + timing_notes(subject)]
 
 
 def figures(row: Row) -> list[tuple[str, str]]:
@@ -252,10 +258,28 @@ def imported_text(heights) -> str:
 
 
 def curves(subject) -> list:
-    """The cost curve of each unit of which two errors at least were not held back."""
-    units = dict.fromkeys(row.setting.unit for row in subject.rows)
-    of_unit = [[row for row in subject.rows if row.setting.unit == unit] for unit in units]
+    """The cost curve of each unit of which two errors at least were not held back, and whose runs agree."""
+    of_unit = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
     return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
+
+
+def by_unit(rows: list[Row]) -> dict[str, list[Row]]:
+    units = dict.fromkeys(row.setting.unit for row in rows)
+    return {unit: [row for row in rows if row.setting.unit == unit] for unit in units}
+
+
+def timing_notes(subject) -> list[str]:
+    """Return why a cost curve is left out, a sentence for each unit where its runs disagree."""
+    notes = []
+    for unit, rows in by_unit(subject.rows).items():
+        if (row := unsteady_row(rows)) is not None:
+            low, high = row.spread_ms
+            notes.append(
+                f"The curve of errors in {unit} against time is left out: at {label(row.setting)} runs of the same "
+                f"update took {low:.3g} to {high:.3g} ms of CPU, more than a factor of {MAX_SPREAD:g} apart, so that "
+                "none of these times can be relied on. Measure again while nothing else runs."
+            )
+    return notes
 
 
 def sentences(subject) -> list[str]:
@@ -268,8 +292,8 @@ def sentences(subject) -> list[str]:
         (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         said.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
-            f"{time_text(slower - ms, ms)} and {more - triangles:,.0f} triangles; doubling it "
-            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} and {triangles - less:,.0f} triangles."
+            f"{time_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} of CPU and {triangles - less:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
             said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
@@ -285,7 +309,7 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
     """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
     fronts = {}
     for unit in dict.fromkeys(row.setting.unit for row in rows):
-        for cost in ("ms", "triangles"):
+        for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
             front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
             fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
     head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
@@ -337,11 +361,11 @@ def bound_table(rows: list[Row]) -> Table:
 
 def steps_table(rows: list[Row]) -> Table:
     steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
-    lines = [
-        [label(row.setting), number(row.whole_ms), number(row.ms["total"]), *(number(row.ms.get(s)) for s in steps)]
-        for row in rows
-    ]
-    return Table(["ms", "finished mesh", "engine", *steps], lines)
+    lines = []
+    for row in rows:
+        times = [row.cpu_ms, row.whole_ms, row.ms["total"], *(row.ms.get(step) for step in steps)]
+        lines.append([label(row.setting), *map(number, times)])
+    return Table(["ms", "CPU", "finished mesh", "engine", *steps], lines)
 
 
 def row_line(row: Row) -> str:

@@ -3,7 +3,7 @@
 
 import math
 
-from ...cbt_terrain.accuracy.sweep import Row, pareto
+from ...cbt_terrain.accuracy.sweep import Row, pareto, unsteady_row
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -11,15 +11,17 @@ from ..text.log_plot import CROSS, RING, Curve, draw
 from ..text.page_blocks import Plot
 from ..text.svg import BLUE, GOLD, GREEN, INK, PURPLE, RED, SOFT, TEAL
 
-SPREAD = " Pale bars: from the fastest to the slowest run."
+SPREAD = " Processor time of all threads. Pale bars: from the fastest to the slowest run."
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 
 
 def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
-    """Error against time and against triangles; a fit is made once, so its time is in no plot."""
+    """Draw error against time, where runs agree, and against triangles; a fit is made once and is in no time plot."""
     rows = [row for row in subject.rows if row.setting.unit == unit]
     found = []
-    for cost, axis in (("ms", "ms to the finished mesh"), ("triangles", "triangles")):
+    for cost, axis in (("ms", "ms of CPU to the finished mesh"), ("triangles", "triangles")):
+        if cost == "ms" and unsteady_row(rows) is not None:
+            continue
         shown = [row for row in rows if cost == "triangles" or not row.setting.fitted]
         drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
         caption = f"{subject.title}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
@@ -66,7 +68,7 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
 def spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
     """The fastest and the slowest time of each row, in the order of its curve; none for triangles."""
     coarse_first = sorted(rows, key=lambda row: -row.setting.error)
-    return [row.spread_ms or (row.whole_ms, row.whole_ms) for row in coarse_first] if cost == "ms" else []
+    return [row.spread_ms or (row.cost_ms, row.cost_ms) for row in coarse_first] if cost == "ms" else []
 
 
 def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
@@ -81,7 +83,7 @@ def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
 
 
 def cost_of(row: Row, cost: str) -> float:
-    return row.whole_ms if cost == "ms" else float(row.triangles)
+    return row.cost_ms if cost == "ms" else float(row.triangles)
 
 
 def label(setting: Setting) -> str:

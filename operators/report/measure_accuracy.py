@@ -10,7 +10,7 @@ from ...cbt_terrain.accuracy import Measured, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.sweep import worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
-from ...cbt_terrain.accuracy.timed_runs import Frame, median_by_step, timed_runs
+from ...cbt_terrain.accuracy.timed_runs import Frame, fastest, timed_runs
 from ...cbt_terrain.ask.criterion import unit_asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
@@ -94,7 +94,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
         if update.relaxed > 1:
             break
         runs = timed_runs(terrain, criterion, frame, write=on_run)
-        points.append((error, update.triangles, median_by_step(runs)["total"]))
+        points.append((error, update.triangles, fastest(runs)["total"]))
     if len(points) < 2:
         raise TerrainError(
             f"An error of {errors[len(points)]:g} {unit} takes more than {MAX_TRIANGLES:,} triangles with these "

@@ -157,7 +157,7 @@ def coarse_settings(heights, frame, morph):
 def write_a_report():
     """The sweep runs beside the window, meshes written in between; stopped it leaves no report."""
     bpy.context.scene.render.resolution_percentage = 20  # rays through all pixels are most of its time
-    subjects.settings_for, timed_runs.SHORT_RUNS = coarse_settings, 2  # times are not looked at
+    subjects.settings_for, timed_runs.SHORT_UPDATES = coarse_settings, 1  # times are not looked at
     settings, operators = terrain().adaptive_terrain, bpy.ops.adaptive_terrain
     settings.reports = str(folder / "reports")
     scroll_panel(10_000)

@@ -52,6 +52,18 @@ def test_a_plane_has_no_error_at_all():
     assert measured.screen_px.count > 17 * 33 and measured.screen_px.max == 0.0 and measured.silhouette_px.max < 1e-2
 
 
+def test_holes_are_no_part_of_a_distribution():
+    samples = np.zeros((17, 17), np.float32)
+    samples[4:13, 4:13] = np.nan
+    field = from_array(samples, 8.0, holes=True)
+    surface = mesh_of(field, 1.0)
+    raised = with_arrays(surface, positions=surface.positions + np.float32([0.0, 0.0, 2.0]))
+    found = measure(field, raised, random_points=4000).vertical_m
+    # All that is covered is 2 m off, three quarters of the ground about.
+    assert found.max == found.p95 == found.p999 == found.mean == found.rms == 2.0
+    assert 17 * 17 - 81 <= found.count - 4000 * (1 - (10 / 16) ** 2) < 17 * 17
+
+
 def test_one_spike_is_one_error():
     measured = measure(spiked(), mesh_of(spiked(), 100.0), random_points=0)
     assert measured.vertical_m.__dict__ == {"count": 25, "max": 10.0, "p95": 0.0, "p999": 10.0, "mean": 0.4, "rms": 2.0}

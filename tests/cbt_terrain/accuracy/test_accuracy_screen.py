@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSP
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.kernels.accuracy.screen import HIDDEN, VISIBLE
-from fields import project, reference_heights, rough, screen_error
+from fields import mesh_heights, project, reference_heights, rough, screen_error
 
 PLACEMENT = np.array([[1.1, 0.3, 0, 20], [-0.2, 0.8, 0.1, -10], [0.1, 0, 1.3, 5], [0, 0, 0, 1]])
 
@@ -50,6 +50,14 @@ def test_screen_errors_are_those_of_brute_force(kind, placement):
         ),
         rel=1e-4,
     )
+    # By area on the screen: a point a pixel, however dense the samples are.
+    heights = reference_heights(field, points), mesh_heights(surface, points)
+    ends, _ = zip(*(project(view, np.c_[points, z], placement) for z in heights), strict=True)
+    apart = np.linalg.norm(ends[0] - ends[1], axis=1)
+    if kind == PANORAMIC:
+        apart = 2 * np.arcsin(apart / 2) / view.radians_per_pixel
+    assert measured.screen_px.p95 == pytest.approx(np.quantile(apart, 0.95, method="inverted_cdf"), rel=1e-3)
+    assert measured.screen_px.mean == pytest.approx(apart.mean(), rel=1e-3)
     hidden = screen_error(view, field, surface, all_samples(field)[sight.states() == int(HIDDEN)], placement)
     assert measured.hidden_px.max == pytest.approx(hidden, rel=1e-4)
     truth = np.c_[all_samples(field), reference_heights(field, all_samples(field))]

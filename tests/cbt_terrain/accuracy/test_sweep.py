@@ -3,13 +3,21 @@
 
 import dataclasses
 import itertools
+import time
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
-from adaptive_terrain.cbt_terrain.accuracy.sweep import Row, curve_of, pareto, sweep, worst
+from adaptive_terrain.cbt_terrain.accuracy.sweep import Row, curve_of, median_count, pareto, sweep, unsteady_row, worst
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting, metre_steps, settings_for
-from adaptive_terrain.cbt_terrain.accuracy.timed_runs import RUNS, SHORT_RUNS, Frame, median_by_step, timed_runs
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import (
+    RUNS,
+    SHORT_UPDATES,
+    Frame,
+    fastest,
+    median_by_step,
+    timed_runs,
+)
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.ask.view import View
@@ -157,7 +165,7 @@ def test_writing_the_mesh_is_a_step_of_its_own(field):
         return 7.0  # milliseconds
 
     row = sweep(field, [Setting("m", 4.0)], [Frame()], write=write)[0]
-    assert set(written) == {row.triangles} and len(written) in (RUNS + 1, SHORT_RUNS + 1)
+    assert set(written) == {row.triangles} and len(written) in (RUNS + 1, RUNS * SHORT_UPDATES + 1)
     assert row.ms["ingest"] == 7.0 and row.whole_ms == row.ms["total"] + 7.0
 
 
@@ -169,6 +177,42 @@ def test_no_timed_run_finds_the_mesh_done_already(relief, frame):
     runs = timed_runs(Terrain(heights), criterion, frame, 3)
     assert len(runs) >= 3
     assert all({"refine", "weld", "displace", "total"} <= set(run) for run in runs)
+
+
+def test_runs_are_compared_by_processor_time(field):
+    runs = timed_runs(Terrain(field), Criterion(error_px=0, error_m=4.0), Frame(), 4, write=lambda surface: 7.0)
+    assert len(runs) == 4 and all(run["ingest"] == 7.0 and run["cpu"] > 0.0 for run in runs)
+    assert fastest(runs)["cpu"] == min(run["cpu"] for run in runs)
+    # A sleep takes elapsed time, and no time of a processor.
+    slow = timed_runs(
+        Terrain(field), Criterion(error_px=0, error_m=4.0), Frame(), 2, write=lambda _: time.sleep(0.05) or 50.0
+    )
+    assert fastest(slow)["cpu"] < 30.0
+
+
+def test_a_curve_needs_runs_that_agree():
+    rows = [make_row(Setting("px", error), error, 100, 4.0 / error) for error in (4.0, 2.0, 1.0)]
+    agreed = [dataclasses.replace(row, spread_ms=(1.0, 2.0)) for row in rows]
+    assert unsteady_row(agreed) is None and unsteady_row(rows) is None and unsteady_row([]) is None
+    torn = [*agreed[:2], dataclasses.replace(rows[2], spread_ms=(1.0, 2.1))]
+    assert unsteady_row(torn) is torn[2]
+    limited = dataclasses.replace(torn[2], limited="max_triangles")
+    assert unsteady_row([*agreed[:2], limited]) is None, "it is no part of the curve"
+
+
+@pytest.mark.parametrize("counts", [[3, 5], [5, 3], [4, 1, 9], [1, 2, 2, 7], [7]])
+def test_the_median_of_two_counts_is_their_mean(counts):
+    assert median_count(counts) == np.median(counts)
+    assert isinstance(median_count([3, 5]), int)
+
+
+def test_a_row_of_two_frames_has_the_mean_of_their_counts(field):
+    frames = [Frame([SEEN]), Frame([View.look((0, -900, 900), (0, 0, 0))])]
+    alone = [sweep(field, [Setting("px", 2.0)], [frame])[0] for frame in frames]
+    both = sweep(field, [Setting("px", 2.0)], frames)[0]
+    assert alone[0].triangles != alone[1].triangles
+    assert both.triangles == sum(row.triangles for row in alone) / 2
+    assert both.vertices == sum(row.vertices for row in alone) / 2
 
 
 def test_the_median_counts_a_step_that_was_not_taken_as_nothing():

@@ -144,6 +144,21 @@ def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
     assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}
 
 
+def test_a_time_curve_of_runs_that_disagree_is_left_out_with_its_reason():
+    rows = [row for row in known_rows() if row.setting.plain]
+    field = from_array(np.zeros((5, 5), np.float32))
+    torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]
+    subject = Subject("rough", field, [Frame()], [], "as a whole", None, rows=torn)
+    assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
+    assert [plot.name for plot in accuracy_plots.plots(subject, "px", None, "")] == ["rough_px_triangles.svg"]
+    reason = f"at {accuracy_plots.label(rows[0].setting)} runs of the same update took 10 to 25 ms of CPU"
+    files = accuracy_page.files([subject], {})
+    assert reason in files["accuracy.md"] and reason in files["accuracy.json"] and reason in files["index.html"]
+    subject.rows = [dataclasses.replace(rows[0], spread_ms=(10.0, 20.0)), *rows[1:]]
+    assert [curve.unit for curve in accuracy_page.curves(subject)] == ["px"]
+    assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.plots(subject, "px", None, "")) == 2
+
+
 def test_there_is_no_curve_where_too_many_triangles_held_all_back():
     """A sweep in metres of a rough raster of 4097 x 4097 samples: what was measured is written all the same."""
     rows = [row for row in known_rows() if row.setting.plain]

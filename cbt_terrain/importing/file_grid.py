@@ -91,7 +91,10 @@ def base_crs(crs):
     """Return the geographic system below a projected one, None if it has none."""
     from rasterio.crs import CRS
 
-    content = crs.to_dict(projjson=True)
-    parts = [content, *content.get("components", ()), content.get("source_crs", {})]
-    base = next((part["base_crs"] for part in parts if "base_crs" in part), None)
-    return None if base is None else CRS.from_user_input(json.dumps(base))
+    parts = [crs.to_dict(projjson=True)]
+    while parts:  # compound and bound systems have others inside
+        part = parts.pop()
+        if "base_crs" in part:
+            return CRS.from_user_input(json.dumps(part["base_crs"]))
+        parts += [*part.get("components", ()), *filter(None, [part.get("source_crs")])]
+    return None

@@ -10,6 +10,7 @@ from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
 from .file_grid import FileGrid, base_crs
 
 MAX_SCALE_ERROR = 0.01  # part of a length
+MIN_STEP = 1e-4  # metres; coordinates on Earth have too few digits to measure shorter ones
 BORDER_POINTS = 9  # along each side
 
 
@@ -19,7 +20,7 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
     The steps on the ground are those of the ellipsoid: differences of longitude and latitude over a cell, times the
     length of a degree there.
     """
-    if grid.crs is None or not grid.crs.is_projected:
+    if grid.crs is None or not grid.crs.is_projected or min(place.step_x, place.step_y) < MIN_STEP:
         return []
     factors, latitude = _factors(grid, width, height, place)
     if not len(factors) or np.abs(factors - 1.0).max() <= MAX_SCALE_ERROR:

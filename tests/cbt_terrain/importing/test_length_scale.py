@@ -113,6 +113,18 @@ def test_state_planes_in_feet_are_true_in_their_state_alone(tmp_path):
     assert factors_of(warnings_of(tmp_path, Affine(10.0, 0.0, 1e6, 0.0, -10.0, 4e6), "EPSG:2263"))[0] > 1.01
 
 
+def test_compound_systems_are_measured_as_well(tmp_path):
+    y = web_mercator(60.0)[0]
+    compound = "EPSG:3857+5773"
+    assert factors_of(warnings_of(tmp_path, Affine(20.0, 0.0, 1e6, 0.0, -20.0, y), compound))[0] > 1.9
+    assert warnings_of(tmp_path, Affine(20.0, 0.0, 5e5, 0.0, -20.0, 5e6), "EPSG:25832+7837") == []
+
+
+def test_cells_of_any_size_are_measured_or_silent(tmp_path):
+    for step in (1e-20, 1e-9, 1e-3, 0.01, 100.0):
+        assert warnings_of(tmp_path, Affine(step, 0.0, 5e5, 0.0, -step, 5e6), "EPSG:32632") == []
+
+
 def test_systems_without_degrees_are_silent(tmp_path):
     local = 'LOCAL_CS["site grid",UNIT["metre",1]]'
     assert warnings_of(tmp_path, Affine(10.0, 0.0, 5e6, 0.0, -10.0, 9e6), local) == []

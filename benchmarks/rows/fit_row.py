@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Triangles and time for one vertical error: interpolation, the fit, and greedy Delaunay insertion where there is one.
 
-Greedy Delaunay is the C++ of pydelatin (Garland and Heckbert 1995), which is no dependency: it is used if it can be
-imported. Its error holds at the samples, ours on the whole surface between them too.
+Greedy Delaunay is the C++ of pydelatin (Garland and Heckbert 1995), of the extra `dev`: without it the rows have no
+baseline. Its error holds at the samples, ours on the whole surface between them too.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,7 +38,7 @@ def fit_rows(note: Callable[[str], None]) -> Iterator[Row]:
         greedy = import_module(GREEDY).Delatin
     except ImportError:
         greedy = None
-        note(f"The rows fit have no baseline: {GREEDY} (greedy Delaunay) cannot be imported.")
+        note(f"The rows fit have no baseline: {GREEDY} (greedy Delaunay) is not installed; pip install {GREEDY}.")
     rough = from_array(np.ascontiguousarray(noise(2 * (SAMPLES - 1))[:SAMPLES, :SAMPLES]), 1.0)
     for error_m in ROUGH_M:
         yield fit_row("fit_rough", rough, error_m, greedy)

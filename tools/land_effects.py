@@ -53,10 +53,19 @@ SEAS = ("island", "archipelago")
 HEAD = """## Effects that shape the land
 
 These change heights: a stack of them on a terrain makes a store of its own beside the source's, level by level
-and only for the tiles that a shot sees finer than that. They take metres and years, not pixels: a finer raster
-adds detail and does not change the shape. What they leave behind (depth of scree, snow, water, what was worn) are
-layers, which materials, splats and maps may read; `adaptive-terrain shape --store DIR --stack FILE.json --out DIR`
-applies a stack, and so does the panel Land.
+and only for the tiles that a shot sees finer than that. They take metres and years, not pixels. What they leave behind
+(depth of scree, snow, water, what was worn) are layers, which materials, splats and maps may read;
+`adaptive-terrain shape --store DIR --stack FILE.json --out DIR` applies a stack, and so does the panel Land.
+
+Two limits:
+
+* **The number of samples decides where valleys lie.** Twice as many cells along a side add detail to the same land:
+  *Converges* below has the measured differences. Any other number moves the samples of the coarse levels, where
+  valleys are chosen. On the built-in island 1,030 samples a side instead of 1,025 change the heights by 0.26 m rms
+  before the demo's stack and by 49 m rms after it. The stack itself changes them by 166 m rms. So choose the number of
+  samples before you shape.
+* **The border of a raster is open.** Streams and droplets carry material over it, and nothing comes in. *Conserves*
+  below has how much that was.
 
 ![The demo's island: lifted while rivers cut it, beds of basalt, snow on their ledges](images/land_whole.jpg)
 

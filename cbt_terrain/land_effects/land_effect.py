@@ -3,7 +3,8 @@
 
 Levels halve the spacing. An effect is applied to the coarsest level first, with all the steps it needs; on each finer
 one it starts from its own change there and adds what only the finer samples can tell. All it takes and gives is in
-metres and years, so that levels differ by detail and not by shape. Nothing here knows of a camera.
+metres and years. So halving the spacing adds detail to the same land; any other number of samples moves those of the
+coarse levels, and then valleys lie elsewhere. Nothing here knows of a camera.
 """
 
 from collections.abc import Callable, Mapping

@@ -230,9 +230,11 @@ RIVERS = LandEffect(
     limit="none: a step may have any length; the network lags behind steps of more than 20,000 years; ground above "
     "`steepest` becomes walls of that slope",
     converges="on the island's land, levels at 8, 4 and 2 m add 2.5, 1.3, 0.8 m rms aged by 180,000 years, and 11, "
-    "4.7, 2.3 m grown by 2 million",
+    "4.7, 2.3 m grown by 2 million; only for twice as many cells: with 1,030 samples instead of 1,025 valleys lie "
+    "elsewhere, 8.6 m rms of a change of 60 m, and 91 of 289 m grown",
     cost_ns=650,
-    conserves="what is cut is laid down or leaves over the rim or into the sea, to 1e-6 of what moved",
+    conserves="within one level, what is cut is deposited or leaves over the open border or into the sea, where it is "
+    "lost; on 257 x 257 samples of the mountains that was 91 % of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
     version=10,
 )

@@ -144,8 +144,10 @@ class Terrain:
     ) -> Update:
         """Refine, weld and displace for the views (their union), the terrain standing at `placement` (4 x 4, to world).
 
-        Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError and leaves the last mesh
-        as it is if a number cannot be used.
+        `views`: a list, any other iterable, or one view. Heights become `height * vertical_scale + vertical_offset`
+        metres. The arrays of the surface are read-only. They stay as they are however many updates follow; `copy()`
+        has arrays that can be written. Other threads that update the same terrain wait. Raises TerrainError and leaves
+        the last mesh as it is if a number cannot be used.
         """
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         heights = vertical(vertical_scale, vertical_offset)

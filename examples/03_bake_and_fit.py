@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain import ImportSettings, bake, import_source, open_store
-from adaptive_terrain.cbt_terrain.mesh.archive import write_npz
+from adaptive_terrain import ImportSettings, bake, import_source, open_store, write_npz
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")

@@ -5,11 +5,9 @@
 # metres for a baked mesh, over its whole surface. Then a mesh is spoilt on purpose, and the measurement finds it.
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-from adaptive_terrain import Criterion, ImportSettings, Terrain, View, bake, import_source, open_store
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain import Criterion, ImportSettings, Terrain, View, bake, import_source, measure, open_store
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")
@@ -27,7 +25,7 @@ for error_m in (4.0, 1.0):
     found = measure(field, update.surface)
     print(f"asked {error_m:g} m: bound {update.bound_m:.3f} m, measured {found.vertical_max_m:.3f} m")
 
-positions = update.surface.positions.copy()
-positions[:, 2] += 100.0
-found = measure(field, replace(update.surface, positions=positions))
+spoilt = update.copy().surface  # the arrays of an update are read-only, those of a copy are not
+spoilt.positions[:, 2] += 100.0
+found = measure(field, spoilt)
 print(f"100 m too high: measured {found.vertical_max_m:.1f} m")

@@ -9,8 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain import ImportSettings, Scatter, View, import_source, open_store, scatter_points
-from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
+from adaptive_terrain import ImportSettings, Layer, Rule, Scatter, View, import_source, open_store, scatter_points
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")

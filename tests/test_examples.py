@@ -31,6 +31,7 @@ def check_01_first_mesh(said, folder):
 def check_02_flight(said, folder):
     frames = numbers(said, r"frame \d: ([\d,]+) triangles")
     assert len(frames) == 8 and len(set(frames)) > 1 and "the same mesh alone: True" in said
+    assert "the same meshes by four threads: True" in said
     assert all(wide < 100 for wide in numbers(said, r"is in triangle \d+, ([\d.]+) m wide"))
 
 

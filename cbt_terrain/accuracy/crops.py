@@ -49,7 +49,7 @@ def crops(terrain: Terrain, frame: Frame, errors_px: Sequence[float], base: Crit
     surfaces = []
     for error in errors_px:
         update = terrain.update(Setting("px", error).criterion(base or Criterion()), [view], *frame.heights)
-        surfaces.append(update.surface.copy())
+        surfaces.append(update.surface)
     drawn = [_Drawn(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)

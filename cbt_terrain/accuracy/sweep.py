@@ -193,9 +193,8 @@ def _row(
     updates, sizes, measured, popped, runs, spreads = [], [], [], [], [], []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
-        # The next update overwrites the surface.
-        surface = update.surface.copy() if frame.after else update.surface
-        updates.append(update)
+        surface = update.surface
+        updates.append(dataclasses.replace(update, surface=None))  # or the meshes of all frames would stay in memory
         sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
         for view in frame.views or [None]:
             done = len(measured)
@@ -214,6 +213,9 @@ def _row(
         def made(surface: Surface, views: Sequence[View], frame: Frame = frame) -> dict[str, Attribute]:
             return evaluator.attributes(effects, heights, surface, views, *frame.heights)
 
+        update = None
+        if not frame.after:
+            surface = None  # its memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
         found = timed_runs(terrain, criterion, frame, count, write, made if effects.steps else None)
         runs.append(fastest(found))

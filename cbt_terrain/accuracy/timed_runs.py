@@ -69,14 +69,15 @@ def timed_runs(
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
     step = MOVE * diagonal * _stretch(frame.placement)
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
-    updates, side = [], 1
+    updates, side, update, surface = [], 1, None, None
     while len(updates) <= count * _updates_a_run(updates):
         side = -side
         views = [_moved(view, side * step) for view in frame.views]
+        update = surface = None  # the memory of the last run is free for this one
         start_cpu = cpu_ms()
         update = terrain.update(criterion, views, *frame.heights)
         if not update.changed:
-            offset = frame.vertical_offset + side * nudge
+            update, offset = None, frame.vertical_offset + side * nudge
             start_cpu = cpu_ms()
             update = terrain.update(criterion, views, frame.placement, scale, offset)
         updates.append(dict(update.ms))

@@ -99,8 +99,8 @@ class Record:
     status: Status = dataclasses.field(default_factory=Status)
 
 
-# An engine's surface is valid until its next update, and two updates side by side would share the same cores. Who
-# needs a surface longer holds the lock around the update and copies it.
+# Two updates side by side would share the same cores, and values of effects are valid until the next update: hold the
+# lock around an update and copy what is needed longer.
 engine_lock = threading.RLock()
 _records: dict[int, Record] = {}
 _fields: dict[tuple[str, int], object] = {}

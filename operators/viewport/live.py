@@ -12,7 +12,7 @@ undone, deleted or replaced in the meantime; a camera that moved on in the meant
 import time
 import traceback
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 
@@ -36,7 +36,7 @@ class Job:
     uid: int
     generation: int
     request: Request
-    future: Future
+    future: Future | None  # None once its result is shown
 
 
 _dirty = False
@@ -76,6 +76,7 @@ def _turn() -> float:
             return BUSY_S
         job, _job = _job, None
         _finish(job)
+        del job  # with its surface, whose memory the next update takes
     idle = not _dirty and not _windows_changed()
     if idle:
         _job = _refinement()
@@ -229,12 +230,12 @@ def _finish(job: Job) -> None:
             return
         update, serial, whole = done
         with session.engine_lock:
-            # The surface's arrays are the engine's own: another update since then has overwritten them.
+            # Another update may have been shown since then.
             if record.generation == job.generation and record.serial == serial:
                 session.show(obj, record, job.request, update, VIEWPORT)
         _unrefined.pop(job.uid, None)
         if not whole:
-            _unrefined[job.uid] = job
+            _unrefined[job.uid] = replace(job, future=None)
     except land_request.DamagedLand:
         _unrefined.pop(job.uid, None)
         mark_dirty()  # it is gone: other land is asked for

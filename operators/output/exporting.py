@@ -104,12 +104,21 @@ def write_frames(
 def _remove_summary(path: Path) -> None:
     """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
     try:
-        remove_file(path, may_be_link=True)
+        _replace_special(path)
+        remove_file(path)
     except OSError as error:
         raise TerrainError(
             f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "
             "another."
         ) from None
+
+
+def _replace_special(path: Path) -> None:
+    """Put an empty file in the place of a link, a pipe or a socket, whatever a link leads to."""
+    if path.is_symlink() or path.is_fifo() or path.is_socket():
+        with private_folder(path.parent) as folder:
+            (folder / path.name).touch()
+            os.replace(folder / path.name, path)
 
 
 def make_folder(path: Path) -> None:

@@ -57,11 +57,11 @@ def test_a_pipe_is_refused_at_once(pipe, run, tmp_path):
     assert place.name in message and any(way in message for way in ("expected", "again"))
 
 
-def test_a_summary_that_is_a_pipe_is_a_missing_frame(run, tmp_path):
+def test_a_summary_that_is_a_pipe_is_damaged(run, tmp_path):
     (tmp_path / "out").mkdir()
     os.mkfifo(tmp_path / "out/frame_0001.json")
     code, message = run("verify", "out", "--frames", "1")
-    assert code == 1 and "frame 1 is missing" in message
+    assert code == 1 and "frame_0001.json is damaged" in message
 
 
 def test_a_layer_that_is_a_pipe_is_not_copied(run, tmp_path):

@@ -154,3 +154,24 @@ def test_a_pipe_has_no_content_and_is_not_waited_for(tmp_path):
     (tmp_path / "link").symlink_to("a")
     (tmp_path / "a").write_bytes(b"a")
     assert content_digest(tmp_path / "link") == content_digest(tmp_path / "a") is not None
+
+
+@pytest.mark.parametrize("damage", ["truncated", "no object", "deep nesting", "too large", "a pipe", "a link"])
+def test_a_frame_with_a_damaged_summary_is_exported_again(export, damage):
+    resumed = "--frames", "6", "--format", "npz", "--resume"
+    _, _, out = export("--frames", "6", "--format", "npz")
+    before = (out / "terrain_0006.npz").read_bytes()
+    assert "complete before" in export(*resumed)[1].out
+    SUMMARY_DAMAGE[damage](out)
+    code, said, _ = export(*resumed)
+    assert code == 0 and "complete before" not in said.out and said.err == ""
+    assert not (out / "frame_0006.json").is_symlink() and (out / "frame_0006.json").is_file()
+    assert "complete before" in export(*resumed)[1].out and (out / "terrain_0006.npz").read_bytes() == before
+    if damage == "a link":
+        assert json.loads((out / "elsewhere.json").read_text())["frame"] == 6, "what it led to is left alone"
+
+
+def test_a_folder_in_the_place_of_a_summary_is_refused(export):
+    (export("--frames", "1", "--format", "npz")[2] / "frame_0006.json").mkdir()
+    code, said, _ = export("--frames", "6", "--format", "npz", "--resume")
+    assert code == 1 and "frame_0006.json" in said.err and said.err.count("\n") == 1

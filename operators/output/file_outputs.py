@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run.partial_files import written_beside
 from .exporting import check_target, make_folder, named_failures
 
@@ -31,9 +32,13 @@ def redirected_outputs(scene, folder: Path) -> Iterator[None]:
     try:
         for node, path in zip(nodes, before, strict=True):
             drive, tail = os.path.splitdrive(_whole(path))
-            _set_folder(node, os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\")))
+            below = os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\"))
+            _set_folder(node, below)
+            _need_kept(node, below, node_folder(node))
         for node, (name, items) in names:
-            _set_names(node, *_numbered_names(node, name, items))
+            numbered = _numbered_names(node, name, items)
+            _set_names(node, *numbered)
+            _need_kept(node, numbered, _names_of(node))
         yield
     finally:
         for node, path in zip(nodes, before, strict=True):
@@ -95,6 +100,15 @@ def literal(path: Path) -> str:
 
 def _set_folder(node, path: str) -> None:
     setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
+
+
+def _need_kept(node, wanted, kept) -> None:
+    """Raise TerrainError where Blender has cut a name short, as it does without a word."""
+    if kept != wanted:
+        raise TerrainError(
+            f"The path or a name of the File Output node {shown(node.name)!r} is too long for Blender with the frame's "
+            f"own folder and number; it kept {shown(kept, 100)}: shorten it, or choose another --out."
+        )
 
 
 def _names_of(node) -> tuple[str, list[str]]:

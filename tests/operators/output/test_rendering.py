@@ -324,6 +324,14 @@ def test_layers_of_one_file_and_nodes_in_groups_are_found(shot, resume, tmp_path
     assert sorted(path.name for path in file_outputs.output_folders(bpy.context.scene)) == ["layers", shot.parent.name]
 
 
+def test_a_path_that_blender_cuts_short_is_refused(shot, tmp_path, capsys):
+    add_output(bpy.context.scene, "//" + "layers/" * 130)
+    bpy.ops.wm.save_mainfile()
+    assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "1") == 1
+    assert "File Output node 'File Output' is too long" in capsys.readouterr().err
+    assert [path for path in outputs_in(tmp_path / "out") if path.suffix != ".json"] == []
+
+
 def test_a_frame_that_is_not_rendered_leaves_no_other_files(shot, tmp_path, capsys):
     hills = bpy.data.objects["Hills"]
     for frame, scale in ((1, 1.0), (2, 0.0)):

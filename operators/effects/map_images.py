@@ -16,11 +16,11 @@ import bpy
 from ...cbt_terrain.maps.folder import UDIM, read_index
 from ...cbt_terrain.maps.tiling import MARGIN
 from ...cbt_terrain.run.named_file import blocks_reader
+from ...cbt_terrain.run.owned_files import MAPS
 from ..mesh.writer import UV_LAYER
 from ..scene.session import all_terrains, open_field
 from ..scene.shaped_land import store_of
 
-BESIDE = "_maps"
 GROUP = "Terrain Map UV"
 _marks: dict[int, str] = {}  # by session_uid
 
@@ -30,7 +30,7 @@ def map_folder(obj) -> Path:
     settings = obj.adaptive_terrain
     store = Path(bpy.path.abspath(settings.store))
     folder = settings.maps.folder
-    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + BESIDE)
+    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + MAPS)
     return above / bpy.path.clean_name(settings.maps.mark)
 
 

@@ -11,7 +11,7 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.store import JSON_NAME as STORE_JSON
 from ...cbt_terrain.importing.raster import EXR_SUFFIX, PLACED_SUFFIXES, RAW_SUFFIXES
 from ...cbt_terrain.maps.folder import JSON_NAME as MAPS_JSON
-from ..request.land_request import BESIDE as LAND
+from ...cbt_terrain.run.owned_files import LAND
 
 HEIGHT_MAP_SUFFIXES = {*PLACED_SUFFIXES, *RAW_SUFFIXES, EXR_SUFFIX, ".npy"}
 MAX_NAMED = 10

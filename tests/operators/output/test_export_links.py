@@ -5,7 +5,6 @@ import os
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import partial_files
 from adaptive_terrain.operators.output.exporting import write_frames, write_text
 
@@ -19,7 +18,7 @@ def export_into(out: Path) -> None:
         write_text(out / "a.txt", "frame")
         return {"files": {"a.txt": 5}, "terrains": [], "elapsed_ms": 0.0}
 
-    write_frames(write, {}, [1], out, resume=False, on_frame=lambda *_: None)
+    write_frames(write, {}, lambda _: [], [1], out, resume=False, on_frame=lambda *_: None)
 
 
 @pytest.fixture
@@ -38,12 +37,13 @@ def test_the_folder_may_be_a_link(tmp_path, precious):
     assert (precious / "mine.json").read_text() == "mine"
 
 
-def test_a_summary_that_is_a_link_is_refused(tmp_path, precious):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "frame_0001.json").symlink_to(precious / "mine.json")
-    with pytest.raises(TerrainError, match="frame_0001.json is a link; expected a file"):
-        export_into(tmp_path / "out")
-    assert (precious / "mine.json").read_text() == "mine" and os.listdir(tmp_path / "out") == ["frame_0001.json"]
+def test_a_summary_takes_the_place_of_a_link(tmp_path, precious):
+    summary = tmp_path / "out" / "frame_0001.json"
+    summary.parent.mkdir()
+    summary.symlink_to(precious / "mine.json")
+    export_into(summary.parent)
+    assert (precious / "mine.json").read_text() == "mine"
+    assert not summary.is_symlink() and sorted(os.listdir(summary.parent)) == ["a.txt", "frame_0001.json"]
 
 
 def test_links_under_the_names_of_results_keep_their_targets(tmp_path, precious):

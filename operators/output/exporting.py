@@ -105,7 +105,7 @@ def _remove_summary(path: Path) -> None:
     """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
     try:
         _replace_special(path)
-        remove_file(path)
+        remove_file(path, may_be_link=True)
     except OSError as error:
         raise TerrainError(
             f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "

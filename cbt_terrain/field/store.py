@@ -50,7 +50,7 @@ from .store_folder import (
     JSON_NAME,
     MAX_JSON_BYTES,
     discard,
-    is_own_entry,
+    is_array_file,
     missing_folders,
     named_folder,
     new_data_name,
@@ -185,7 +185,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
 
 def _effect_files(folder: Path) -> list[Path]:
     """What effects have kept over a whole raster."""
-    return sorted(file for file in folder.glob("effect_*.npy") if is_own_entry(file))
+    return sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file))
 
 
 def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:

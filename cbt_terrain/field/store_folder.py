@@ -17,17 +17,16 @@ from .store_entries import is_data_name
 JSON_NAME = "store.json"
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
 MAX_JSON_BYTES = 1 << 22
-DATA_PREFIX = "data-"
 TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
-_OWN_FILE = re.compile(
+_ARRAY_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
     r"|effect_[a-z_]+_[0-9a-f]{16}\.npy"
     r"|layer_[a-z][a-z0-9_]{0,40}\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )
-_KEPT_TILE = re.compile(r"[0-9a-f]{32}\.npy")
+_TILE = re.compile(r"[0-9a-f]{32}\.npy")
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -71,38 +70,38 @@ def foreign(folder: Path) -> list[Path]:
         for entry in folder.iterdir():
             if is_data_name(entry.name) and owned_files.is_real_folder(entry):
                 with suppress(FileNotFoundError):
-                    found += [inner for inner in entry.iterdir() if not is_own_entry(inner)]
-            elif not is_own(entry) and os.path.lexists(entry):
+                    found += [inner for inner in entry.iterdir() if not is_array_file(inner)]
+            elif not is_array_folder(entry) and os.path.lexists(entry):
                 found.append(entry)
     return sorted(found)
 
 
-def is_own(folder: Path) -> bool:
+def is_array_folder(folder: Path) -> bool:
     """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
     if folder.name == TILES and owned_files.is_real_folder(folder):
-        return all(is_tile_name(entry.name) or is_own_entry(entry) for entry in folder.iterdir())
+        return all(is_tile_name(entry.name) or is_array_file(entry) for entry in folder.iterdir())
     if not is_data_name(folder.name) or not owned_files.is_real_folder(folder):
         return False
     try:
-        return all(map(is_own_entry, folder.iterdir()))
+        return all(map(is_array_file, folder.iterdir()))
     except FileNotFoundError:
         return True  # another import has just removed it
 
 
-def is_own_entry(entry: Path) -> bool:
+def is_array_file(entry: Path) -> bool:
     """Return whether something in a folder of arrays is what this program writes there: by its name, and no link."""
     is_folder = owned_files.is_real_folder(entry)
-    return is_own_name(entry.name, is_folder) and (is_folder or owned_files.is_real_file(entry))
+    return is_array_name(entry.name, is_folder) and (is_folder or owned_files.is_real_file(entry))
 
 
-def is_own_name(name: str, is_folder: bool) -> bool:
+def is_array_name(name: str, is_folder: bool) -> bool:
     """Return whether this program gives a file, or a folder, in a folder of arrays this name."""
-    return partial_files.is_partial_name(name) if is_folder else _OWN_FILE.fullmatch(name) is not None
+    return partial_files.is_partial_name(name) if is_folder else _ARRAY_FILE.fullmatch(name) is not None
 
 
 def is_tile_name(name: str) -> bool:
     """Return whether a file in the folder of tiles has the name of one."""
-    return _KEPT_TILE.fullmatch(name) is not None
+    return _TILE.fullmatch(name) is not None
 
 
 def remove_arrays(folder: Path) -> None:
@@ -110,11 +109,11 @@ def remove_arrays(folder: Path) -> None:
     or something in it is a link or not the program's, and OSError."""
     if not is_data_name(folder.name):
         raise NotOursError(f"{folder} is no folder of arrays; expected a name of data- and 32 hex digits: keep it.")
-    owned_files.remove_tree(folder, is_own_name)
+    owned_files.remove_tree(folder, is_array_name)
 
 
 def missing_folders(path: Path) -> list[Path]:
-    """The folder of a store and those above it that are still to be made, the innermost first."""
+    """List the folder of a store and those above it that are missing, the innermost first."""
     path = path.absolute()
     return [folder for folder in (path, *path.parents) if not folder.exists()]
 
@@ -153,13 +152,13 @@ def new_data_name() -> str:
 def remove_abandoned(path: Path) -> None:
     """Take away the folders of arrays that neither a living process nor store.json has use for."""
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
-        return  # of a damaged store nobody knows what it needs
+        return  # a damaged store does not say which folder it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
         with suppress(OSError):
-            if is_own(folder):
+            if is_array_folder(folder):
                 token = folder.name.removeprefix(DATA_PREFIX)
                 is_needed = functools.partial(_is_named, path, folder)
-                partial_files.remove_if_abandoned(folder, token, is_needed, is_own_name)
+                partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)
 
 
 def take_away(path: Path) -> None:

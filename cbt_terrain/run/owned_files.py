@@ -16,10 +16,9 @@ reparse point (symbolic link or junction) right before the use.
 
 What counts as ours: a regular file, or a real folder, under a name that the program gives and that no user picks by
 chance. Such names are the record: they hold 64 to 128 bits of a hash or of a random token, or stand in a folder with
-such a name, or in the index of a folder of maps. A separate list of files would prove no more, since a stranger can
-write one too; and what a stranger's folder really holds (as opposed to what it links to) is the stranger's. Anything
-else in a folder makes `remove_tree` refuse the whole folder. A hard link only loses its name: no published file is ever
-written in place.
+such a name, or in the index of a folder of maps. A separate list of files would prove no more: a stranger can
+write one too. Files that lie in a stranger's folder, and are no links, are the stranger's. Anything else in a folder
+makes `remove_tree` refuse the whole folder. A hard link only loses its name: no published file is written in place.
 """
 
 import errno
@@ -180,8 +179,7 @@ def is_real_file(path: str | os.PathLike) -> bool:
 
 
 def check_no_link(path: str | os.PathLike, then: str = "try again") -> None:
-    """Raise NotOursError where a link stands in place of a file or a folder of this program. then: what the user does
-    once the link is gone."""
+    """Raise NotOursError for a link. then: the user's next step once the link is gone."""
     try:
         found = os.lstat(path)
     except (OSError, ValueError):
@@ -244,11 +242,11 @@ def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
 
 
 def remove_tree(
-    path: str | os.PathLike, is_own: Callable[[str, bool], bool] | None = None, may_be_link: bool = False
+    path: str | os.PathLike, may_remove: Callable[[str, bool], bool] | None = None, may_be_link: bool = False
 ) -> None:
     """Remove a folder with all that is in it; a missing one is no error.
 
-    is_own: whether this program made an entry, by its name and whether it is a folder. None: all of it is, as in a
+    may_remove: whether this program made an entry, by its name and whether it is a folder. None: all of it is, as in a
     folder that this process made. may_be_link: of the folder above, as of `open_folder`. Raises NotOursError
     before anything is removed, where the folder is a link, or an entry is a link or not the program's. Raises OSError.
     """
@@ -257,8 +255,8 @@ def remove_tree(
         with open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
             with above.open(path.name) as folder:
                 names = folder.entries()
-                for name in names if is_own else ():
-                    _check_own(folder, name, is_own)
+                for name in names if may_remove else ():
+                    _check_removable(folder, name, may_remove)
                 for name in names:
                     _remove_entry(folder, name)
             with suppress(FileNotFoundError):
@@ -267,12 +265,12 @@ def remove_tree(
         pass
 
 
-def _check_own(folder: OpenFolder, name: str, is_own: Callable[[str, bool], bool]) -> None:
+def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, bool], bool]) -> None:
     found = folder.find(name)
     if found is None:
         return
     is_folder = stat.S_ISDIR(found.st_mode)
-    if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not is_own(name, is_folder):
+    if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not may_remove(name, is_folder):
         raise NotOursError(
             f"{shown(folder.path, 1000)} holds {shown(name)!r}; expected only files that Adaptive Terrain made: "
             "move it away and try again."
@@ -292,12 +290,14 @@ def _remove_entry(folder: OpenFolder, name: str) -> None:
         os.rmdir(**folder.at(name))
 
 
-def remove_entries(path: str | os.PathLike, is_own: Callable[[str], bool]) -> None:
-    """Remove the regular files in a folder whose names `is_own` accepts; all else in it stays. A missing folder is no
-    error. Raises NotOursError where the folder is a link, and OSError."""
+def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -> None:
+    """Remove the regular files in a folder with names that `may_remove` accepts; all else in it stays.
+
+    A missing folder is no error. Raises NotOursError where the folder is a link, and OSError.
+    """
     try:
         with open_folder(path) as folder:
-            for name in filter(is_own, folder.entries()):
+            for name in filter(may_remove, folder.entries()):
                 found = folder.find(name)
                 if found is not None and stat.S_ISREG(found.st_mode) and not is_link(found):
                     with suppress(FileNotFoundError):

@@ -59,8 +59,8 @@ def written_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def written_among(path: Path) -> Iterator[Path]:
-    """As `written_beside`, but in the folder of `path` itself, since the file will name others relative to it. Nobody
-    can foresee the name, so there is no link in its place."""
+    """Do as `written_beside`, but in the folder of `path` itself, since the file will name others relative to it. The
+    name is unpredictable, so there is no link in its place."""
     check_replaceable(path)
     with private_folder(path.parent) as folder:
         partial = folder.with_name(f"{folder.name}-{path.name}")
@@ -110,7 +110,7 @@ def final_names(text: str) -> str:
 
 
 def new_token() -> str:
-    """32 hexadecimal digits for a folder's name that nobody can foresee; the first eight are this machine's mark."""
+    """Return 32 unpredictable hexadecimal digits for a folder's name; the first eight are this machine's mark."""
     return _machine() + secrets.token_hex(12)
 
 
@@ -158,7 +158,7 @@ def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int
 
 
 def end_work(folder: Path, lock: int) -> None:
-    """The folder is no longer at work, and stays."""
+    """Give back the lock of a folder, which stays."""
     os.close(lock)
     owned_files.remove_file(folder / LOCK)
 
@@ -178,11 +178,11 @@ def remove_if_abandoned(
     folder: Path,
     token: str,
     is_needed: Callable[[], bool] = lambda: False,
-    is_own: Callable[[str, bool], bool] | None = None,
+    may_remove: Callable[[str, bool], bool] | None = None,
 ) -> None:
     """Remove a folder that `make_folder` made, of a name with this token, if it is no living process's work.
 
-    `is_needed` is called when that is known: what has ended may have ended well. is_own: as of `remove_tree`.
+    `is_needed` is called when that is known: what has ended may have ended well. may_remove: as of `remove_tree`.
     """
     try:
         if not _is_ours(folder):
@@ -200,7 +200,7 @@ def remove_if_abandoned(
                     lock = None
                 for file in folder.parent.glob(f"{folder.name}-*"):
                     owned_files.remove_file(file, may_be_link=True)
-                owned_files.remove_tree(folder, is_own, may_be_link=is_own is None)
+                owned_files.remove_tree(folder, may_remove, may_be_link=may_remove is None)
         finally:
             if lock is not None:
                 os.close(lock)
@@ -253,5 +253,5 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _age(folder: Path) -> float:
-    """Seconds since anything in a folder was written."""
+    """Return the seconds since anything in a folder was written."""
     return time.time() - max(path.lstat().st_mtime for path in (folder, *folder.iterdir()))

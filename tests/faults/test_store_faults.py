@@ -277,7 +277,7 @@ def test_another_import_ends_while_a_folder_is_looked_at(tmp_path, monkeypatch, 
             entry.rmdir()
         return False
 
-    monkeypatch.setattr(store_folder, "is_own", ended)
+    monkeypatch.setattr(store_folder, "is_array_folder", ended)
     store_folder.check_target(tmp_path)
 
 

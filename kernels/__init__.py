@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warp kernels: arrays and numbers in, arrays out. No files, no state, no bpy."""
+"""Warp kernels: arrays and numbers in, arrays out. No files, no state, no bpy.
+
+Only this module knows of a folder: the one in which Warp keeps compiled kernels. It is the user's cache, or a temporary
+one where that cannot be used.
+"""
 
 import os
 import pkgutil
+import sys
+import tempfile
 
 import warp as wp
+
+_temporary: tempfile.TemporaryDirectory | None = None
 
 
 def _initialise_quietly() -> None:
@@ -25,11 +33,50 @@ def _initialise_quietly() -> None:
 
 
 def _initialise() -> None:
+    """Start Warp with a folder for compiled kernels. Raises OSError where not even a temporary one can be made."""
     try:
+        if wp.config.kernel_cache_dir is None and os.name == "posix" and not os.environ.get("WARP_CACHE_PATH"):
+            wp.config.kernel_cache_dir = _default_cache()
         wp.init()
     except OSError as reason:
-        advice = f"compiled kernels cannot be kept there ({reason.strerror}): set WARP_CACHE_PATH to a folder that can"
-        raise OSError(reason.errno, f"{advice} be written", reason.filename) from None
+        use_temporary_cache(reason.strerror or str(reason))
+        wp.config.kernel_cache_dir = None  # the environment names it
+        wp.init()
+
+
+def _default_cache() -> str:
+    """Return Warp's default folder, but none that is relative to the current one. Raises OSError without a home."""
+    places = ["~/Library/Caches"] if sys.platform == "darwin" else [os.environ.get("XDG_CACHE_HOME", ""), "~/.cache"]
+    for place in map(os.path.expanduser, places):
+        if os.path.isabs(place):
+            return os.path.join(place, "warp")
+    raise OSError("this user has no home folder")
+
+
+def has_temporary_cache() -> bool:
+    """Whether compiled kernels are kept in a temporary folder."""
+    return _temporary is not None
+
+
+def use_temporary_cache(why: str) -> None:
+    """Keep compiled kernels in a folder that ends with this process, and that its children use. Raises OSError."""
+    global _temporary
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="adaptive_terrain_kernels_", ignore_cleanup_errors=True)
+        cache = os.path.join(folder.name, wp.config.version)
+        os.mkdir(cache)
+    except OSError as reason:
+        advice = "set WARP_CACHE_PATH or TMPDIR to a folder that can be written"
+        text = f"compiled kernels cannot be kept in the user's cache ({why}) or a temporary folder: {advice}"
+        raise OSError(reason.errno, text, reason.filename) from reason
+    _temporary = folder
+    os.environ["WARP_CACHE_PATH"], wp.config.kernel_cache_dir = folder.name, cache
+
+
+def remove_temporary_cache() -> None:
+    """Remove the temporary folder, for a process that will not be able to later. What it has loaded stays loaded."""
+    if _temporary is not None:
+        _temporary.cleanup()
 
 
 def _without_gradients() -> None:

@@ -17,6 +17,7 @@ from .store_entries import is_data_name
 JSON_NAME = "store.json"
 # More than any store's: coordinate systems and warnings are texts of some thousand characters.
 MAX_JSON_BYTES = 1 << 22
+DATA_PREFIX = "data-"
 TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
 # All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
 _ARRAY_FILE = re.compile(

@@ -30,6 +30,7 @@ def guard(suffix: str, folder: Path | None) -> dict[str, str]:
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
     """Before an import into the store `path`, whose folder is made. Raises TerrainError."""
+    from ...kernels import remove_temporary_cache
     from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges
     from ..field.lands import LANDS
     from ..run import launch
@@ -39,6 +40,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
         load(module)
     if settings.source in LANDS:
         launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
+    remove_temporary_cache()
     store_folder.check_target(path)
     try:
         with open_folder(path, make=True):

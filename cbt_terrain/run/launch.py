@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from ..plain_numbers import plain_number
-from . import locks, stopping
+from . import kernel_cache, locks, stopping
 from .buffers import shared
 
 DEVICE = "cpu"
@@ -198,5 +198,5 @@ def _load(kernel) -> None:
     """Compile or load the kernel's module on one thread: Warp's loader is not safe to enter twice."""
     if kernel not in _loaded:
         with _loading:
-            wp.load_module(kernel.module.name, device=DEVICE)
+            kernel_cache.load(kernel.module.name)
             _loaded.add(kernel)

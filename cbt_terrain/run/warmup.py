@@ -38,14 +38,13 @@ from ...kernels import (
     scatter,
 )
 from ..errors import TerrainError
-from . import child, launch, locks, stopping
+from . import child, kernel_cache, launch, locks, stopping
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
 HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
 OTHERS = effects, land, detail, morph, query, scatter, bicubic, fitting
 HORIZON_MAP = f"{refine.__name__}.horizon_map"
-CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
 
 
 class _Preparation:
@@ -65,6 +64,8 @@ class _Preparation:
             compiled = {module: compiled_file(module) for group in self._groups for module in group}
             if not all(file.exists() for file in compiled.values()):
                 self.fraction = 0.0
+                kernel_cache.ensure_writable()
+                compiled = {module: compiled_file(module) for module in compiled}
                 processes = self._start_children()
             for group, ready in zip(self._groups, self.ready, strict=True):
                 self._finish(group, compiled, processes)
@@ -74,7 +75,7 @@ class _Preparation:
         finally:
             for process in processes:
                 if self.stopping.is_set():
-                    process.kill()
+                    child.kill(process)
                 process.wait()
             self.fraction = None
             _tried.update(module for group in self._groups for module in group)
@@ -212,13 +213,8 @@ def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
 
 
 def compiled_file(module: ModuleType) -> Path:
-    """Where Warp keeps what it has compiled of a module for this processor; the file appears when it is complete.
-
-    A cache may serve several machines, as in a shared home: each kind of processor has its own file in the folder.
-    """
-    name = wp.get_module(module.__name__).get_module_identifier(CPU_BLOCK)
-    processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
-    return Path(wp.config.kernel_cache_dir) / name / f"{name}.cpu{processor}.o"
+    """Return where the object of a module is kept; the file appears when it is complete."""
+    return kernel_cache.compiled_file(module.__name__)
 
 
 def load(module: ModuleType) -> None:

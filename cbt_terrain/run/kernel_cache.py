@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Loads kernels from Warp's cache, and compiles those that it lacks or that are damaged.
+
+Warp trusts its cache: a damaged object may crash the process or compute wrong numbers. So each object has a file beside
+it with a checksum; an object without one, or with another content, is compiled anew. LLVM ends the process where a disk
+is full, so room is reserved first. Where the cache cannot be written, as in a read-only home, compiled kernels are kept
+in a temporary folder of this process and its children.
+"""
+
+import hashlib
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+import warp as wp
+
+from ...kernels import has_temporary_cache, use_temporary_cache
+from ..errors import TerrainError, shown
+
+CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
+ROOM_BYTES = 4 << 20  # the largest module takes 0.7 MB: its source and its object
+CHECKSUM = ".checksum"
+
+
+def load(name: str) -> None:
+    """Load the kernels of the Warp module `name`, from one thread at a time. Raises TerrainError."""
+    try:
+        _load(name)
+    except Exception as reason:  # of the cache or of the compiler: any that Warp raises
+        if has_temporary_cache():
+            raise _error(name, reason) from reason
+        _leave_cache(reason)
+        wp.get_module(name).mark_modified()  # Warp does not try a module again that has failed
+        try:
+            _load(name)
+        except Exception as again:
+            raise _error(name, again) from again
+
+
+def compiled_file(name: str) -> Path:
+    """Return where the object of a module is kept for this processor; the file appears when it is complete.
+
+    A cache may serve several machines, as in a shared home: each kind of processor has its own file in the folder.
+    """
+    identifier = wp.get_module(name).get_module_identifier(CPU_BLOCK)
+    processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
+    return Path(wp.config.kernel_cache_dir) / identifier / f"{identifier}.cpu{processor}.o"
+
+
+def ensure_writable() -> None:
+    """Use a temporary folder unless compiled kernels can be kept in the cache. Raises TerrainError."""
+    try:
+        with _build_folder():
+            pass
+    except OSError as reason:
+        if not has_temporary_cache():
+            _leave_cache(reason)
+
+
+def _leave_cache(reason: Exception) -> None:
+    """Keep compiled kernels in a temporary folder, since the cache fails for `reason`. Raises TerrainError."""
+    try:
+        use_temporary_cache(shown(reason))
+    except OSError as failed:
+        text = f"{failed.strerror} ({failed.filename})" if failed.filename else failed.strerror
+        raise TerrainError(f"{text[0].upper()}{text[1:]}.") from failed
+
+
+def _error(name: str, reason: Exception) -> TerrainError:
+    return TerrainError(
+        f"The kernels of {name} cannot be compiled in {wp.config.kernel_cache_dir} ({shown(reason)}): make room there, "
+        "or set WARP_CACHE_PATH to a folder that can be written."
+    )
+
+
+def _load(name: str) -> None:
+    file = compiled_file(name)
+    if _is_whole(file):
+        wp.load_module(name, device="cpu")
+        return
+    cache = wp.config.kernel_cache_dir
+    with _build_folder() as build:
+        wp.config.kernel_cache_dir = build
+        try:
+            wp.load_module(name, device="cpu")
+        finally:
+            wp.config.kernel_cache_dir = cache
+        with suppress(OSError):  # the kernels are loaded; the next process compiles them again
+            _publish(Path(build) / file.parent.name, file)
+
+
+def _build_folder() -> tempfile.TemporaryDirectory:
+    """Make a folder in the cache in which there is room for a compiled module. Raises OSError."""
+    folder = tempfile.TemporaryDirectory(prefix="build_", dir=wp.config.kernel_cache_dir, ignore_cleanup_errors=True)
+    with tempfile.TemporaryFile(dir=folder.name) as probe:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(probe.fileno(), 0, ROOM_BYTES)
+        else:
+            probe.write(bytes(ROOM_BYTES))
+    return folder
+
+
+def _publish(built: Path, file: Path) -> None:
+    """Move a compiled module into the cache. Another process may do the same, and others may read. Raises OSError."""
+    object_file = built / file.name
+    object_file.with_suffix(CHECKSUM).write_text(_checksum(object_file))
+    try:
+        built.rename(file.parent)
+    except OSError:  # the folder is there: another processor's object, a damaged one, or another process was faster
+        names = sorted(path.name for path in built.iterdir())
+        for name in sorted(names, key=lambda name: name == file.name):  # the object last
+            (built / name).replace(file.parent / name)
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether an object and its description are those that were compiled."""
+    try:
+        return file.with_suffix(CHECKSUM).read_text() == _checksum(file)
+    except (OSError, ValueError):
+        return False
+
+
+def _checksum(file: Path) -> str:
+    """Return the checksum of an object and of the description that Warp reads with it. Raises OSError."""
+    description = file.with_name(f"{file.parent.name}.meta")
+    return hashlib.blake2b(file.read_bytes() + description.read_bytes(), digest_size=16).hexdigest()

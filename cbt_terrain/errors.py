@@ -1,12 +1,46 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The one error for bad input."""
 
+import os
+import sys
+from pathlib import Path
+
+# Windows counts characters of two bytes; a name in it has at most three bytes a character in UTF-8.
+MAX_PATH_BYTES = {"linux": 4096, "darwin": 1024}.get(sys.platform, 32_767)
+MAX_NAME_BYTES = 765 if sys.platform == "win32" else 255
+
 
 class TerrainError(Exception):
     """Something that came from outside cannot be used.
 
     The message is one sentence for the user: what is wrong, where (file, value), what was expected, what to do.
     """
+
+
+def path_fault(path: str | os.PathLike) -> str:
+    """Return why no system can have a file of this name, "" if it can: the end of a sentence."""
+    text = os.fspath(path)
+    if "\0" in text:
+        return "holds a NUL character: expected the name of a file or folder."
+    try:
+        whole = Path(text).absolute()
+        parts = [os.fsencode(part) for part in whole.parts]
+        size = len(os.fsencode(whole))
+    except (UnicodeEncodeError, OSError) as reason:  # OSError: the current folder was removed
+        return f"cannot be a path ({reason}): expected the name of a file or folder."
+    if size >= MAX_PATH_BYTES:
+        return f"is a path of {size:,} bytes: expected fewer than {MAX_PATH_BYTES:,}."
+    longest = max(map(len, parts), default=0)
+    if longest > MAX_NAME_BYTES:
+        return f"holds a name of {longest:,} bytes: expected at most {MAX_NAME_BYTES}."
+    return ""
+
+
+def check_path(what: str, path: str | os.PathLike) -> None:
+    """Raise TerrainError for a path that no system can have; what: "The store"."""
+    reason = path_fault(path)
+    if reason:
+        raise TerrainError(f"{what} {shown(path)} {reason}")
 
 
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:

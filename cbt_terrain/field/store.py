@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, check_path
 from ..run import owned_files, partial_files
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
@@ -111,6 +111,7 @@ def _sum_of(content: dict) -> str:
 
 def open_store(path: str | os.PathLike) -> HeightField:
     """Open a store: a HeightField over memory-mapped arrays. Raises TerrainError if it is missing or damaged."""
+    check_path("The store", path)
     path = Path(path)
     try:
         return _open(path)

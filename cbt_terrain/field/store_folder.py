@@ -8,7 +8,7 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import TerrainError, shown
+from ..errors import TerrainError, check_path, shown
 from ..run import owned_files, partial_files
 from ..run.named_file import read_regular
 from ..run.owned_files import NotOursError
@@ -33,7 +33,8 @@ _TILE = re.compile(r"[0-9a-f]{32}\.npy")
 def check_target(path: str | os.PathLike) -> None:
     """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store."""
     folder = Path(path)
-    if not os.fspath(path) or not folder.parts or "\0" in os.fspath(path):
+    check_path("The store", path)
+    if not os.fspath(path) or not folder.parts:
         raise TerrainError(
             f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
         )

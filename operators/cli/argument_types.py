@@ -5,6 +5,8 @@ import argparse
 import math
 from pathlib import Path
 
+from ...cbt_terrain.errors import path_fault, shown
+
 MAX_INT = 2**31 - 1
 
 
@@ -68,10 +70,18 @@ def some(text: str) -> int:
 
 
 def path(text: str) -> Path:
-    """A path; an empty text would be the current folder."""
+    """Parse a path; an empty text would be the current folder."""
+    return Path(path_text(text))
+
+
+def path_text(text: str) -> str:
+    """Check a path, or a name that may stand in its place, and return it as it is."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name is empty")
-    return Path(text)
+    reason = path_fault(text)
+    if reason:
+        raise argparse.ArgumentTypeError(f"{shown(text)} {reason}")
+    return text
 
 
 def pair(separator: str, kind, most: float):

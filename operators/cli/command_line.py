@@ -18,7 +18,7 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
 from ..text.console import BAR, LONGEST_LINE, OPENJD, open_streams, print_line, unwritten
 from . import farm_verbs, verbs
-from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, positive, some
+from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, path_text, positive, some
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
@@ -140,7 +140,7 @@ def _add_import(subparsers) -> None:
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     source = f"height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or a built-in land: {', '.join(LANDS)}"
-    verb.add_argument("source", help=source)
+    verb.add_argument("source", type=path_text, help=source)
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--extent",
@@ -311,7 +311,10 @@ def _add_farm(subparsers) -> None:
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
     what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
     verb.add_argument(
-        "--extension", metavar="ZIP", help="install this zip for the job alone; installed: pack the one that runs"
+        "--extension",
+        type=path_text,
+        metavar="ZIP",
+        help="install this zip for the job alone; installed: pack the one that runs",
     )
     memory = positive(MAX_MEMORY_GIB)
     verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")

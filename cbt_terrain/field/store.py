@@ -266,11 +266,12 @@ class Draft:
         file.write_bytes(header(shape, dtype))
         if not np.prod(shape):
             return np.empty(shape, dtype)
-        os.truncate(file, file_bytes(math.prod(shape) * np.dtype(dtype).itemsize))
+        nbytes = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
+        with file.open("r+b") as handle:
+            handle.truncate(nbytes)
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(handle.fileno(), 0, nbytes)
         self._arrays[name] = array = np.load(file, mmap_mode="r+").view(np.ndarray)
-        if hasattr(os, "posix_fallocate"):
-            with file.open("r+b") as handle:
-                os.posix_fallocate(handle.fileno(), 0, file.stat().st_size)
         return array
 
     def remove(self, name: str) -> None:

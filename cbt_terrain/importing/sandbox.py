@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a process gives up before it opens a file from outside: the network, other programs, writing anywhere else.
+"""The rights that a process drops before it opens a file from outside. docs/trust.md lists them and what remains.
 
-On Linux a seccomp filter refuses sockets and programs, and a Landlock ruleset refuses to write below any folder but the
-one named. Neither needs a privilege, and neither can be taken back. Elsewhere, and where the kernel has not got them,
-nothing is given up and the process works all the same: `enter` says which. Numbers are those of the kernel's headers
-(linux/landlock.h, linux/seccomp.h, asm/unistd.h).
+On Linux a seccomp filter leaves only the system calls that an import needs (system_calls.py), and a Landlock ruleset
+refuses to write outside one folder. Neither needs a privilege, and neither can be undone. Where the system lacks them
+the process works without: `enter` reports each. Constants are those of linux/landlock.h and linux/capability.h.
 """
 
 import ctypes
@@ -12,38 +11,58 @@ import os
 import platform
 import struct
 import sys
+from contextlib import suppress
 from pathlib import Path
 
-PR_SET_NO_NEW_PRIVS, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC = 38, 1, 1
+from .system_calls import MACHINES, allow_only_listed, call, keep_limits
+
+PR_SET_NO_NEW_PRIVS = 38
 LANDLOCK_CREATE_RULESET, LANDLOCK_ADD_RULE, LANDLOCK_RESTRICT_SELF = 444, 445, 446
-ACCESS_WRITE_FILE, ACCESS_REMOVE_DIR, ACCESS_TRUNCATE = 1 << 1, 1 << 4, 1 << 14
-# Write, remove (5: a file), make (6 to 12, of each kind), and 13: from one folder into another.
-ACCESS_WRITES = ACCESS_WRITE_FILE | sum(int(1 << bit) for bit in range(4, 14))
-# By machine: its AUDIT_ARCH, the call seccomp, and what is refused: socket, execve, execveat, ptrace,
-# process_vm_writev and io_uring_setup, which can open sockets too.
-MACHINES = {
-    "x86_64": (0xC000003E, 317, (41, 59, 322, 101, 311, 425)),
-    "aarch64": (0xC00000B7, 277, (198, 221, 281, 117, 271, 425)),
-}
-LOAD, JUMP_EQUAL, JUMP_AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06  # of classic BPF
-ALLOW, REFUSE = 0x7FFF0000, 0x00050000 | 13  # 13: EACCES
-X32 = 0x40000000  # calls of x86_64's other numbering begin here
-KEPT = "kept"  # what a process still has
+EXECUTE, WRITE_FILE, READ_FILE = 1, 2, 4
+REMOVE_DIR, REMOVE_FILE, MAKE_DIR, MAKE_REG = 1 << 4, 1 << 5, 1 << 7, 1 << 8
+REFER, TRUNCATE, IOCTL_DEV = 1 << 13, 1 << 14, 1 << 15
+ALL_WRITES = EXECUTE | WRITE_FILE | REFER | sum(int(1 << bit) for bit in range(4, 13))  # 4, 5: remove; 6 .. 12: make
+IN_STORE = READ_FILE | WRITE_FILE | REMOVE_DIR | REMOVE_FILE | MAKE_DIR | MAKE_REG | REFER | TRUNCATE
+READABLE_DEVICES = [Path("/dev", name) for name in ("null", "random", "urandom", "shm")]
+BIND_AND_CONNECT_TCP, ABSTRACT_SOCKETS_AND_SIGNALS = 3, 3
+CAPABILITIES_VERSION = 0x20080522
+# What root keeps: files of other users stay readable, and a store can be written into another user's folder.
+KEPT_CAPABILITIES = 1 << 1 | 1 << 2  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+KEPT = "kept"  # prefix of the report on a right that was not dropped
 
 
 def enter(folder: Path | None) -> dict[str, str]:
-    """Give up what can be, for this process and for good; say of each whether it was: "dropped", or "kept" and why.
+    """Drop rights of this process for good. Returns for each "dropped", or "kept: " and why.
 
-    folder: existing folder in which files may still be written; None: nowhere. Only the thread that calls and those
-    that it starts later are held back from writing, so it is to be called before there are others.
+    Landlock and capabilities hold for the calling thread and those that it starts later, so call this first of all.
+
+    Args:
+        folder: existing folder in which files may still be written; None for no folder.
     """
+    names = ("network", "programs", "processes", "writes")
     if sys.platform != "linux" or sys.maxsize < 2**32:
-        return dict.fromkeys(("network", "programs", "writes"), f"{KEPT}: only 64-bit Linux can drop it")
+        return dict.fromkeys(names, f"{KEPT}: only 64-bit Linux can drop it")
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_NO_NEW_PRIVS, *map(ctypes.c_ulong, (1, 0, 0, 0)))
+    _die_first()
     writes = _outcome(_drop_writes, libc, folder)
     calls = _outcome(_drop_calls, libc)
-    return {"network": calls, "programs": calls, "writes": writes}
+    return dict.fromkeys(names, calls) | {"writes": writes}
+
+
+def limit_memory(max_bytes: int) -> str:
+    """Limit the memory that this process allocates, for good; mapped files do not count. Returns the limit as text."""
+    if sys.platform != "linux":
+        return f"{KEPT}: only Linux can limit it"
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = max_bytes if hard == resource.RLIM_INFINITY else min(max_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    if platform.machine() in MACHINES:
+        with suppress(OSError):  # without seccomp the hard limit holds for all but root
+            keep_limits(ctypes.CDLL(None, use_errno=True))
+    return f"{limit / 1e9:.1f} GB at most"
 
 
 def _outcome(drop, *arguments) -> str:
@@ -53,59 +72,63 @@ def _outcome(drop, *arguments) -> str:
         return f"{KEPT}: this kernel refuses ({reason.strerror})"
 
 
-def _call(libc, number: int, *arguments) -> int:
-    """One system call. Raises OSError."""
-    result = libc.syscall(ctypes.c_long(number), *arguments)
-    if result < 0:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-    return result
+def _die_first() -> None:
+    """Let the kernel end this process before any other if memory runs out, and write no core file."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError):  # no /proc
+        Path("/proc/self/oom_score_adj").write_text("1000")
 
 
 def _drop_calls(libc) -> str:
     if platform.machine() not in MACHINES:
         return f"{KEPT}: not known how on {platform.machine()}"
-    audit_arch, seccomp, refused = MACHINES[platform.machine()]
-    end = len(refused) + 5  # the last instruction refuses, the one before it allows; jumps count what they skip
-    program = [(LOAD, 0, 0, 4), (JUMP_EQUAL, 0, end - 2, audit_arch), (LOAD, 0, 0, 0), (JUMP_AT_LEAST, end - 4, 0, X32)]
-    program += [(JUMP_EQUAL, end - at - 1, 0, number) for at, number in enumerate(refused, start=4)]
-    program += [(RETURN, 0, 0, ALLOW), (RETURN, 0, 0, REFUSE)]
-    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *line) for line in program))
-    filter_ = ctypes.create_string_buffer(struct.pack("HP", len(program), ctypes.addressof(code)))
-    _call(libc, seccomp, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC, filter_)
+    _drop_capabilities(libc)
+    allow_only_listed(libc)
     return "dropped"
 
 
+def _drop_capabilities(libc) -> None:
+    """Keep none of root's rights but those to read and write files."""
+    header, sets = struct.pack("Ii", CAPABILITIES_VERSION, 0), ctypes.create_string_buffer(24)
+    if libc.capget(header, sets) < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    effective, permitted, *_ = struct.unpack("6I", sets)
+    kept = struct.pack("6I", effective & KEPT_CAPABILITIES, permitted & KEPT_CAPABILITIES, 0, 0, 0, 0)
+    if libc.capset(header, kept) < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
 def _drop_writes(libc, folder: Path | None) -> str:
-    version = _call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
-    if version < 2:  # the first one lets no file be moved from one folder into another, which a store needs
+    version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
+    if version < 2:  # version 1 refuses every rename into another folder, which a store needs
         return f"{KEPT}: this kernel's Landlock is too old"
-    handled = ACCESS_WRITES | (ACCESS_TRUNCATE if version >= 3 else 0)
-    ruleset = _call(libc, LANDLOCK_CREATE_RULESET, struct.pack("Q", handled), ctypes.c_size_t(8), 0)
+    files = READ_FILE | ALL_WRITES | (TRUNCATE if version >= 3 else 0) | (IOCTL_DEV if version >= 5 else 0)
+    network, scopes = [BIND_AND_CONNECT_TCP] * (version >= 4), [ABSTRACT_SOCKETS_AND_SIGNALS] * (version >= 6)
+    attributes = struct.pack(f"{1 + len(network + scopes)}Q", files, *network, *scopes)
+    ruleset = call(libc, LANDLOCK_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0)
     try:
+        for path in _readable():
+            with suppress(OSError):  # it cannot be read then
+                _allow(libc, ruleset, path, READ_FILE)
         if folder is not None:
-            _allow(libc, ruleset, folder, handled)
-            _allow(libc, ruleset, folder.absolute().parent, ACCESS_REMOVE_DIR)  # of the folder, once it is empty
-        _call(libc, LANDLOCK_RESTRICT_SELF, ruleset, 0)
+            _allow(libc, ruleset, folder, IN_STORE & files)
+        call(libc, LANDLOCK_RESTRICT_SELF, ruleset, 0)
     finally:
         os.close(ruleset)
-    return "dropped" if version >= 3 else "dropped, but for cutting files short"
+    threads = len(os.listdir("/proc/self/task"))
+    return "dropped" if threads == 1 else f"{KEPT}: by {threads - 1} threads that were started before"
 
 
-def _allow(libc, ruleset: int, folder: Path, access: int) -> None:
-    opened = os.open(folder, os.O_PATH | os.O_CLOEXEC)
+def _readable() -> list[Path]:
+    """Return the paths below which files may be read: all but devices, such as terminals, cameras and memory."""
+    return [*(Path("/", name) for name in os.listdir("/") if name != "dev"), *READABLE_DEVICES]
+
+
+def _allow(libc, ruleset: int, path: Path, access: int) -> None:
+    opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
-        _call(libc, LANDLOCK_ADD_RULE, ruleset, 1, struct.pack("=Qi", access, opened), 0)
+        call(libc, LANDLOCK_ADD_RULE, ruleset, 1, struct.pack("=Qi", access, opened), 0)
     finally:
         os.close(opened)
-
-
-def limit_memory(most: int) -> str:
-    """Let this process allocate `most` bytes at most (mapped files do not count); says whether that holds."""
-    if sys.platform != "linux":
-        return f"{KEPT}: only Linux can limit it"
-    import resource
-
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
-    return f"{most / 1e9:.1f} GB at most"

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
 from ..field import store as stores
 from ..field import store_folder
 from ..run import child, stopping
@@ -29,6 +29,7 @@ from .guard import VARIABLES
 
 POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
+MAX_LINE_BYTES, MAX_ERROR_CHARS = 1 << 26, 4_000
 
 Tell = Callable[[float, str], None]
 
@@ -68,7 +69,8 @@ class ChildJob:
         report: dict | None = None,
     ):
         self._what, self._blame, self._reading, self._watched = what, blame, reading, watched
-        self._progress, self.cancelled, self._lines = Progress(), False, []
+        self._progress, self.cancelled = Progress(), False
+        self._num_lines, self._told = 0, {}  # of the child: how many lines, and the last of each key
         self._process, self._stall, self._stalled = None, Stall(), False
         if report is not None:
             self._progress = Progress(1.0, "Done", True, None, report)
@@ -90,28 +92,23 @@ class ChildJob:
         self._reader.start()
 
     def _read_lines(self) -> None:
-        for line in self._process.stdout:
-            try:
-                told = json.loads(line)
-            except ValueError:
-                continue  # cut off by a kill
-            self._lines.append(told)
+        while line := self._process.stdout.readline(MAX_LINE_BYTES):
+            self._told.update(_parse_line(line))
+            self._num_lines += 1
 
     def poll(self) -> Progress:
         """How far the job is; never waits."""
         if self._progress.done:
             return self._progress
         reading = self._progress.message in self._watched
-        if reading and not self._stalled and self._stall.is_over(len(self._lines)):
+        if reading and not self._stalled and self._stall.is_over(self._num_lines):
             self._stalled = True
-            self._process.kill()
-            self._process.wait()
-        ended = self._process.poll() is not None
+            child.kill(self._process)
+        ended = child.poll(self._process) is not None
         if ended:
             self._reader.join()
-        told = [line for line in self._lines if "fraction" in line]
-        if told:
-            self._progress = Progress(told[-1]["fraction"], told[-1]["message"])
+        if "progress" in self._told:
+            self._progress = Progress(*self._told["progress"])
         if ended:
             self._finish()
         return self._progress
@@ -120,9 +117,8 @@ class ChildJob:
         """Stop the job now. Does nothing to one that is done."""
         if self.poll().done:
             return
-        self._process.kill()
+        child.kill(self._process)
         self.cancelled = True
-        self._process.wait()
         self.poll()
 
     def _say(self, text: str) -> None:
@@ -139,9 +135,9 @@ class ChildJob:
         if self._stalled:
             return stalled_text(self._reading)
         code = self._process.returncode
-        self._errors.seek(0)
-        said = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
-        how = f"exit code {code}" + (f" ({said[-1]})" if said else "")
+        self._errors.seek(max(0, self._errors.seek(0, os.SEEK_END) - 2000))
+        said = self._errors.read(2000).decode(errors="replace").strip().splitlines()
+        how = f"exit code {code}" + (f" ({shown(said[-1], 2000)})" if said else "")
         if code < 0:
             how = f"signal {signal.Signals(-code).name}"
         return f"{self._what} ended with {how} before it was done{self._left}: {self._blame}."
@@ -150,8 +146,7 @@ class ChildJob:
         """The child has ended: with a report, with an error, or killed, perhaps just after its work was done."""
         self._process.stdin.close()
         self._process.stdout.close()
-        last = self._lines[-1] if self._lines else {}
-        report, error = last.get("report"), last.get("error")
+        report, error = self._told.get("report"), self._told.get("error")
         if report is None and error is None:
             report = self._published()
             error = self._reason_of_end() if report is None else None
@@ -190,6 +185,20 @@ class StoreJob(ChildJob):
 
     def _discard(self) -> None:
         store_folder.discard(self._store, self._folder, self._made)
+
+
+def _parse_line(line: bytes) -> dict:
+    """Return what a line of the child holds, {} for what no child of ours writes: a file may have taken it over."""
+    try:
+        content = json.loads(line)
+        if "fraction" in content:
+            fraction = float(content["fraction"])
+            return {"progress": (fraction, shown(content["message"]))} if 0.0 <= fraction <= 1.0 else {}
+        if "error" in content:
+            return {"error": shown(content["error"], MAX_ERROR_CHARS)}
+        return {"report": content["report"]} if isinstance(content["report"], dict | list) else {}
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return {}
 
 
 def _inside(what: str) -> str:

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from . import stopping
@@ -50,6 +51,30 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
         stdin=subprocess.PIPE,
         **streams,
     )
+
+
+def poll(process: subprocess.Popen) -> int | None:
+    """Return a child's exit code, None while it runs. What it has left of its process group ends with it."""
+    if process.returncode is None and hasattr(os, "waitid"):
+        with suppress(ChildProcessError):  # where SIGCHLD is ignored
+            if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+                return None
+            _kill_group(process)  # before the child is reaped: until then no other group can have its number
+    return process.poll()
+
+
+def kill(process: subprocess.Popen) -> None:
+    """End a child and its process group at once, and wait for its end."""
+    if poll(process) is None:
+        _kill_group(process)
+        process.kill()
+        process.wait()
+
+
+def _kill_group(process: subprocess.Popen) -> None:
+    if hasattr(os, "killpg"):
+        with suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)  # `start` has made it the leader of a session
 
 
 def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable[[], None] = lambda: None) -> None:

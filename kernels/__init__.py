@@ -54,7 +54,7 @@ def _default_cache() -> str:
 
 
 def has_temporary_cache() -> bool:
-    """Whether compiled kernels are kept in a temporary folder."""
+    """Return whether compiled kernels are kept in a temporary folder."""
     return _temporary is not None
 
 
@@ -80,7 +80,7 @@ def remove_temporary_cache() -> None:
 
 
 def _without_gradients() -> None:
-    """Compile no kernel's derivative, half of the time: nobody asks for it. Other add-ons' modules stay as they are."""
+    """Compile no kernel's derivative, half of the time: none is needed. Other add-ons' modules stay as they are."""
     for found in pkgutil.walk_packages(__path__, f"{__name__}."):
         wp.set_module_options({"enable_backward": False}, found.name)
 

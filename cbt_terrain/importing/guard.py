@@ -4,8 +4,11 @@
 Loading comes first, because it may write: Warp its kernels, Python its compiled modules.
 """
 
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
+from ...kernels import remove_temporary_cache
 from ..errors import TerrainError
 from ..field import store_folder
 from ..run.memory import physical_memory
@@ -19,28 +22,30 @@ VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM
 
 
 def guard(suffix: str, folder: Path | None) -> dict[str, str]:
-    """Before a file of that suffix is opened. folder: where this process may still write. Returns what was dropped, as
-    `sandbox.enter` says it. Raises TerrainError if GDAL cannot be held to the drivers that are needed."""
+    """Drop this process's rights before a file of that suffix is opened; returns the report of `sandbox.enter`.
+
+    folder: where this process may still write. Raises TerrainError if GDAL keeps other drivers than the needed ones.
+    """
     if suffix in DRIVERS:
         keep_only_drivers(suffix)
     elif suffix == ".exr":
         import OpenEXR  # noqa: F401
+    remove_temporary_cache()  # later this process may not
     return {**sandbox.enter(folder), "memory": sandbox.limit_memory(physical_memory() // 2)}
 
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
-    """Before an import into the store `path`, whose folder is made. Raises TerrainError."""
-    from ...kernels import remove_temporary_cache
+    """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError."""
     from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges
     from ..field.lands import LANDS
     from ..run import launch
     from ..run.warmup import load
 
-    for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else [])):
-        load(module)
-    if settings.source in LANDS:
-        launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
-    remove_temporary_cache()
+    with _removed_scratch():
+        for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else [])):
+            load(module)
+        if settings.source in LANDS:
+            launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
     store_folder.check_target(path)
     try:
         with open_folder(path, make=True):
@@ -50,3 +55,14 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
             f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
         ) from reason
     guard(Path(settings.source).suffix.lower(), path)
+
+
+@contextmanager
+def _removed_scratch():
+    """Remove temporary files of the block, such as Warp's precompiled headers: later this process may not."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
+        tempfile.tempdir = scratch
+        try:
+            yield
+        finally:
+            tempfile.tempdir = None

@@ -78,9 +78,8 @@ class ChildJob:
             self._start(module, request, variables or {})
 
     def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
-        self._errors = tempfile.TemporaryFile()
         try:
-            pipe = subprocess.PIPE
+            self._errors, pipe = tempfile.TemporaryFile(), subprocess.PIPE
             self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             self._process.stdin.flush()
@@ -97,7 +96,7 @@ class ChildJob:
             self._num_lines += 1
 
     def poll(self) -> Progress:
-        """How far the job is; never waits."""
+        """Return how far the job is, without waiting."""
         if self._progress.done:
             return self._progress
         reading = self._progress.message in self._watched
@@ -143,7 +142,7 @@ class ChildJob:
         return f"{self._what} ended with {how} before it was done{self._left}: {self._blame}."
 
     def _finish(self) -> None:
-        """The child has ended: with a report, with an error, or killed, perhaps just after its work was done."""
+        """Set the outcome of a child that has ended: a report, an error, or a kill just after its work was done."""
         self._process.stdin.close()
         self._process.stdout.close()
         report, error = self._told.get("report"), self._told.get("error")
@@ -159,7 +158,7 @@ class ChildJob:
         self._errors.close()
 
     def _published(self) -> dict | None:
-        """The report of work that is done, though the child has not told it."""
+        """Return the report of work that is done, though the child has not sent it."""
 
     def _discard(self) -> None:
         """Take away what the child has begun."""

@@ -114,7 +114,7 @@ def _publish(built: Path, file: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Whether an object and its description are those that were compiled."""
+    """Return whether an object and its description are those that were compiled."""
     try:
         return file.with_suffix(CHECKSUM).read_text() == _checksum(file)
     except (OSError, ValueError):

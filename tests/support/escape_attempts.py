@@ -167,7 +167,7 @@ def kernel_attempts(folder: Path, *_):
 
 
 def call_of_32_bits() -> None:
-    """getpid through int 0x80."""
+    """Call getpid through int 0x80."""
     code = mmap.mmap(-1, 4096, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=7)
     code.write(b"\xb8\x14\0\0\0\xcd\x80\xc3")
     result = ctypes.CFUNCTYPE(ctypes.c_int)(ctypes.addressof(ctypes.c_char.from_buffer(code)))()
@@ -239,7 +239,7 @@ def file_attempts(folder: Path, victim: int):
 
 
 def needed_attempts(folder: Path, *_):
-    """What must stay possible: an import does it."""
+    """Yield what must stay possible, since an import does it."""
     store = folder / "store"
     threads = []
 

@@ -5,12 +5,13 @@ import os
 import struct
 import subprocess
 import sys
+import tempfile
 
 import numpy as np
 import pytest
 from adaptive_terrain import __version__
 from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
-from adaptive_terrain.cbt_terrain.importing import store_job
+from adaptive_terrain.cbt_terrain.importing import guard, store_job
 from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
@@ -148,3 +149,12 @@ def test_names_are_shown_short_and_on_one_line():
 )
 def test_odd_lines_of_a_child_are_harmless(line, kept):
     assert store_job._parse_line(line) == kept
+
+
+def test_temporary_files_of_the_compiler_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with guard._removed_scratch():
+        tempfile.mkstemp()
+        tempfile.mkdtemp()
+        assert len(list(tmp_path.glob("*/*"))) == 2
+    assert list(tmp_path.iterdir()) == []

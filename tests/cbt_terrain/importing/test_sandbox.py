@@ -14,12 +14,12 @@ from escape_attempts import kernel_numbers
 
 SCRIPT = Path(__file__).resolve().parents[2] / "support" / "escape_attempts.py"
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a sandbox")
-USERS = [0, 65534] if sys.platform == "linux" and os.getuid() == 0 else [-1]  # -1: whoever runs the tests
+USERS = [0, 65534] if sys.platform == "linux" and os.getuid() == 0 else [-1]  # -1: the user of the tests
 
 
 @pytest.fixture(scope="module", params=USERS, ids=str)
 def escaped(request, tmp_path_factory):
-    """What the attempts found, and the folder that they aimed at."""
+    """Run the attempts; yields what they found, and the folder that they aimed at."""
     if not kernel_numbers(system_calls.platform.machine()):
         pytest.skip("the kernel's headers are not installed")
     folder = tmp_path_factory.mktemp("escape")
@@ -104,7 +104,7 @@ def test_an_unknown_processor_keeps_its_calls_and_reports_it():
 
 
 def test_an_older_landlock_gets_only_the_rights_it_knows():
-    """Kernels refuse a ruleset with a bit that they do not know; the numbers are from the kernel's documentation."""
+    """Compare with the kernel's documentation: a kernel refuses a ruleset with a bit that it does not know."""
     asked, version = [], 0
 
     def call(_libc, number, *arguments):

@@ -22,13 +22,14 @@ time.sleep(float(sys.argv[1]))
 
 
 def started(seconds: float) -> tuple[subprocess.Popen, int]:
+    """Start a child that leaves a process; returns it and the number of what it leaves."""
     command = [sys.executable, "-c", LEAVES_ONE, str(seconds)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     return process, int(process.stdout.readline())
 
 
 def ends(pid: int) -> bool:
-    """Whether a process ends within 10 s."""
+    """Wait for 10 s; returns whether the process has ended."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline:
         try:

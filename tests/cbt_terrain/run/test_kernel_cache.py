@@ -82,7 +82,7 @@ def test_any_damage_of_a_compiled_module_is_noticed(tmp_path):
 
 
 def test_a_module_replaces_what_is_in_the_cache(tmp_path):
-    """A damaged object, that of another processor, and one that another process has put there at the same time."""
+    """Publish over a damaged object, beside that of another processor."""
     file = tmp_path / "m" / "m.cpu1.o"
     built(file.parent, b"damaged")
     (file.parent / "m.cpu2.o").write_bytes(b"of another processor")
@@ -94,7 +94,7 @@ def test_a_module_replaces_what_is_in_the_cache(tmp_path):
 
 
 def unusable_caches(folder: Path):
-    """Variables of environments whose cache cannot be used."""
+    """Yield variables of environments in which no cache can be used."""
     (folder / "file").write_text("")
     yield {"WARP_CACHE_PATH": str(folder / "file")}
     yield {"WARP_CACHE_PATH": "/dev/null"}

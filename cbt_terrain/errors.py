@@ -29,10 +29,10 @@ def path_fault(path: str | os.PathLike) -> str:
     except (UnicodeEncodeError, OSError) as reason:  # OSError: the current folder was removed
         return f"cannot be a path ({reason}): expected the name of a file or folder."
     if size >= MAX_PATH_BYTES:
-        return f"is a path of {size:,} bytes: expected fewer than {MAX_PATH_BYTES:,}."
+        return f"is a path of {size:,} bytes: expected fewer than {MAX_PATH_BYTES:,}; choose a shorter one."
     longest = max(map(len, parts), default=0)
     if longest > MAX_NAME_BYTES:
-        return f"holds a name of {longest:,} bytes: expected at most {MAX_NAME_BYTES}."
+        return f"holds a name of {longest:,} bytes: expected at most {MAX_NAME_BYTES}; choose a shorter one."
     return ""
 
 

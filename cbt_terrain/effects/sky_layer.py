@@ -48,7 +48,7 @@ def is_known(field: HeightField, scale: float) -> bool:
         return field.found.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
 
 
-def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.Layer:
+def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
     """The sky over every sample under a vertical scale; made first, if it is not known."""
     state = _advanced(field, scale, threads)
     while state["azimuths"] < AZIMUTHS:
@@ -117,7 +117,7 @@ def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
             owned_files.remove_file(old)
 
 
-def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.Layer:
+def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
     """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with caching:
@@ -176,8 +176,8 @@ def _kept(field: HeightField, kind: str, scale: float) -> dict:
     return field.found[kind, scale]
 
 
-def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.Layer:
-    made, lattice = kernels.Layer(), field.lattice
+def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.SkyLayer:
+    made, lattice = kernels.SkyLayer(), field.lattice
     made.values = flat(values, wp.float32)
     made.rows, made.columns = values.shape[-2:]
     made.west, made.south, _, _ = lattice.rectangle()

@@ -77,7 +77,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
     own, rules, images = [], [], []
     for layer in layers:
-        made = kernels.Layer()
+        made = kernels.SplatLayer()
         made.first, made.end, made.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
         made.strength, made.ragged, made.noise_size = layer.strength, layer.ragged, layer.noise_size
         made.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
@@ -89,11 +89,11 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
             if rule.of == splat_rules.IMAGE:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)
-    arrays = (own, kernels.Layer), (rules or [kernels.Rule()], kernels.Rule)
+    arrays = (own, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
     return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
 
 
-def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
+def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
         # Level ground is all at its lowest place.
@@ -102,7 +102,7 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.Rule:
     elif rule.of == splat_rules.FLOW:
         with np.errstate(divide="ignore"):
             limits = np.log10(np.maximum(limits, 0.0))
-    found = kernels.Rule()
+    found = kernels.SplatRule()
     found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
     found.low, found.high, found.edge = *limits, edge
     found.per_edge = 1.0 / max(edge, LEAST_EDGE)

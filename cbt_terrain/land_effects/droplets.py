@@ -14,7 +14,7 @@ from ...kernels.land import droplets as kernels
 from ..effects.effect import Parameter
 from ..run import launch
 from ..run.buffers import flat
-from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 
 # Places of single gullies differ from level to level, only their amount converges. So each level of at least so many
 # metres between samples is rained on anew; a finer one has the gullies of that, with their edges rounded.
@@ -175,8 +175,8 @@ DROPLETS = LandEffect(
         Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, where droplets end"),
     ),
     layers=(
-        Layer("sediment", "m", "What droplets have laid down"),
-        Layer("wear", "m", "Rock that was removed"),
+        LandLayer("sediment", "m", "What droplets have laid down"),
+        LandLayer("wear", "m", "Rock that was removed"),
     ),
     halo=_halo,
     masks=True,

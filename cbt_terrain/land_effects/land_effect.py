@@ -16,7 +16,7 @@ from ..effects.effect import Parameter
 
 
 @dataclass(frozen=True)
-class Layer:
+class LandLayer:
     """A by-product: a number for each sample beside the heights. `name`: of the attribute, map or file. `per_metre`:
     whether it is a depth, which is added up over a stack, or a state, of which the last one counts. `signed`: depths
     that may be below 0."""
@@ -111,7 +111,7 @@ class LandEffect:
     apply: Apply
     example: Callable[[Evaluate], None]
     parameters: tuple[Parameter, ...] = ()
-    layers: tuple[Layer, ...] = ()
+    layers: tuple[LandLayer, ...] = ()
     reads: tuple[str, ...] = ()
     kept: tuple[str, ...] = ()
     halo: Callable[[Mapping[str, float], float], float] = lambda _values, _step: 0.0

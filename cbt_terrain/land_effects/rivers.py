@@ -11,7 +11,7 @@ from ..effects.effect import Parameter
 from .cliffs import beside_cliffs
 from .fluvial import Bed, bends_of, diffuse, step, vary_rock
 from .lake_outlets import keep_outlets
-from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 from .levels import COARSEST, apply_by_levels
 from .river_rims import LAKE, LOAD, edges, sides, take_over
 
@@ -218,9 +218,9 @@ RIVERS = LandEffect(
         Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, and stays"),
     ),
     layers=(
-        Layer("sediment", "m", "Depth of what rivers have laid down"),
-        Layer("wear", "m", "Depth of rock that rivers have removed"),
-        Layer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
+        LandLayer("sediment", "m", "Depth of what rivers have laid down"),
+        LandLayer("wear", "m", "Depth of rock that rivers have removed"),
+        LandLayer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
     ),
     kept=(LAKE, LOAD),
     reads=("uplift",),

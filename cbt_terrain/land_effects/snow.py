@@ -15,7 +15,7 @@ from ..effects.sky_layer import sweep
 from ..run import launch
 from ..run.buffers import flat
 from .balance import balanced
-from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 from .levels import coarser as halved
 from .levels import finer
 
@@ -210,8 +210,8 @@ SNOW = LandEffect(
         Parameter("thickness", 1.0, 0.0, 1.0, "", "Part of the depth that raises the ground: 0 is a layer only"),
     ),
     layers=(
-        Layer("snow", "m", "Depth of the snow"),
-        Layer("slides", "m", "Snow that slides have brought; where negative, taken", signed=True),
+        LandLayer("snow", "m", "Depth of the snow"),
+        LandLayer("slides", "m", "Snow that slides have brought; where negative, taken", signed=True),
     ),
     reads=("water_depth",),
     halo=_halo,

@@ -15,7 +15,7 @@ from ..effects.effect import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .balance import balanced
-from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 
 # Sweeps of a level in which rock breaks, and then those in which scree comes to rest; the coarsest level takes so many
 # times as many.
@@ -181,8 +181,8 @@ THERMAL = LandEffect(
         Parameter("dip_to", 60.0, 0.0, 360.0, "degrees", "Whereto the beds fall, clockwise from north"),
     ),
     layers=(
-        Layer("scree", "m", "Scree on the rock"),
-        Layer("wear", "m", "Rock that was removed"),
+        LandLayer("scree", "m", "Scree on the rock"),
+        LandLayer("wear", "m", "Rock that was removed"),
     ),
     reads=("scree",),
     halo=lambda _values, step: HALO * (BREAKING + RESTING) * step,

@@ -13,13 +13,13 @@ from ..effects.effect import Parameter
 from ..effects.routing import route
 from ..run import launch
 from ..run.buffers import flat
-from .land_effect import Change, Evaluate, Ground, LandEffect, Layer
+from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 
 YEAR = 365.2425 * 86400.0  # seconds
 
-DEPTH = Layer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
-SPEED = Layer("water_speed", "m/s", "Speed of the water", per_metre=False)
-DISCHARGE = Layer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
+DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
+SPEED = LandLayer("water_speed", "m/s", "Speed of the water", per_metre=False)
+DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:

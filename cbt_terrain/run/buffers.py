@@ -91,8 +91,8 @@ class Buffers:
         """Replace the memory of every buffer of which a lent array is in use; those named in `keep` are copied."""
         in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
         returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
-        own = {id(memory) for memory, _ in self._arrays.values()}
-        spare = [memory for memory in returned.values() if id(memory) not in own]
+        current = {id(memory) for memory, _ in self._arrays.values()}
+        spare = [memory for memory in returned.values() if id(memory) not in current]
         for name, (memory, shared_array) in self._arrays.items():
             if id(memory) in in_use:
                 fresh = _taken_from(spare, memory)

@@ -32,7 +32,7 @@ LEAST = wp.constant(wp.float32(1e-12))
 
 
 @wp.struct
-class Rule:
+class SplatRule:
     """`at`: the row of `values`, the number of the layer, or the first sample of the image, which is [rows, columns].
     `sine`, `cosine`: of the direction."""
 
@@ -49,7 +49,7 @@ class Rule:
 
 
 @wp.struct
-class Layer:
+class SplatLayer:
     """Its rules are those from `first` to `end`. `noise_size`: metres, 0 for no noise."""
 
     first: wp.int32
@@ -68,9 +68,9 @@ class Splat:
     Places are in metres from the raster's south-west corner at `west`, `south`; it is `across` by `up` metres.
     """
 
-    layers: wp.array(dtype=Layer)
+    layers: wp.array(dtype=SplatLayer)
     layer_count: wp.int32
-    rules: wp.array(dtype=Rule)
+    rules: wp.array(dtype=SplatRule)
     values: wp.array(dtype=wp.float32)
     count: wp.int64
     images: wp.array(dtype=wp.float32)
@@ -116,7 +116,7 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
 
 
 @wp.func
-def noise_of(layer: Layer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
+def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
     """Noise in -1 .. 1 of octaves from the layer's size on, those that are shorter than two footprints fading out."""
     sum = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
@@ -135,7 +135,7 @@ def noise_of(layer: Layer, x: wp.float64, y: wp.float64, footprint: wp.float64) 
 
 
 @wp.func
-def image_at(images: wp.array(dtype=wp.float32), r: Rule, u: wp.float64, v: wp.float64) -> wp.float32:
+def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v: wp.float64) -> wp.float32:
     """Bilinear between the middles of pixels; u, v in 0 .. 1 over the image."""
     x = wp.clamp(u * wp.float64(r.columns) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.columns - 1))
     y = wp.clamp(v * wp.float64(r.rows) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.rows - 1))

@@ -145,7 +145,7 @@ def add_sky(offset: int, sky: Sky):
 
 
 @wp.struct
-class Layer:
+class SkyLayer:
     """Values at the samples of a raster, or of a coarser one."""
 
     values: wp.array(dtype=wp.float32)
@@ -158,7 +158,7 @@ class Layer:
 
 
 @wp.func
-def bilinear(layer: Layer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
+def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
     """Of the values from `first` on, `x` and `y` samples from the first."""
     i = wp.min(wp.int32(x), layer.columns - 2)
     j = wp.min(wp.int32(y), layer.rows - 2)
@@ -173,7 +173,7 @@ def bilinear(layer: Layer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.
 
 
 @wp.kernel
-def take(offset: int, layer: Layer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
+def take(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
     """The value of a layer at each place; beyond the rim that of the rim."""
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
@@ -185,7 +185,7 @@ def take(offset: int, layer: Layer, places: wp.array(dtype=wp.vec3f), out: wp.ar
 def sky_between(
     offset: int,
     occluder: Occluder,
-    horizons: Layer,
+    horizons: SkyLayer,
     azimuths: wp.array(dtype=wp.vec2d),
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),

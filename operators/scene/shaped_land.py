@@ -11,7 +11,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.land.level_plan import MOST_WHOLE
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from ...cbt_terrain.land_effects.land_effect import Layer
+from ...cbt_terrain.land_effects.land_effect import LandLayer
 from ..properties.land_properties import EVERYWHERE
 from ..request import land_request
 from ..request.imported import imported_of
@@ -159,7 +159,7 @@ def _label(effect: str) -> str:
     return LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
 
 
-def layers_of(land) -> list[Layer]:
+def layers_of(land) -> list[LandLayer]:
     """By-products of the entries that are switched on, each once."""
     effects = [
         LAND_EFFECTS[land.entries[n].effect] for n in active_numbers(land) if land.entries[n].effect in LAND_EFFECTS

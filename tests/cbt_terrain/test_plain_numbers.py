@@ -36,8 +36,8 @@ def field():
     return from_array(5 * np.sin(x / 4) * np.cos(y / 5), 2.0)
 
 
-# What is made with the numbers of a type: the same object, with the same text.
-MADE = {
+# Settings built with numbers of one type.
+SETTINGS = {
     "criterion": lambda n: Criterion(error_px=n(4), max_triangles=n(100), max_depth=n(14), meshlet=n(1), morph=n(2)),
     "scatter": lambda n: Scatter(spacing=n(50), seed=n(3), on=n(-1), size=n(2)),
     "import": lambda n: ImportSettings(
@@ -57,17 +57,17 @@ MADE = {
 }
 
 
-@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
-def test_settings_are_equal_for_numbers_of_any_type(made):
-    found = [made(number) for number in NUMBERS]
+@pytest.mark.parametrize("build", SETTINGS.values(), ids=SETTINGS)
+def test_settings_are_equal_for_numbers_of_any_type(build):
+    found = [build(number) for number in NUMBERS]
     assert len({repr(one) for one in found}) == 1 and all(one == found[0] for one in found)
 
 
 def test_settings_of_numpy_numbers_can_be_written_as_json():
-    text = json.dumps(dataclasses.asdict(MADE["import"](np.float32)))
-    assert text == json.dumps(dataclasses.asdict(MADE["import"](int)))
+    text = json.dumps(dataclasses.asdict(SETTINGS["import"](np.float32)))
+    assert text == json.dumps(dataclasses.asdict(SETTINGS["import"](int)))
     assert json.loads(text)["raw_size"] == [3, 4] and '"height_scale": 2.0' in text
-    stacks = [MADE["stack"](number).key() for number in NUMBERS]
+    stacks = [SETTINGS["stack"](number).key() for number in NUMBERS]
     assert len(set(stacks)) == 1
     assert ImportSettings("a.raw", holes=np.bool_(True)).holes is True
 

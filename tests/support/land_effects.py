@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.effects.effect import Parameter
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, LandEffect, Layer
+from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, LandEffect, LandLayer
 
 SWEEPS = 4
 
@@ -49,7 +49,7 @@ SMOOTH = LandEffect(
     diffuse,
     _example,
     parameters=(Parameter("sweeps", SWEEPS, 1, 100, "", ""),),
-    layers=(Layer("worn", "m", ""),),
+    layers=(LandLayer("worn", "m", ""),),
     halo=lambda values, step: values["sweeps"] * step,
     cost_ns=20,
 )
@@ -65,7 +65,7 @@ HILL = LandEffect(
         Parameter("east", 1000.0, 0, 1e6, "m", ""),
         Parameter("north", 1000.0, 0, 1e6, "m", ""),
     ),
-    layers=(Layer("fresh", "m", ""), Layer("mark", "m", "", per_metre=False)),
+    layers=(LandLayer("fresh", "m", ""), LandLayer("mark", "m", "", per_metre=False)),
     cost_ns=10,
 )
 LEVEL = LandEffect(
@@ -75,7 +75,7 @@ LEVEL = LandEffect(
     level_out,
     _example,
     parameters=(Parameter("part", 0.25, 0, 1, "", ""),),
-    layers=(Layer("twice", "m", ""),),
+    layers=(LandLayer("twice", "m", ""),),
     reads=("worn",),
     halo=lambda _values, _step: math.inf,
     cost_ns=5,

@@ -134,7 +134,8 @@ def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
     """Fill `numbers` (uint16) with those that stand for `heights`; False if there is one that none stands for."""
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
-        found = np.rint((block.astype(np.float64) - steps.offset) / steps.scale) - steps.first
+        with np.errstate(over="ignore"):  # infinity is out of range, too
+            found = np.rint((block.astype(np.float64) - steps.offset) / steps.scale) - steps.first
         if not (0 <= found.min() and found.max() <= 65535):
             return False
         numbers[row : row + ROWS] = found

@@ -57,6 +57,7 @@ def copy_store(
         text = read_regular(source / stores.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
         draft = target / name / stores.JSON_NAME
         draft.write_bytes(text)
+        stores.check_version(target, draft)
         os.replace(draft, target / stores.JSON_NAME)
         partial_files.end_work(target / name, lock)
         lock = None
@@ -72,7 +73,6 @@ def copy_store(
             with suppress(OSError, NotOursError):
                 store_folder.remove_arrays(target / name)
             store_folder.discard(target, part.name, made)
-    stores.open_store(target)
 
 
 def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None]) -> None:

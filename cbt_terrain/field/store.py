@@ -78,9 +78,10 @@ def changed_ns(path: str | os.PathLike) -> int:
     return max(stat.st_mtime_ns, stat.st_ctime_ns)
 
 
-def read_json(path: Path) -> dict:
-    """The content of a store's JSON file, checked entry by entry."""
-    file = path / JSON_NAME
+def read_json(path: Path, file: Path | None = None) -> dict:
+    """Return the content of a store's JSON file, checked entry by entry. file: another than that of the store `path`.
+    Raises TerrainError."""
+    file = file or path / JSON_NAME
     owned_files.check_no_link(file, AGAIN)
     try:
         with open_regular(file) as handle:
@@ -97,9 +98,12 @@ def read_json(path: Path) -> dict:
     if not isinstance(content, dict) or content.get("version") != VERSION:
         found = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
-    check_entries(file, content)
-    if content["sum"] != _sum_of(content):
-        raise TerrainError(f"The store {file} is damaged: its entries differ from their checksum; import it again.")
+    try:
+        check_entries(content)
+        if content["sum"] != _sum_of(content):
+            raise ValueError("its entries differ from their checksum")
+    except ValueError as fault:
+        raise TerrainError(f"The store {file} is damaged: {fault}; import it again.") from None
     return content
 
 
@@ -114,17 +118,21 @@ def open_store(path: str | os.PathLike) -> HeightField:
     check_path("The store", path)
     path = Path(path)
     try:
-        return _open(path)
+        return _open(path, read_json(path))
     except FileNotFoundError:
         pass  # another process has just replaced the store between its JSON and its arrays
     try:
-        return _open(path)
+        return _open(path, read_json(path))
     except FileNotFoundError as reason:
         raise TerrainError(f"The store {path} lacks {Path(reason.filename).name}: import it again.") from None
 
 
-def _open(path: Path) -> HeightField:
-    content = read_json(path)
+def check_version(path: Path, file: Path) -> None:
+    """Raise TerrainError unless the store `path` can be opened once `file` is its JSON file."""
+    _open(path, read_json(path, file))
+
+
+def _open(path: Path, content: dict) -> HeightField:
     lattice = fit(**content["lattice"])
     shape = lattice.height, lattice.width
     folder = path / content["data"]
@@ -284,7 +292,10 @@ class Draft:
 
     def publish(self, field: HeightField, digest: str, report: dict, layers: Mapping[str, str] | None = None) -> None:
         """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users;
-        `layers`: the units of those that were allocated, by their names."""
+        `layers`: the units of those that were allocated, by their names.
+
+        Raises TerrainError where the result could not be opened; the store is then as it was.
+        """
         for name in [name for name in self._arrays if name in _SCRATCH]:
             self.remove(name)
         for name, array in self._arrays.items():
@@ -306,9 +317,9 @@ class Draft:
             "provenance": field.provenance,
             "report": report,
         }
-        content["sum"] = _sum_of(json.loads(json.dumps(content)))
         part = self.folder / JSON_NAME
-        part.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+        part.write_text(self._checked_text(content), encoding="utf-8")
+        check_version(self.path, part)
         previous = named_folder(self.path)
         with open_folder(self.path) as store, store.open(self.folder.name) as arrays:
             store.replace(JSON_NAME, arrays, JSON_NAME)
@@ -318,6 +329,21 @@ class Draft:
             if previous is not None:
                 remove_arrays(previous)
         remove_abandoned(self.path)
+
+    def _checked_text(self, content: dict) -> str:
+        """Return the JSON of a new version. Raises TerrainError where reading it would fail."""
+        try:
+            content["sum"] = _sum_of(json.loads(json.dumps(content)))
+            check_entries(json.loads(json.dumps(content)))
+            text = json.dumps(content, indent=1, allow_nan=False)
+            if len(text) > MAX_JSON_BYTES:
+                raise ValueError(f"its description has more than {MAX_JSON_BYTES} characters")
+        except ValueError as fault:
+            raise TerrainError(
+                f"The store {self.path} stays as it was, because the new terrain cannot be stored: {fault}; check its "
+                "heights, height scale and offset, extent and georeference."
+            ) from None
+        return text
 
     def discard_unless_published(self) -> None:
         """Take away what was written for nothing; a store that stood there before is untouched."""

@@ -2,9 +2,8 @@
 """What the entries of a store's JSON file may be: each is checked, since the file may have been edited or damaged."""
 
 import re
-from pathlib import Path
 
-from ..errors import TerrainError, shown
+from ..errors import shown
 from .codes import LEAST_EXPONENT, MOST_EXPONENT, exponent_of
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
@@ -104,7 +103,7 @@ _ENTRIES = {
     "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
     "holes": (lambda value: type(value) is bool, "true or false"),
     "exponents": (_is_exponents, f"whole numbers between {LEAST_EXPONENT} and {MOST_EXPONENT}"),
-    "steps": (_is_steps, "null, or the first number, the scale and the offset of a source's steps"),
+    "steps": (_is_steps, "null, or the first number, the scale and the offset of a source's steps, of 1e30 at most"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
     "min_height": _HEIGHT,
@@ -124,22 +123,18 @@ _ENTRIES = {
 _OPTIONAL = {"layers": (_is_layers, f"an object of at most {MOST_LAYERS} layers and their units")}
 
 
-def check_entries(file: Path, content: dict) -> None:
-    """Raise TerrainError that names the file and the first entry that is missing or cannot be."""
-
-    def damaged(what: str) -> TerrainError:
-        return TerrainError(f"The store {file} is damaged: {what}; import it again.")
-
+def check_entries(content: dict) -> None:
+    """Raise ValueError that names the first entry that is missing or cannot be."""
     for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
-            raise damaged(f"{name!r} is missing, expected {expected}")
+            raise ValueError(f"{name!r} is missing, expected {expected}")
         if not good(content[name]):
-            raise damaged(f"its {name!r} is {shown(repr(content[name]))}, expected {expected}")
+            raise ValueError(f"its {name!r} is {shown(repr(content[name]))}, expected {expected}")
     low, high, exponents = content["min_height"], content["max_height"], content["exponents"]
     if low > high:
-        raise damaged(f"its 'min_height' {low} is above its 'max_height' {high}")
+        raise ValueError(f"its 'min_height' {low} is above its 'max_height' {high}")
     lattice = fit(**content["lattice"])
     extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
     most = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
     if len(exponents) != lattice.groups + 1 or max(exponents) > most:
-        raise damaged(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at most")
+        raise ValueError(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at most")

@@ -92,6 +92,21 @@ def test_a_copy_that_ends_early_leaves_nothing(tmp_path, no_links, monkeypatch):
     assert not (tmp_path / "copy").exists() and contents(source) == before
 
 
+def test_a_copy_that_cannot_be_opened_is_no_store(tmp_path, no_links, monkeypatch):
+    """The arrays change after the copy was compared, as on a failing disk."""
+    source = make(tmp_path / "source", 1)
+    compared = packing._copy_arrays
+
+    def damage(source, target, on_progress):
+        compared(source, target, on_progress)
+        (target / "samples.npy").write_bytes(b"half")
+
+    monkeypatch.setattr(packing, "_copy_arrays", damage)
+    with pytest.raises(TerrainError, match="samples.npy is damaged"):
+        copy_store(source, tmp_path / "copy")
+    assert not (tmp_path / "copy").exists() and open_store(source)
+
+
 def test_what_a_killed_copy_has_left_is_no_hindrance(tmp_path):
     source = make(tmp_path / "source", 1)
     [data] = [path.name for path in source.iterdir() if path.is_dir()]

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field import bicubic, store, store_arrays, store_folder
+from adaptive_terrain.cbt_terrain.field import bicubic, codes, store, store_arrays, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
@@ -178,6 +179,64 @@ def test_a_store_replaced_while_it_is_opened_is_opened_again(island, monkeypatch
 
     monkeypatch.setattr(store, "read_json", outdated_once)
     assert store.open_store(island).samples.shape == (129, 129)
+
+
+def small_field(draft):
+    samples = draft.allocate("samples", (9, 9), np.float32)
+    samples[:] = np.arange(81, dtype=np.float32).reshape(9, 9)
+    return build(samples, 1.0, 1.0, missing=0, allocate=draft.allocate)
+
+
+UNFIT = {
+    "source_max": {"source_max": math.inf},
+    "origin": {"origin": np.array([1e301, 0.0, 0.0])},
+    "steepest_x": {"steepest_x": math.nan},
+    "steps": {"steps": codes.Steps(0, 1e31, 0.0)},
+    "provenance": {"provenance": {"settings": {"source": 5}}},
+    "description": {"crs": "x" * store.MAX_JSON_BYTES},
+    "samples.npy": {},
+}
+
+
+@pytest.mark.parametrize("entry", UNFIT)
+def test_a_version_that_cannot_be_opened_is_not_published(tiny, entry, monkeypatch):
+    before = {file: file.read_bytes() for file in tiny.rglob("*") if file.is_file()}
+    draft = store.Draft(tiny)
+    field = small_field(draft)
+    if entry == "samples.npy":
+        monkeypatch.setattr(store, "all_checksums", lambda array: b"0000" * store_arrays.block_count(array.nbytes))
+    else:
+        field = replace(field, **UNFIT[entry])
+    with pytest.raises(TerrainError, match=entry):
+        draft.publish(field, "", {})
+    draft.discard_unless_published()
+    assert {file: file.read_bytes() for file in tiny.rglob("*") if file.is_file()} == before
+
+
+def test_a_report_that_cannot_be_read_is_not_published(tiny):
+    key, draft = store.open_store(tiny).key, store.Draft(tiny)
+    with pytest.raises(TerrainError, match="'report'"):
+        draft.publish(small_field(draft), "", {"lowest_m": math.inf})
+    draft.discard_unless_published()
+    assert store.open_store(tiny).key == key
+
+
+# Flat ground has no height beyond the limit, whatever its scale is.
+EXTREME = [("int16", 1e31, 0.0), ("float32", 1e305, 0.0), ("uint8", 1e-320, 1e29)]
+
+
+@pytest.mark.parametrize("kind, scale, offset", EXTREME)
+def test_an_import_of_extreme_scales_never_ruins_a_store(tiny, tmp_path, kind, scale, offset):
+    key = store.open_store(tiny).key
+    np.zeros((9, 9), kind).tofile(tmp_path / "flat.raw")
+    settings = ImportSettings(str(tmp_path / "flat.raw"), raw_dtype=kind, height_scale=scale, height_offset=offset)
+    try:
+        run_import(settings, tiny)
+    except TerrainError as error:
+        assert f"The store {tiny} stays as it was" in str(error) and store.open_store(tiny).key == key
+    else:
+        assert store.open_store(tiny).samples.shape == (9, 9)
+        run_import(ImportSettings(source="island", size=129), tiny)
 
 
 def damage(path, how):

@@ -14,6 +14,7 @@ degrees). An image is found from the folder of the stack's file. See mask.py for
 for land of which heights it was made, "heights": [0, 1470], metres: the panel fits it to another's (fitted.py).
 """
 
+import functools
 import hashlib
 import json
 import math
@@ -92,10 +93,12 @@ class Stack:
             _check_entry(f"Entry {number} of {where[0].lower()}{where[1:]}", entry)
 
     def key(self) -> str:
-        """Hex digest of all that decides what the stack makes of a raster: of images, their files as they are now."""
+        """Return a hex digest of all that decides what the stack makes of a raster: of images, what is in their files
+        now, wherever they are."""
         content = []
         for entry in self.active:
-            mask = entry.mask and (entry.mask, _file_mark(entry.mask.image), *entry.mask.versions)
+            mask = entry.mask
+            mask = mask and (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
             values = sorted(entry.values.items())
             content.append((entry.effect, entry.declaration.version, values, entry.seed, mask))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
@@ -129,14 +132,22 @@ def check_by_products(stack: Stack, source: Iterable[str]) -> None:
 
 
 def _file_mark(image: str) -> tuple:
-    """What changes when a file does."""
+    """Return what changes with the content of a file."""
     if not image:
         return ()
     try:
         found = os.stat(image)
+        digest = _file_digest(os.path.realpath(image), found.st_size, found.st_mtime_ns)
+        return Path(image).suffix.lower(), digest  # the suffix decides how it is read
     except (OSError, ValueError):
         return (image,)  # whoever reads it says what is wrong
-    return os.path.realpath(image), found.st_size, found.st_mtime_ns
+
+
+@functools.lru_cache(maxsize=256)
+def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
+    """Return a hex digest of a file. Raises OSError, also for a pipe or a device."""
+    with open_regular(Path(file)) as handle:
+        return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def _check_entry(where: str, entry: Entry) -> None:

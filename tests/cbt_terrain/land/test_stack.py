@@ -47,10 +47,26 @@ def test_the_key_is_of_what_counts(tmp_path):
         Stack((Entry("hill", {"height": 7.5}, seed=4),)).key(),
         Stack((Entry("hill", mask=Mask(str(image))),)).key(),
     }
+    image.write_bytes(b"2")
     os.utime(image, (1, 1))
     keys.add(Stack((Entry("hill", mask=Mask(str(image))),)).key())
     both = Entry("hill"), Entry("level")
     assert len(keys | {Stack(both).key(), Stack(both[::-1]).key()}) == 6
+
+
+def test_the_key_follows_an_image_to_another_folder(tmp_path):
+    """So a store and its land can be moved or packed, and the land is not shaped again."""
+    image = tmp_path / "m.npy"
+    image.write_bytes(b"1")
+    key = Stack((Entry("hill", mask=Mask(str(image))),)).key()
+    (tmp_path / "there").mkdir()
+    moved = image.rename(tmp_path / "there" / "n.npy")
+    os.utime(moved, (1, 1))
+    assert Stack((Entry("hill", mask=Mask(str(moved))),)).key() == key
+    picture = moved.rename(tmp_path / "n.png")
+    assert Stack((Entry("hill", mask=Mask(str(picture))),)).key() != key, "it is read in another way"
+    os.mkfifo(tmp_path / "pipe.npy")
+    assert Stack((Entry("hill", mask=Mask(str(tmp_path / "pipe.npy"))),)).key() != key, "and nothing waits for it"
 
 
 def one(**entry):

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Move the stores of one folder into another, with the shaped land and the baked maps beside them.
+
+On one file system an entry is renamed. Across file systems it is copied under a private name, compared byte by byte,
+renamed, and removed where it was. So an entry is complete in one of the two folders at any moment, and a move that was
+interrupted goes on when it is started again.
+"""
+
+import filecmp
+import itertools
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import TerrainError
+from ..run import partial_files
+from ..run.owned_files import LAND, MAPS, open_folder, remove_empty, remove_file, remove_tree
+from . import store_folder
+
+BESIDE = LAND, MAPS
+MOVED = "_moved"  # ends the name of a store whose own name another store has in the new folder
+
+
+@dataclass
+class MovedStores:
+    """Report of a move. `stores`: names in the new folder. `failures`: why entries stayed where they were."""
+
+    stores: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+
+def move_stores(old: Path, new: Path) -> MovedStores:
+    """Move all entries of the folder `old` into the folder `new`, which is made where it is missing. Raises OSError
+    where `old` cannot be read."""
+    moved = MovedStores()
+    for folder in (old, new):
+        partial_files.remove_abandoned(folder)  # leftovers of a killed move
+    for name in sorted(os.listdir(old), key=lambda name: (name.endswith(BESIDE), name)):  # stores first
+        if partial_files.is_partial_name(name) or not os.path.lexists(old / name):
+            continue
+        try:
+            with open_folder(new, make=True, may_be_link=True):  # the user may have put it on another disk
+                _move_with_folders(old / name, new, moved)
+        except (OSError, TerrainError) as reason:
+            moved.failures.append(f"{old / name}: {getattr(reason, 'strerror', None) or reason}")
+    _remove_if_empty(old)
+    return moved
+
+
+def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
+    """Move a store, under its own name if that is free, and the folders that belong to it."""
+    ending = next((ending for ending in BESIDE if entry.name.endswith(ending)), "")
+    if ending:
+        if not os.path.lexists(entry.with_name(entry.name.removesuffix(ending))):  # else its store could not be moved
+            _merge(entry, new / entry.name)
+        return
+    is_store = (entry / store_folder.JSON_NAME).is_file()
+    target = next(path for path in map(new.joinpath, names_of(entry.name)) if _move_to(entry, path))
+    moved.stores += [target.name] if is_store else []
+    for ending in BESIDE:
+        folder = entry.with_name(entry.name + ending)
+        if os.path.lexists(folder):
+            _merge(folder, target.with_name(target.name + ending))
+
+
+def _move_to(source: Path, target: Path) -> bool:
+    """Move an entry if the target is free or holds a copy of it, which an interrupted move has left."""
+    if not os.path.lexists(target):
+        move_entry(source, target)
+        return True
+    if not are_equal(source, target):
+        return False
+    _remove(source)
+    return True
+
+
+def _merge(source: Path, target: Path) -> None:
+    """Move a folder of shaped land or maps into one that may exist. Of entries with the same name the one in the target
+    stays in use: names stand for content there."""
+    if not _move_to(source, target):
+        for name in sorted(os.listdir(source)):
+            _move_to(source / name, target / name)
+        _remove_if_empty(source)
+
+
+def names_of(name: str) -> Iterator[str]:
+    """Yield the names that a store may have in the new folder: each where the ones before it were taken."""
+    yield name
+    yield name + MOVED
+    yield from (f"{name}{MOVED}_{number}" for number in itertools.count(2))
+
+
+def find_moved(path: str, new: Path) -> str:
+    """Return the path in the folder `new` of an entry that `path` named in the old folder; "" where there is none.
+
+    path: as any system writes it. The old folder ends with the same two names as `new`.
+    """
+    parts = path.replace("\\", "/").split("/")
+    pairs = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
+    if not pairs or {"", ".", ".."} & set(parts[pairs[-1] :]):
+        return ""
+    name, rest = parts[pairs[-1]], parts[pairs[-1] + 1 :]
+    ending, found = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
+    for store in names_of(name.removesuffix(ending)):
+        if not (new / store).exists():
+            break
+        found = str(new.joinpath(store + ending, *rest))
+    return found
+
+
+def move_entry(source: Path, target: Path) -> None:
+    """Move a file or a folder to a path that is free, of another file system too. Raises OSError or
+    TerrainError; nothing is lost."""
+    if os.lstat(source).st_dev == os.stat(target.parent).st_dev:
+        os.rename(source, target)
+        return
+    copy_entry(source, target)
+    _remove(source)
+
+
+def copy_entry(source: Path, target: Path) -> None:
+    """Copy a file or a folder to a path that is free, where it appears when it is complete. Raises OSError or
+    TerrainError."""
+    with partial_files.private_folder(target.parent) as private:
+        copy = private / target.name
+        if source.is_symlink():
+            raise OSError("it is a link, expected a file or a folder")
+        shutil.copytree(source, copy, True, copy_function=_copy_file) if source.is_dir() else _copy_file(source, copy)
+        if not are_equal(source, copy):
+            raise OSError(f"its copy in {target.parent} differs")
+        os.rename(copy, target)
+
+
+def _copy_file(source: str | Path, target: str | Path) -> None:
+    """Copy a file. Raises TerrainError, which ends `copytree` at once."""
+    try:
+        shutil.copy2(source, target)
+    except OSError as reason:
+        raise TerrainError(f"{Path(source).name} cannot be copied ({reason.strerror or reason})") from reason
+
+
+def are_equal(first: Path, second: Path) -> bool:
+    """Compare two files, links or folders with everything in them."""
+    if first.is_symlink() or second.is_symlink():
+        return first.is_symlink() and second.is_symlink() and os.readlink(first) == os.readlink(second)
+    if first.is_file() and second.is_file():
+        return filecmp.cmp(first, second, shallow=False)
+    if not (first.is_dir() and second.is_dir()) or sorted(os.listdir(first)) != sorted(os.listdir(second)):
+        return False
+    return all(are_equal(first / name, second / name) for name in os.listdir(first))
+
+
+def _remove(entry: Path) -> None:
+    """Remove an entry of which a copy exists. It gives up its name first: half of a store is never found under it."""
+    hidden = entry.with_name(f"{partial_files.PREFIX}{partial_files.new_token()}")
+    os.rename(entry, hidden)
+    with suppress(OSError, TerrainError):
+        remove_tree(hidden) if hidden.is_dir() else remove_file(hidden)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError, TerrainError):
+        remove_empty(folder)

@@ -10,7 +10,7 @@ from . import handlers
 from .effects import add_scatter, bake_maps, splat_layers, terrain_material
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
-from .importing import add_terrain, import_terrain, pack_store
+from .importing import add_terrain, import_terrain, move_stores, pack_store, store_paths
 from .land import land_cache, land_list, land_presets, shape_land, water_surface
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
@@ -24,6 +24,8 @@ MODULES = (
     properties,
     keep_properties,
     keep_ground,
+    store_paths,
+    move_stores,
     import_terrain,
     add_terrain,
     frame_terrain,

@@ -16,22 +16,13 @@ import bpy
 from ...cbt_terrain.maps.folder import UDIM, read_index
 from ...cbt_terrain.maps.tiling import MARGIN
 from ...cbt_terrain.run.named_file import blocks_reader
-from ...cbt_terrain.run.owned_files import MAPS
 from ..mesh.writer import UV_LAYER
+from ..properties.map_properties import map_folder
 from ..scene.session import all_terrains, open_field
 from ..scene.shaped_land import store_of
 
 GROUP = "Terrain Map UV"
 _marks: dict[int, str] = {}  # by session_uid
-
-
-def map_folder(obj) -> Path:
-    """Where the maps of a terrain are kept: in the folder that its settings name, or in one beside its store."""
-    settings = obj.adaptive_terrain
-    store = Path(bpy.path.abspath(settings.store))
-    folder = settings.maps.folder
-    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + MAPS)
-    return above / bpy.path.clean_name(settings.maps.mark)
 
 
 def own_folder(obj) -> None:

@@ -11,7 +11,7 @@ from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
-from ..properties.map_properties import CHOSEN, FRAME, SHOT
+from ..properties.map_properties import CHOSEN, FRAME, SHOT, map_folder
 from ..request.request import RENDER, Overrides, gather
 from ..scene.shot import frames_of, look_through
 from . import map_images
@@ -36,7 +36,7 @@ def names_of(obj, depsgraph) -> set[str]:
 
 def read_as_images(obj) -> set[str]:
     """Maps of a terrain that its materials show by image textures, baked or not."""
-    folder = map_images.map_folder(obj)
+    folder = map_folder(obj)
     waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
     seen, found = set(), set()
     while waiting:
@@ -79,7 +79,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     budget = settings.budget_mb if settings.use_budget else None
     yield MapRequest(
         asked=first.effects.asked,
-        folder=map_images.map_folder(obj),
+        folder=map_folder(obj),
         views=tuple(views),
         placement=first.placement,
         budget_mb=budget,

@@ -11,13 +11,13 @@ import bpy
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.run.partial_files import written_beside
-from ..effects.map_images import map_folder
 from ..effects.map_request import read_as_images
 from ..importing.import_terrain import settings_of
 from ..output.exporting import make_folder
 from ..output.file_outputs import output_folders
 from ..output.preparing import is_missing, store_of
 from ..output.scene_files import scene_files
+from ..properties.map_properties import map_folder
 from ..properties.properties import land_of
 from ..request.land_folders import folder_beside
 from ..scene.shot import frames_of

@@ -3,12 +3,10 @@
 
 import math
 from contextlib import suppress
-from pathlib import Path
 
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.build_store import source_digest
 from ...cbt_terrain.importing.import_process import ImportJob, import_source
 from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
 from ...cbt_terrain.run import warmup
@@ -18,6 +16,7 @@ from ..scene import session
 from ..scene.polls import on_terrain
 from ..text.numbers import SMALLEST, plain
 from ..viewport import frame_terrain, live
+from .store_location import elsewhere, store_folder
 
 POLL_S = 0.1
 RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
@@ -74,28 +73,6 @@ def is_raw(path: str) -> bool:
 def placed(path: str) -> bool:
     """Whether a file of this kind can say where on Earth it is."""
     return path.lower().endswith(PLACED_SUFFIXES)
-
-
-def store_folder(obj, settings: ImportSettings) -> str:
-    """Where the import is written: beside a saved file, one folder a terrain; else in the extension's user folder, one
-    folder for each source and settings, because unsaved files share it. Raises TerrainError for a missing source."""
-    source = Path(settings.source).stem
-    if bpy.data.filepath:
-        return folder_beside(obj, source)
-    return str(Path(user_folder()) / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
-
-
-def folder_beside(obj, source: str) -> str:
-    """The name of a store of `source` beside the saved file."""
-    return "//terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
-
-
-def user_folder() -> str:
-    """The folder for stores of unsaved files."""
-    package = __package__.rsplit(".", 2)[0]
-    if package.startswith("bl_ext."):
-        return bpy.utils.extension_path_user(package, path="stores", create=True)
-    return bpy.utils.user_resource("DATAFILES", path="adaptive_terrain", create=True)
 
 
 def import_now(obj) -> tuple[dict, str]:
@@ -218,7 +195,7 @@ class _Import:
             self.report({"INFO"}, frame_terrain.said(done))
 
     def _update(self, obj, report: dict):
-        for warning in report["warnings"]:
+        for warning in [*report["warnings"], *elsewhere(obj.adaptive_terrain.store)]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, summary(report))
         if obj.adaptive_terrain.live and not bpy.app.background:

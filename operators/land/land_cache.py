@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clear Land Cache: what shaped land takes on disk, and room for other things."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -30,14 +31,14 @@ def held(store: str) -> list[tuple[str, Path, int]]:
 
 
 def _sources(store: str) -> list[str]:
-    """The store, and the one that it was baked from, which no terrain may have any more."""
-    try:
+    """Return the store, and the one that it was baked from, which no terrain may have any more: where it was, or beside
+    the store, if both were moved."""
+    with suppress(TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
-        before = str(shaped["source"])
-        if stores.read_json(Path(before))["key"] == shaped["source_key"]:
-            return [store, before]
-    except (TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
-        pass
+        before = Path(str(shaped["source"]))
+        for folder in (before, Path(store).with_name(before.name)):
+            if stores.changed_ns(folder) and stores.read_json(folder)["key"] == shaped["source_key"]:
+                return [store, str(folder)]
     return [store]
 
 

@@ -9,13 +9,12 @@ from bpy_extras.io_utils import ExportHelper
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land.export import check_export, export_raster
+from ..importing.store_location import baked_folder
 from ..land import shape_land
 from ..request import imported, land_request
 from ..request.land_request import land_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
-
-BAKED = "_baked"
 
 
 class _LandOperator:
@@ -59,7 +58,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
         land = shape_land.wanted_land(obj, depsgraph)
         land_request.whole_raster_of("", land, session.open_field)
         settings = obj.adaptive_terrain
-        folder = free_folder(settings.store.rstrip("/") + BAKED)
+        folder = free_folder(baked_folder(obj))
         copy_store(land.folder, bpy.path.abspath(folder))
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
@@ -71,7 +70,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
 
 
 def free_folder(wanted: str) -> str:
-    """`wanted`, or with a number the first that is not there; a path may begin with the .blend file's folder."""
+    """Return `wanted`, or with a number the first that is free; a path may begin with the .blend file's folder."""
     number, folder = 1, wanted
     while Path(bpy.path.abspath(folder)).exists():
         number += 1

@@ -1,16 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of the maps that are baked of a terrain (`object.adaptive_terrain.maps`)."""
 
+from pathlib import Path
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.maps.coding import EXR, PNG
+from ...cbt_terrain.run.owned_files import MAPS
 
 FRAME, SHOT, WHOLE = "FRAME", "SHOT", "WHOLE"
 READ, CHOSEN = "READ", "CHOSEN"
 # Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
 PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
+
+
+def map_folder(obj) -> Path:
+    """Return where the maps of a terrain are kept: in the folder that its settings name, or in one beside its store."""
+    settings = obj.adaptive_terrain
+    store = Path(bpy.path.abspath(settings.store))
+    folder = settings.maps.folder
+    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + MAPS)
+    return above / bpy.path.clean_name(settings.maps.mark)
 
 
 def label(name: str) -> str:

@@ -4,10 +4,10 @@
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..importing import import_terrain
+from ..importing import import_terrain, store_paths
 from ..properties.properties import FILE
 from ..request.imported import changed_settings, imported_of, lines_of
-from .panel_parts import TerrainSubpanel, draw_ground, figures, switched
+from .panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
 
 
 class SourcePanel(TerrainSubpanel, bpy.types.Panel):
@@ -77,6 +77,8 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
         column.separator()
         column.prop(settings, "store")
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
+        for notice in store_paths.notices.values():
+            message(self.layout, notice, "INFO")
 
 
 class SurfacePanel(TerrainSubpanel, bpy.types.Panel):

@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stores go beside their .blend file, and are found wherever the file is saved to."""
 
+import shutil
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.effects import map_images
 from adaptive_terrain.operators.importing import pack_store
+from adaptive_terrain.operators.importing.store_location import lies_beside
+from adaptive_terrain.operators.land import shape_land
+from adaptive_terrain.operators.properties.map_properties import map_folder
+from adaptive_terrain.operators.request import land_folders, land_request, land_tiles
+from adaptive_terrain.operators.scene import session, shaped_land
+from land_scenes import add
 
 
 def absolute(terrain) -> Path:
@@ -23,6 +32,78 @@ def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terra
     assert absolute(one) == (tmp_path / "terrain" / "valley_One_store").resolve()
     assert open_store(absolute(one)).key == open_store(store).key
     assert not bpy.ops.adaptive_terrain.pack_store.poll(), "there is nothing left to pack"
+
+
+def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
+    """Also behind a painted mask, and from a folder that was moved, with nothing left of the original."""
+    entry = add("thermal", depth=80.0)
+    image = bpy.data.images.new("Painted", 8, 8, float_buffer=True)
+    image.pixels.foreach_set(np.linspace(0, 1, 8 * 8 * 4, dtype=np.float32))
+    image.pack()
+    entry.mask.kind, entry.mask.image = "IMAGE", image
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    original = Path(terrain.adaptive_terrain.store)
+    [shaped] = [path.parent for path in land_folders.folder_beside(str(original)).glob("*/store.json")]
+    key, count = open_store(shaped).key, land_request.made["stores"]
+    (tmp_path / "here").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    packed = land_folders.folder_beside(str(absolute(terrain))) / shaped.name
+    assert open_store(packed).key == key and shaped.is_dir()
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    shutil.rmtree(original)
+    shutil.rmtree(land_folders.folder_beside(str(original)))
+    (tmp_path / "here").rename(tmp_path / "there")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "valley.blend"))
+    opened = bpy.data.objects["Terrain"]
+    session.update_object(opened, mode="RENDER")
+    assert session.record_of(opened).field.raster_key == key and land_request.made["stores"] == count
+    assert shaped_land.state_of(opened).shown == "Shaped"
+
+
+def land_folder(terrain, of_views: bool) -> Path:
+    """Where the land of a terrain's stack is kept; a copy of its store stands in for it."""
+    land = shape_land.wanted_land(terrain, bpy.context.evaluated_depsgraph_get())
+    folder = (land.of_views_alone if of_views else land).folder
+    shutil.copytree(terrain.adaptive_terrain.store, folder)
+    return Path(folder)
+
+
+def test_land_of_a_shot_is_packed_with_its_tiles(terrain, tmp_path):
+    add("thermal", depth=80.0)
+    folder, tiles = land_folder(terrain, of_views=True), [{0: 0.5}, {}]
+    land_tiles.note(str(folder), tiles)
+    (tmp_path / "here").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    packed = land_folders.folder_beside(str(absolute(terrain))) / folder.name
+    assert open_store(packed) and land_tiles.known(str(packed)) == tiles
+
+
+def test_baked_maps_are_packed_and_their_images_name_the_copies(terrain, tmp_path):
+    assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
+    image, before = map_images.map_image(terrain, "detail_normal"), map_folder(terrain)
+    (tmp_path / "here").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
+    assert Path(bpy.path.abspath(image.filepath)).resolve().is_relative_to(before)
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    after = map_folder(terrain)
+    assert after.is_relative_to(tmp_path / "here") and {f.name for f in after.iterdir()} == {
+        f.name for f in before.iterdir()
+    }
+    assert image.filepath.startswith("//") and Path(bpy.path.abspath(image.filepath)).parent == after
+    assert map_images.map_image(terrain, "detail_normal") == image
+
+
+def test_damaged_land_is_no_hindrance(terrain, tmp_path):
+    add("thermal", depth=80.0)
+    [file] = land_folder(terrain, of_views=False).glob("data-*/samples.npy")
+    file.write_bytes(b"half")
+    (tmp_path / "here").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    assert open_store(absolute(terrain)) and not land_folders.folder_beside(str(absolute(terrain))).exists()
 
 
 def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, tmp_path):
@@ -115,7 +196,7 @@ def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
         assert absolute(bpy.data.objects["Terrain"]) == folder
         assert bpy.data.objects["Terrain"].adaptive_terrain.store.startswith("//")
-    assert not pack_store.lies_beside(bpy.data.objects["Terrain"].adaptive_terrain)
+    assert not lies_beside(bpy.data.objects["Terrain"].adaptive_terrain)
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
     assert absolute(bpy.data.objects["Terrain"]).is_relative_to(tmp_path / "there" / "deep")
 

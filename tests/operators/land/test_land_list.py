@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import lands
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from adaptive_terrain.operators.importing import import_terrain
+from adaptive_terrain.operators.importing import store_location
 from adaptive_terrain.operators.properties import land_properties
 from adaptive_terrain.operators.request.land_entries import free_name
 from adaptive_terrain.operators.scene import session, shaped_land
@@ -119,7 +119,7 @@ def test_a_linked_terrain_says_why_it_cannot_be_changed(terrain, tmp_path):
 def test_a_built_in_land_is_added_as_it_is_with_the_stack_that_suits_it(scene, monkeypatch, tmp_path, land):
     """Of dunes there is none, and they get the size that was asked for."""
     given = lands.LANDS[land.lower()]
-    monkeypatch.setattr(import_terrain, "user_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(store_location, "data_folder", lambda: tmp_path)
     assert bpy.ops.mesh.adaptive_terrain_add(land=land, shape=True, size=40.0) == {"FINISHED"}
     settings = bpy.context.object.adaptive_terrain
     if not given.preset:

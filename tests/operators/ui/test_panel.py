@@ -113,7 +113,8 @@ def test_a_projection_is_asked_only_of_files_that_can_have_one(scene, add_terrai
 
 
 def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
-    from adaptive_terrain.operators.importing.import_terrain import settings_of, store_folder
+    from adaptive_terrain.operators.importing.import_terrain import settings_of
+    from adaptive_terrain.operators.importing.store_location import store_folder
 
     terrain = add_terrain()
     first = store_folder(terrain, settings_of(terrain))
@@ -122,6 +123,16 @@ def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
     assert store_folder(terrain, settings_of(terrain)) != first
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
     assert store_folder(terrain, settings_of(terrain)) == "//terrain/valley_Terrain_island"
+
+
+def test_the_panel_tells_that_stores_were_moved(scene, add_terrain, monkeypatch):
+    from adaptive_terrain.operators.importing import store_paths
+    from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
+
+    add_terrain()
+    assert "were moved" not in str(draw(ImportedPanel).mock_calls)
+    monkeypatch.setattr(store_paths, "notices", {"moved": "Stores were moved."})
+    assert "were moved" in str(draw(ImportedPanel).mock_calls)
 
 
 def test_import_says_what_it_did():

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What packing copies beside a .blend file: stores, and the shaped land and the baked maps that belong to them."""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.moving import copy_entry
+from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.run.owned_files import MAPS, open_folder
+from ..properties.map_properties import map_folder
+from ..request import land_request, land_tiles
+from ..request.land_folders import bytes_in
+from ..request.land_folders import folder_beside as land_beside
+from ..scene import session
+from ..text.numbers import plain
+from .store_location import folder_beside, lies_beside, source_name
+
+OnProgress = Callable[[float], None]
+
+
+@dataclass
+class PackPlan:
+    """Copies that packing makes, by what is copied. `stores`: the folder of each store, its new path, which may be
+    relative, and the terrains (session_uid) that use it. `lands`, `maps`: folders and their new folders."""
+
+    stores: dict[str, tuple[str, list[int]]] = field(default_factory=dict)
+    lands: dict[str, str] = field(default_factory=dict)
+    maps: dict[str, str] = field(default_factory=dict)
+
+    def copies(self) -> list[Callable[[OnProgress], None]]:
+        """List the functions that make the copies."""
+        found = [partial(copy_store, source, bpy.path.abspath(target)) for source, (target, _) in self.stores.items()]
+        found += [partial(_copy_land, source, target) for source, target in self.lands.items()]
+        return found + [partial(_copy_maps, source, target) for source, target in self.maps.items()]
+
+
+def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
+    """Copy a shaped store, and for which tiles it was made. Raises TerrainError."""
+    if not stores.changed_ns(target):  # else another terrain has the same land there
+        copy_store(source, target, on_progress)
+        land_tiles.note(target, land_tiles.known(source) or None)
+
+
+def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:
+    """Copy the folder of a terrain's maps. Raises TerrainError."""
+    on_progress(0.0)
+    try:
+        with open_folder(Path(target).parent, make=True):
+            if not os.path.lexists(target):
+                copy_entry(Path(source), Path(target))
+    except (OSError, TerrainError) as reason:
+        why = getattr(reason, "strerror", None) or reason
+        raise TerrainError(
+            f"The maps {source} cannot be copied to {target} ({why}): make room or save the file elsewhere."
+        ) from reason
+
+
+def find_strays() -> list:
+    """Return the terrains of a saved file with a store that is elsewhere."""
+    if not bpy.data.filepath:
+        return []
+    with_store = [obj for obj in session.all_terrains() if obj.adaptive_terrain.store]
+    return [obj for obj in with_store if not lies_beside(obj.adaptive_terrain)]
+
+
+def plan(objects: list) -> PackPlan:
+    """Plan the copies for terrains whose stores are elsewhere. Raises TerrainError."""
+    planned = PackPlan()
+    for obj in objects:
+        folder = Path(bpy.path.abspath(obj.adaptive_terrain.store)).resolve()
+        content = stores.read_json(folder)
+        if str(folder) not in planned.stores:
+            taken = {target for target, _ in planned.stores.values()}
+            planned.stores[str(folder)] = _target(obj, folder, content, taken), []
+        target, uids = planned.stores[str(folder)]
+        uids.append(obj.session_uid)
+        if Path(bpy.path.abspath(target)).resolve() != folder:
+            planned.lands |= _lands_of(obj, target)
+            planned.maps |= _maps_of(obj, target)
+    return planned
+
+
+def _lands_of(obj, target: str) -> dict[str, str]:
+    """Return the folders of the shaped land that a terrain uses, each with its new one beside the store `target`."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    try:
+        land = land_request.land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    except TerrainError:
+        return {}  # a stack that cannot be applied has no land
+    beside, found = land_beside(bpy.path.abspath(target)), {}
+    for folder in (land.folder, land.of_views_alone.folder) if land is not None else ():
+        with suppress(TerrainError):  # what is missing or damaged is shaped again
+            stores.open_store(folder)
+            found[folder] = str(beside / Path(folder).name)
+    return found
+
+
+def _maps_of(obj, target: str) -> dict[str, str]:
+    """Return the folder of a terrain's maps if it is beside its store, with the new one beside the store `target`."""
+    maps, folder = obj.adaptive_terrain.maps, map_folder(obj).resolve()
+    if maps.folder or not maps.mark or not folder.is_dir():
+        return {}
+    store = Path(bpy.path.abspath(target))
+    return {str(folder): str(store.with_name(store.name + MAPS) / folder.name)}
+
+
+def _target(obj, folder: Path, content: dict, taken: set[str]) -> str:
+    """Return the new path of the store in `folder`: a relative path of the same folder if it is beside the file."""
+    if folder.is_relative_to(Path(bpy.data.filepath).resolve().parent):
+        return bpy.path.relpath(str(folder))
+    return _free_folder(folder_beside(obj, source_name(obj)), content, taken)
+
+
+def _free_folder(wanted: str, content: dict, taken: set[str]) -> str:
+    """Return `wanted`, or with a number the next that holds no other store."""
+    number = 1
+    while True:
+        folder = wanted if number == 1 else f"{wanted}_{number}"
+        try:
+            there = stores.read_json(Path(bpy.path.abspath(folder)))
+            same = (there["key"], there["data"]) == (content["key"], content["data"])
+        except TerrainError:
+            same = not Path(bpy.path.abspath(folder), stores.JSON_NAME).exists()
+        if same and folder not in taken:
+            return folder
+        number += 1
+
+
+def room_text(planned: PackPlan) -> str:
+    """Return how much packing copies, for a question. Raises OSError."""
+    folders = [*planned.stores, *planned.lands, *planned.maps]
+    here = os.stat(Path(bpy.data.filepath).parent).st_dev
+    arrays = [*planned.stores, *planned.lands]
+    copied = [f for f in folders if f not in arrays or os.stat(f).st_dev != here]
+    size = f"{plain(sum(bytes_in(Path(folder)) for folder in folders) / 1e6)} MB"
+    return f"{size}, which take no more room on this disk" if not copied else size

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where stores are written: beside a saved .blend file, else in a data folder that survives an uninstall.
+
+Blender deletes an extension's user folder with the extension. Up to version 0.2.0 stores of unsaved files were there;
+move_stores.py moves them.
+"""
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.importing.build_store import source_digest
+from ...cbt_terrain.importing.raster import ImportSettings
+from ..request.imported import imported_of
+
+RELATIVE = "//"
+BAKED = "_baked"
+STORES = os.path.join("adaptive_terrain", "stores")
+
+
+def data_folder() -> Path:
+    """Return the folder for stores of unsaved files, which need not exist."""
+    return Path(bpy.utils.user_resource("DATAFILES", path=STORES))
+
+
+def deleted_folder() -> Path | None:
+    """Return the folder below which Blender deletes the user folders of extensions; None outside of Blender."""
+    package = __package__.rsplit(".", 2)[0]
+    if not package.startswith("bl_ext."):
+        return None
+    return Path(bpy.utils.extension_path_user(package)).parent.parent
+
+
+def old_folders() -> list[Path]:
+    """Return the folders with stores of earlier versions, one a repository: Blender deletes them with the extension."""
+    above = deleted_folder()
+    return sorted(above.glob(f"*/{STORES}")) if above is not None else []
+
+
+def is_shared(store: str) -> bool:
+    """Return whether a store is in the data folder or in an earlier version's folder, where other files use it too."""
+    folder = Path(bpy.path.abspath(store)).resolve()
+    return any(folder.is_relative_to(other.resolve()) for other in [data_folder(), *old_folders()])
+
+
+def lies_beside(settings) -> bool:
+    """Return whether a terrain's store has a path relative to the .blend file and is in its folder."""
+    if not bpy.data.filepath or not settings.store.startswith(RELATIVE):
+        return False
+    folder = Path(bpy.path.abspath(settings.store)).resolve()
+    return folder.is_relative_to(Path(bpy.data.filepath).resolve().parent)
+
+
+def can_write_beside() -> bool:
+    """Return whether the file is saved, and its folder can be written."""
+    if not bpy.data.filepath:
+        return False
+    folder = Path(bpy.data.filepath).parent
+    beside = folder / "terrain"
+    return os.access(beside if beside.exists() else folder, os.W_OK | os.X_OK)
+
+
+def folder_beside(obj, source: str) -> str:
+    """Return the path of a store of `source` beside the saved file."""
+    return f"{RELATIVE}terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
+
+
+def store_folder(obj, settings: ImportSettings) -> str:
+    """Return where an import is written: beside a saved file, one folder a terrain; else in the data folder, one folder
+    for each source and settings, because files share it. Raises TerrainError for a missing source."""
+    source = Path(settings.source).stem
+    if can_write_beside():
+        return folder_beside(obj, source)
+    return str(data_folder() / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
+
+
+def baked_folder(obj) -> str:
+    """Return where the baked land of a terrain is written: beside its store, or beside the file if others use that."""
+    store = obj.adaptive_terrain.store.rstrip("/\\")
+    if is_shared(store):
+        beside = can_write_beside()
+        store = folder_beside(obj, source_name(obj)) if beside else str(data_folder() / Path(store).name)
+    return store + BAKED
+
+
+def source_name(obj) -> str:
+    """Return the name of the source of a terrain's store, for the names of folders."""
+    imported = imported_of(obj.adaptive_terrain)
+    return Path(imported.settings.get("source", "") if imported else "").stem or "store"
+
+
+def elsewhere(folder: str) -> list[str]:
+    """Return the warning that a saved file's store could not be written beside the file."""
+    if not bpy.data.filepath or folder.startswith(RELATIVE):
+        return []
+    return [
+        f"The folder {Path(bpy.data.filepath).parent} cannot be written, so the store is in {folder}; save the file in "
+        "a folder that can be written and press Pack Store Beside File."
+    ]

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paths of stores stay right: where a file is saved to another folder, a terrain is appended, or stores were moved."""
+
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ...cbt_terrain.field.moving import find_moved
+from ..scene import session
+from .store_location import RELATIVE, data_folder, deleted_folder
+
+FOUND = "found"  # a topic
+notices: dict[str, str] = {}  # by topic, about moved stores, for the panel
+_paths_before: dict[int, str] = {}  # by session_uid: what a save elsewhere has made relative to another folder
+
+
+@persistent
+def on_save_pre(path, _unused=None) -> None:
+    """Write a relative path as it is from the folder that the file is saved to."""
+    before = bpy.data.filepath
+    _paths_before.clear()
+    if not (before and path) or Path(before).parent == Path(path).parent:
+        return
+    for obj in session.all_terrains():
+        settings = obj.adaptive_terrain
+        if settings.store.startswith(RELATIVE):
+            _paths_before[obj.session_uid] = settings.store
+            folder = bpy.path.abspath(settings.store)
+            try:
+                settings.store = bpy.path.relpath(folder, start=str(Path(path).parent))
+            except ValueError:  # another drive
+                settings.store = folder
+
+
+@persistent
+def on_save_post(path, _unused=None) -> None:
+    if not (bpy.data.filepath and path) or Path(bpy.data.filepath) != Path(path):
+        _restore_paths()  # a copy was saved: the open file stays where it is
+    _paths_before.clear()
+
+
+@persistent
+def on_save_failed(_path, _unused=None) -> None:
+    _restore_paths()
+
+
+def _restore_paths() -> None:
+    for obj in session.all_terrains():
+        if obj.session_uid in _paths_before:
+            obj.adaptive_terrain.store = _paths_before[obj.session_uid]
+    _paths_before.clear()
+
+
+@persistent
+def on_append(imported, _unused=None) -> None:
+    """The path of a terrain that is appended goes from the folder of the file that it comes from; unless that is of a
+    copy (Ctrl C), which Blender keeps elsewhere with paths as they were."""
+    for item in imported.import_items:
+        if (
+            item.id_type != "OBJECT"
+            or item.id is None
+            or item.source_library is None
+            or not session.is_terrain(item.id)
+        ):
+            continue
+        settings = item.id.adaptive_terrain
+        folder = bpy.path.abspath(settings.store, library=item.source_library)
+        if settings.store.startswith(RELATIVE) and Path(folder).is_dir():
+            try:
+                settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
+            except ValueError:  # another drive
+                settings.store = folder
+        find_moved_stores([item.id])
+
+
+@persistent
+def on_load_post(_path, _unused=None) -> None:
+    notices.pop(FOUND, None)
+    find_moved_stores()
+
+
+@persistent
+def on_undo(_scene, _unused=None) -> None:
+    find_moved_stores()
+
+
+def find_moved_stores(objects=None) -> None:
+    """Let terrains, and images of their maps, name the data folder where the stores that they name were moved there."""
+    found = []
+    for obj in session.all_terrains() if objects is None else objects:
+        settings = obj.adaptive_terrain
+        before = bpy.path.abspath(settings.store)
+        if settings.store and (folder := _moved(before)):
+            settings.store = folder
+            found.append(f"that of {obj.name} in {folder}")
+        elif settings.store and _would_be_deleted(before):
+            settings.store = str(data_folder() / Path(before).name)
+    if found:
+        _find_moved_images()
+        tell(FOUND, f"Stores were moved and are found again: {'; '.join(found)}. Save the file to keep these paths.")
+
+
+def _find_moved_images() -> None:
+    for image in bpy.data.images:
+        path = Path(bpy.path.abspath(image.filepath))
+        if image.library is None and image.filepath and (folder := _moved(str(path.parent))):
+            image.filepath = str(Path(folder) / path.name)
+
+
+def _moved(path: str) -> str:
+    """Return where a folder is now; "" where it is in its place or nowhere."""
+    found = "" if Path(path).exists() else find_moved(path, data_folder())
+    return found if found and Path(found).is_dir() else ""
+
+
+def _would_be_deleted(path: str) -> bool:
+    """Return whether a store is missing, and one imported there would be deleted with the extension."""
+    above = deleted_folder()
+    return above is not None and Path(path).is_relative_to(above) and not Path(path).exists()
+
+
+def tell(topic: str, notice: str) -> None:
+    """Print a message, and show it on the panel."""
+    print(f"Adaptive Terrain: {notice}")
+    notices[topic] = notice
+
+
+HANDLERS = {
+    "save_pre": on_save_pre,
+    "save_post": on_save_post,
+    "save_post_fail": on_save_failed,
+    "load_post": on_load_post,
+    "undo_post": on_undo,
+    "redo_post": on_undo,
+}
+if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
+    HANDLERS["blend_import_post"] = on_append
+
+
+def register() -> None:
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
+    if not bpy.app.background:
+        bpy.app.timers.register(find_moved_stores, first_interval=0.0)  # the open file, which is out of reach here
+
+
+def unregister() -> None:
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).remove(handler)
+    if bpy.app.timers.is_registered(find_moved_stores):
+        bpy.app.timers.unregister(find_moved_stores)
+    notices.clear()

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stores survive an uninstall in the real program, also those of version 0.2.0 in the folder that Blender deletes."""
+
+from pathlib import Path
+
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from real_program import EXTENSION, Program
+
+
+@pytest.fixture
+def fresh_program(program, extension_zip, tmp_path):
+    """A program with the extension alone in a user folder that no other test uses, and with compiled kernels."""
+    fresh = Program(program.wrapper, tmp_path / "user")
+    fresh.kernels = program.kernels
+    fresh.user.mkdir()
+    fresh.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
+    return fresh
+
+
+def test_an_uninstall_deletes_no_store(fresh_program, tmp_path):
+    before = fresh_program.script("store_folders.py", "old", tmp_path)
+    user = fresh_program.user / "extensions" / ".user" / "user_default" / "adaptive_terrain"
+    assert Path(before["store"]).is_relative_to(user / "stores")
+    after = fresh_program.script("store_folders.py", "new", tmp_path)
+    data = fresh_program.user / "datafiles" / "adaptive_terrain" / "stores"
+    assert Path(after["moved"]["store"]) == data / Path(before["store"]).name and after["moved"]["key"] == before["key"]
+    assert after["shaped_again"] == 0 and not (user / "stores").exists()
+    assert len(after["notices"]) == 2 and all(str(data) in notice for notice in after["notices"])
+    assert Path(after["unsaved"]["store"]).parent == data and after["saved"] == after["unsaved"], (
+        "a save copies nothing"
+    )
+    assert after["baked"]["path"] == "//terrain/old_Terrain_island_baked"
+    assert after["beside"]["path"] == "//terrain/new_Terrain_island"
+    fresh_program.run("--command", "extension", "remove", EXTENSION.removeprefix("bl_ext."))
+    assert not user.exists() and not (fresh_program.user / "extensions" / "user_default" / "adaptive_terrain").exists()
+    for found in (after["moved"], after["baked"], after["unsaved"], after["beside"]):
+        assert open_store(found["store"])

@@ -27,7 +27,7 @@ from ..errors import TerrainError, named_once, shown
 from ..land_effects.catalogue import LAND_EFFECTS
 from ..land_effects.land_effect import LandEffect
 from ..plain_numbers import keep_plain_numbers, plain_number
-from ..run.named_file import cause, read_named
+from ..run.named_file import cause, open_regular, read_named
 from .mask import GroundRule, Mask
 from .mask_reads import BY_PRODUCTS
 
@@ -146,7 +146,7 @@ def _file_mark(image: str) -> tuple:
 @functools.lru_cache(maxsize=256)
 def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
     """Return a hex digest of a file. Raises OSError, also for a pipe or a device."""
-    with open_regular(Path(file)) as handle:
+    with open_regular(file, links=True) as handle:
         return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 

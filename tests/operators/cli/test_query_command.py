@@ -82,9 +82,9 @@ def test_a_profile_into_a_file(query, tmp_path):
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ([], "is nothing; expected the names of columns, x and y among them"),
-        (["lon,lat", "1,2"], "is lon, lat; expected the names"),
-        (["x,y", "1,2", "3,north"], "Point 2 of"),
+        ([], "is empty; expected the names of columns, x and y (or easting and northing, lon and lat) among them"),
+        (["lon,lat", "1,2"], "has the columns lon and lat, but the terrain has no coordinate system"),
+        (["x,y", "1,2", "3,north"], "Line 3 of"),
         (["x,y", "1,nan"], "is 1, nan; expected 2 values"),
         (["x,y", "1,2,3"], "expected 2 values"),
         (["x,y", '1,"2'], "cannot be read (unexpected end of data)"),
@@ -106,6 +106,25 @@ def test_other_bad_input_is_refused(query, tmp_path):
         (tmp_path, "is a folder; expected a file"),
     ):
         assert said in query(["x,y", "0,0"], "--out", out)[2].err
-    (tmp_path / "other.csv").write_bytes(b"x,y\n\xff,1\n")
-    for name in ("none.csv", "other.csv"):
-        assert "cannot be read" in query([], "--points", tmp_path / name)[2].err
+    assert "cannot be read" in query([], "--points", tmp_path / "none.csv")[2].err
+
+
+def test_a_table_of_a_spreadsheet_is_read(query, tmp_path):
+    heights = hills(31, 22)
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED["metres"]))
+    lines = ["Name;Easting;Northing", "Zürich;500175,0;3999790"]
+    (tmp_path / "other.csv").write_bytes("\r\n".join(lines).encode("cp1252"))
+    code, (row,), said = query([], "--points", tmp_path / "other.csv")
+    assert (code, row["Name"], float(row["Easting"])) == (0, "Zürich", 500175.0), said
+    assert float(row["height_m"]) == pytest.approx(heights[10, 17], abs=1e-3)
+
+
+def test_degrees_are_for_systems_in_degrees(query, tmp_path):
+    heights = hills(31, 22)
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED["degrees"]))
+    x, y = 7.5 + 17.5 / 1200, 46.5 - 10.5 / 1200
+    code, (row,), _ = query(["Latitude,Longitude", f"{y!r},{x!r}"])
+    assert code == 0 and float(row["height_m"]) == pytest.approx(heights[10, 17], abs=1e-3)
+    assert "the terrain's coordinates are degrees, in EPSG:4326" in query(["easting,northing", "1,2"])[2].err
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, **PLACED["metres"]))
+    assert "are lengths, not degrees, in EPSG:32616" in query(["lon,lat", "1,2"])[2].err

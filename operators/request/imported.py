@@ -18,12 +18,14 @@ from ..text.numbers import length_text
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
 LONGEST_CRS = 10_000
+MAX_WARNINGS, LONGEST_WARNING = 8, 500
 
 
 @dataclass(frozen=True)
 class Imported:
     """Of a store: `settings` it was imported with ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples
-    of the raster, metres of the extent and between samples, the lowest and the highest height."""
+    of the raster, metres of the extent and between samples, the lowest and the highest height, and the import's
+    warnings."""
 
     settings: dict
     crs: str
@@ -32,6 +34,7 @@ class Imported:
     extent_m: tuple[float, float]
     step_m: tuple[float, float]
     heights_m: tuple[float, float]
+    warnings: tuple[str, ...] = ()
 
 
 def imported_of(settings) -> Imported | None:
@@ -64,7 +67,15 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         extent_m=extent,
         step_m=tuple(length / max(count - 1, 1) for length, count in zip(extent, raster, strict=True)),
         heights_m=(content["min_height"], content["max_height"]),
+        warnings=_texts(report, "warnings"),
     )
+
+
+def _texts(report: dict, name: str) -> tuple[str, ...]:
+    """Return texts of a report, which nothing has checked."""
+    value = report.get(name)
+    texts = value[:MAX_WARNINGS] if isinstance(value, list) else []
+    return tuple(shown(text, LONGEST_WARNING) for text in texts if isinstance(text, str))
 
 
 def _pair(report: dict, name: str) -> tuple | None:

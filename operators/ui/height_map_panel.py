@@ -73,12 +73,15 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
     def draw(self, context):
         column = self._columns()
         settings = context.object.adaptive_terrain
-        figures(column, lines_of(imported_of(settings)), factor=0.28)
+        imported = imported_of(settings)
+        figures(column, lines_of(imported), factor=0.28)
         column.separator()
         column.prop(settings, "store")
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
             message(self.layout, notice, "INFO")
+        for warning in imported.warnings if imported is not None else ():
+            message(column, warning, "INFO")
 
 
 class SurfacePanel(TerrainSubpanel, bpy.types.Panel):

@@ -18,7 +18,9 @@ from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from .drafts import drafted, figures
+from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
+from .rounding import half_step, rounding_warnings
 from .sidecars import sidecars
 from .sources import check_file, open_source
 
@@ -27,8 +29,6 @@ READING = "Reading"  # the part of an import in which files from outside are rea
 BLOCK_SAMPLES = 1 << 20
 # Changed when the same source would give a different store: the island's shape, the hierarchy.
 METHOD = 2
-# Heights by which files mean that there is none, often without saying so.
-NO_DATA_VALUES = (-9999.0, -99999.0, -32767.0, -32768.0)
 DOUBT = ", or check that the file's header tells its true size"
 
 
@@ -57,9 +57,10 @@ def run_import(
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         with drafted(path, folder, lattice, doubt=DOUBT) as draft:
-            field, lowest = _build(settings, raster, place, draft, (height, width), on_progress)
+            field, check = _build(settings, raster, place, draft, (height, width), on_progress)
             report = _report(field, raster, place)
-            report["warnings"] += _undeclared(raster, settings, lowest)
+            if settings.source not in LANDS:
+                report["warnings"] += _implausible(raster, settings, place, report, check)
             report["seconds"] = round(time.monotonic() - started, 3)
             draft.publish(field, digest, report)
         return report
@@ -69,12 +70,13 @@ def run_import(
 
 def _build(
     settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress
-) -> tuple[HeightField, float]:
-    """The height field of a raster in the arrays of a draft, and its lowest height, metres."""
+) -> tuple[HeightField, ValueCheck]:
+    """Build the height field of a raster in the arrays of a draft; returns it and what was found in its values."""
     steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
     heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
-    missing, source_max, lowest = _read_heights(
-        raster, settings, place, heights, lambda f: on_progress(0.5 * f, READING)
+    check = ValueCheck(np.dtype(raster.stored))
+    missing, source_max = _read_heights(
+        raster, settings, place, heights, check, lambda f: on_progress(0.5 * f, READING)
     )
     field = build(
         heights,
@@ -93,7 +95,7 @@ def _build(
     field.crs = place.crs
     field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
     field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
-    return field, lowest
+    return field, check
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
@@ -180,17 +182,23 @@ def _keep_steps(field: HeightField, draft: store.Draft, steps: codes.Steps) -> N
 
 
 def _read_heights(
-    raster: Raster, settings: ImportSettings, place: Georeference, heights: np.ndarray, on_progress
-) -> tuple[int, float, float]:
-    """Fill `heights` (row 0 south) from the raster; returns how many are missing, metres by which the source's own
-    rounding may have moved them, and the lowest in metres."""
+    raster: Raster,
+    settings: ImportSettings,
+    place: Georeference,
+    heights: np.ndarray,
+    check: ValueCheck,
+    on_progress,
+) -> tuple[int, float]:
+    """Fill `heights` (row 0 south) from the raster; returns the number of missing ones and the metres by which the
+    source's own rounding may have moved the others. `check` gets all values as the source has them."""
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
     scale, offset = _scaling(raster, settings)
-    missing, largest, converted, lowest = 0, 0.0, 0.0, np.inf
+    missing, largest, converted = 0, 0.0, 0.0
     in_file_order = place.in_file_order(heights)
     for first in range(0, raster.height, rows_at_once):
         count = min(rows_at_once, raster.height - first)
         rows = raster.read(first, count)
+        check.add(rows)
         if scale != 1.0 or offset != 0.0:
             with np.errstate(over="ignore", invalid="ignore"):
                 rows = rows.astype(np.float64) * scale + offset
@@ -201,48 +209,40 @@ def _read_heights(
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))
-            lowest = min(lowest, float(np.nanmin(rows)))
             if not np.can_cast(exact.dtype, np.float32):
                 converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
         in_file_order[first : first + len(rows)] = rows
         on_progress((first + count) / raster.height)
     source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
-    return missing, source_max, lowest
+    return missing, source_max
 
 
-def _undeclared(raster: Raster, settings: ImportSettings, lowest: float) -> list[str]:
-    """A warning where the lowest height is one that files write for no data."""
-    scale, offset = _scaling(raster, settings)
-    if scale == 0.0 or settings.no_data is not None:
+def _implausible(
+    raster: Raster, settings: ImportSettings, place: Georeference, report: dict, check: ValueCheck
+) -> list[str]:
+    """Return warnings about values that are probably no heights in metres."""
+    if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
         return []
-    value = (lowest - offset) / scale
-    value = next((known for known in NO_DATA_VALUES if np.isclose(value, known, rtol=1e-6, atol=0.0)), value)
-    if value not in NO_DATA_VALUES and value > -1e30:
-        return []
-    return [
-        f"The lowest height in the file is {value:.9g}, which often means no data: if it does, import again and give "
-        "that as the no-data value."
-    ]
+    found = check.warnings()
+    if found or place.size_warnings:  # these may be why heights are too large for the extent
+        return found
+    is_sized = settings.extent is not None or raster.georeference is not None
+    return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
 
 
 def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
-    """Half a step of the stored values in metres, of floats at the largest: what the source itself leaves open.
+    """Return half a step of the stored values in metres, of floats at the largest: what the source itself leaves open.
 
     largest: metres, the largest height that was read.
     """
-    scale, offset = map(abs, _scaling(raster, settings))
-    stored = np.dtype(raster.stored)
-    if stored.kind != "f" or scale == 0.0:  # a file may say that its scale is 0
-        return 0.5 * scale
-    value = min((largest + offset) / scale, float(np.finfo(stored).max))
-    return 0.5 * scale * float(np.spacing(stored.type(value)))
+    scaling = _scaling(raster, settings)
+    return half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), largest)
 
 
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
-    if raster.stored == "float16":
-        largest, step = max(abs(field.min_height), abs(field.max_height)), 2.0 * field.source_max
-        warnings.append(f"The file stores 16-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    largest = max(abs(field.min_height), abs(field.max_height))
+    warnings += rounding_warnings(raster.roundings, largest, field.source_max)
     against = ""  # the file's own raster
     if raster.projected_from:
         against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"

@@ -7,55 +7,108 @@ its symbols bind to Blender's own library and reading crashes.
 
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import TerrainError, shown
 from ..run.memory import physical_memory
+from .exr_channels import ExrChannel, likeliest, named
 from .raster import ImportSettings, Raster, blank, cause
+from .rounding import SourceRounding
 
-# Where a height is looked for, in this order, when no channel is named; then the first channel.
-CHANNELS = ("height", "Height", "Y", "Z", "V", "R")
 # Times that EXR's methods can pack pixels at most (zlib: 1,030), with a margin for the others.
 MOST_PACKED = 20_000
+PXR24_BITS = 16  # significant bits that this method leaves of a float32
+# Channels that the methods DWAA and DWAB pack with loss, by the last part of their names; others they keep.
+DWA_CHANNELS = ("r", "g", "b", "y", "ry", "by", "red", "grn", "green", "blu", "blue")
 
 
 def open_exr(path: Path, settings: ImportSettings) -> Raster:
-    """Read one channel of an EXR file's first part. Raises TerrainError if it cannot be used."""
+    """Read one channel of one part of an EXR file. Raises TerrainError if it cannot be used."""
     import OpenEXR
 
     try:
-        part = OpenEXR.File(str(path), separate_channels=True, header_only=True).parts[0]
-        header = part.header
-        low, high = header["dataWindow"]
-        channels = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
+        headers = [part.header for part in OpenEXR.File(str(path), separate_channels=True, header_only=True).parts]
+        names = [header.get("name", "") if len(headers) > 1 else "" for header in headers]
+        channels = [
+            ExrChannel(number, str(names[number]), channel.name, (channel.xSampling, channel.ySampling))
+            for number, header in enumerate(headers)
+            for channel in header["channels"]
+        ]
+        sizes = [_size(header) for header in headers]
     except Exception as reason:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)}): get the file again.") from reason
-    width, height = (int(high[axis]) - int(low[axis]) + 1 for axis in (0, 1))
-    name = settings.channel or next((c for c in CHANNELS if c in channels), next(iter(channels), ""))
-    if name not in channels:
-        raise TerrainError(f"{path} has no channel {name!r}: choose one of {', '.join(channels)}.")
-    if channels[name] != (1, 1):
-        raise TerrainError(f"{path} stores channel {name!r} at a fraction of the resolution: expected every pixel.")
-    needed = width * height * len(channels) * 4
-    if width < 1 or height < 1 or needed > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
+    channel = _choose(path, channels, settings.channel)
+    width, height = sizes[channel.part]
+    pixels = sum(sizes[c.part][0] * sizes[c.part][1] for c in channels)
+    if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
         raise TerrainError(
-            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {needed / 1e9:.1f} GB: "
+            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {4e-9 * pixels:.1f} GB: "
             "more than a quarter of this machine's memory or than such a file can hold, so it is damaged or must be "
             "cut into tiles."
         )
-    try:
-        parts = OpenEXR.File(str(path), separate_channels=True).parts
-        if not parts:
-            raise ValueError("its pixels cannot be decoded")
-        pixels = parts[0].channels[name].pixels
-    except Exception as reason:
-        raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)}): get the file again.") from reason
+    pixels = _pixels(path, channel)
     if pixels.shape != (height, width):
         raise TerrainError(
             f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again."
+        )
+    rounding = _rounding(str(pixels.dtype), channel, headers[channel.part]["compression"].name)
+    notes = []
+    if len(channels) > 1 and not settings.channel:
+        others = [c.full_name for c in channels if c is not channel]
+        notes.append(
+            f"The file has {len(channels)} channels; {shown(channel.full_name)} is taken as the height. If another one "
+            f"is, name it (--channel): {shown(', '.join(others))}."
         )
     return Raster(
         width=width,
         height=height,
         read=lambda first, count: blank(pixels[first : first + count], settings.no_data),
         stored=str(pixels.dtype),
-        format=f"OpenEXR channel {name}",
+        format=f"OpenEXR channel {shown(channel.full_name)}",
+        roundings=(rounding,),
+        warnings=notes,
     )
+
+
+def _size(header: dict) -> tuple[int, int]:
+    """Return the width and the height of a part."""
+    low, high = header["dataWindow"]
+    return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+
+
+def _choose(path: Path, channels: list[ExrChannel], name: str) -> ExrChannel:
+    """Return the channel that is named, or the likeliest. Raises TerrainError if there is none."""
+    if not channels:
+        raise TerrainError(f"{path} has no channels: expected one of heights; get the file again.")
+    channel = named(channels, name) if name else likeliest(channels, channels)
+    if channel is None:
+        known = ", ".join(c.full_name for c in channels)
+        raise TerrainError(f"{path} has no channel {shown(name)!r}: choose one of {shown(known, 500)}.")
+    if channel.sampling != (1, 1):
+        raise TerrainError(
+            f"{path} stores channel {shown(channel.full_name)!r} at a fraction of the resolution: expected every pixel."
+        )
+    return channel
+
+
+def _pixels(path: Path, channel: ExrChannel):
+    """Return the samples of a channel. Raises TerrainError if they are damaged."""
+    import OpenEXR
+
+    try:
+        parts = OpenEXR.File(str(path), separate_channels=True).parts
+        if not parts:
+            raise ValueError("its pixels cannot be decoded")
+        return parts[channel.part].channels[channel.name].pixels
+    except Exception as reason:
+        raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)}): get the file again.") from reason
+
+
+def _rounding(stored: str, channel: ExrChannel, compression: str) -> SourceRounding:
+    """Return the rounding of a channel that a method of compression has packed."""
+    method = compression.removesuffix("_COMPRESSION")
+    bits = PXR24_BITS if method == "PXR24" and stored == "float32" else 0
+    lossy = (
+        (method in ("B44", "B44A") and stored == "float16")
+        or (method in ("DWAA", "DWAB") and stored != "uint32" and channel.component in DWA_CHANNELS)
+        or method == "LJ2K"
+    )
+    return SourceRounding(stored, bits, lossy=method if lossy else "")

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..ask.linear import lengths, product
 from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
+from .units import plane_metres
 
 # Cells by which ground control points may lie beside a straight grid that is taken in their place.
 MAX_GCP_CELLS = 0.05
@@ -74,7 +75,7 @@ def unit_of(crs) -> dict:
     """Return what `from_transform` has to know of a coordinate system: its unit, and the ellipsoid of degrees."""
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
-    return {"metres": crs.linear_units_factor[1]} if crs is not None and crs.is_projected else {}
+    return {"metres": plane_metres(crs)} if crs is not None else {}
 
 
 def has_shear(grid: FileGrid, width: int, height: int) -> bool:

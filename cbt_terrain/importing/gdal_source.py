@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rasters through rasterio (GDAL): GeoTIFF, BigTIFF, COG, SRTM .hgt, PNG, ASCII grid, VRT.
+"""Rasters through rasterio (GDAL): GeoTIFF, BigTIFF, COG, SRTM .hgt, PNG, ASCII grid, raw with an ESRI header, VRT.
 
 rasterio is imported inside functions only, which run in the import's child process: its libraries must not meet those
 of Blender. The child first calls `keep_only_drivers`.
@@ -15,16 +15,23 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
+from .band_notes import band_notes, content_hint, float_alpha
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
+from .header_files import HEADER_DRIVER, HEADER_SUFFIXES, check_header, check_length
 from .length_scale import length_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
+from .rounding import SourceRounding, band_rounding
 from .sidecars import aux_file, named_crs, read_aux
 from .tiff_orientation import orientation_of, oriented
+from .units import height_unit
+from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
 
+# What a VRT may name, and what is needed for it.
+MOSAIC_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
 # GDAL may try no other driver on a file than the one of its suffix.
-DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
+DRIVERS = MOSAIC_DRIVERS | dict.fromkeys(HEADER_SUFFIXES, HEADER_DRIVER)
 # More bands than any height map has; where they lie together, all are read.
 MAX_BANDS = 1024
 # Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
@@ -39,7 +46,6 @@ OPTIONS = {
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
 }
-UNITS_IN_METRES = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 1200.0 / 3937.0, "cm": 0.01}
 
 
 def keep_only_drivers(suffix: str) -> list[str]:
@@ -48,7 +54,7 @@ def keep_only_drivers(suffix: str) -> list[str]:
     import rasterio
     from rasterio import _env
 
-    wanted = set(DRIVERS.values()) if suffix == ".vrt" else {DRIVERS[suffix]}
+    wanted = set(MOSAIC_DRIVERS.values()) if suffix == ".vrt" else {DRIVERS[suffix]}
     with rasterio.Env() as env:
         known = set(env.drivers())
     os.environ["GDAL_SKIP"] = ",".join(sorted(known - wanted))  # is read when drivers are registered
@@ -72,45 +78,38 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
     except TerrainError:
         raise
     except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
-        hint = "a name like N36W085.hgt" if driver == "SRTMHGT" else "a whole file of that kind"
-        raise TerrainError(f"{shown(path)} cannot be read as {driver} ({cause(reason)}): expected {hint}.") from reason
+        raise TerrainError(
+            f"{shown(path)} cannot be read as {driver} ({cause(reason)}): expected {content_hint(path, driver)}."
+        ) from reason
 
 
 def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     import rasterio
-    from rasterio.enums import ColorInterp, MaskFlags
+    from rasterio.enums import MaskFlags
 
     rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
         notes = [] if driver == "VRT" else _allow_aux_file(path)
-        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [])
-    dataset, sources, texts = opened
+        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [], _own_rounding)
+    dataset, sources, texts, roundings_of = opened
     band = settings.band
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
+    if dataset.dtypes[band - 1].startswith("complex"):
+        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values: expected real numbers.")
     stored = np.dtype(dataset.dtypes[band - 1])
-    if stored.kind not in "fiu":
-        raise TerrainError(f"{path} holds {stored} values: expected real numbers.")
-    if dataset.count > 1 and driver == "PNG":
-        notes.append(f"The PNG has {dataset.count} channels; band {band} is taken as the height.")
-    if dataset.colorinterp[band - 1] == ColorInterp.palette:
-        notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
-    if stored.itemsize == 1:
-        notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
-    unit = (dataset.units[band - 1] or "").strip().lower()
-    in_metres = UNITS_IN_METRES.get(unit, 1.0)
-    if in_metres != 1.0:
-        notes.append(f"Heights are in {unit} in the file; they were converted to metres.")
     grid = _grid_of(dataset, settings)
     if grid.transform is not None and grid.crs is None and driver != "VRT":
         grid = grid._replace(crs=named_crs(path, notes))
+    in_metres, unit_warnings = height_unit((dataset.units[band - 1] or "").strip(), grid.crs or dataset.crs)
+    notes += [*band_notes(dataset, band, driver), *unit_warnings]
     if grid.problem and settings.extent is None:
         notes.append(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
-    read_from, masked, no_data, projected_from = dataset, False, None, ""
+    read_from, masked, no_data, projected_from, alpha = dataset, False, None, "", 0
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
         from .reproject import reprojected
@@ -119,16 +118,19 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         read_from, grid = reprojected(path, dataset, grid, stored, settings)
         if not settings.project:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
+        if float_alpha(dataset, band):
+            notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
     else:
         flags = dataset.mask_flag_enums[band - 1]
         masked, no_data = settings.no_data is None and MaskFlags.all_valid not in flags, settings.no_data
+        alpha = float_alpha(dataset, band) if settings.no_data is None else 0
     georeference = _georeference(grid, read_from.width, read_from.height, settings)
     if georeference is None and driver == "GTiff":
         georeference = oriented(orientation_of(path))
     return Raster(
         width=read_from.width,
         height=read_from.height,
-        read=_reader(path, read_from, band, masked, no_data),
+        read=_reader(path, read_from, band, masked, no_data, alpha),
         block_rows=read_from.block_shapes[band - 1][0],
         stored=str(stored),
         format=driver,
@@ -136,6 +138,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
+        roundings=roundings_of(dataset, band),
         warnings=notes,
         sources=tuple(sources),
         close=lambda: [thing.close() for thing in (read_from, dataset, *texts)],
@@ -143,13 +146,17 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
 
 
 def _open_file(path: Path, driver: str):
-    """A dataset of one file, whose smallest readable piece fits into memory."""
+    """Open the dataset of one file, whose smallest readable piece fits into memory."""
     import rasterio
 
     if driver == "PNG":
         _check_png(path)
+    elif driver == HEADER_DRIVER:
+        check_header(path)
     dataset = rasterio.open(path, driver=driver, sharing=False)
     _check_blocks(path, dataset)
+    if driver == HEADER_DRIVER:
+        check_length(path, dataset)
     return dataset
 
 
@@ -162,18 +169,19 @@ def _check_png(path: Path) -> None:
 
 
 def _open_vrt(path: Path) -> tuple:
-    """A dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the files that it names; and the texts of VRTs,
-    which GDAL has as long as they are kept."""
+    """Return a dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the files that it names; the texts of
+    VRTs, which GDAL has as long as they are kept; and the function that `_own_rounding` is for other files."""
     import rasterio
     from rasterio.env import setenv
 
-    mosaic = read_mosaic(path, set(DRIVERS))
+    mosaic, found = read_mosaic(path, set(MOSAIC_DRIVERS)), {}
     for source in mosaic.sources:
         driver = DRIVERS[source.suffix.lower()]
         if driver == "VRT":
             continue
         try:
-            _open_file(source, driver).close()
+            with _open_file(source, driver) as opened:
+                found |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}
         except TerrainError:
             raise
         except Exception as reason:
@@ -188,11 +196,20 @@ def _open_vrt(path: Path) -> tuple:
     ]
     dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
     _check_blocks(path, dataset)
-    return dataset, list(mosaic.sources), texts
+
+    def roundings_of(dataset, band: int) -> tuple[SourceRounding, ...]:
+        return mosaic_roundings(mosaic, band, dataset.dtypes[band - 1], lambda *of: found.get(of))
+
+    return dataset, list(mosaic.sources), texts, roundings_of
 
 
-def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None):
-    """The function `read` of a Raster."""
+def _own_rounding(dataset, band: int) -> tuple[SourceRounding, ...]:
+    """Return the roundings of a band of a file that names no others."""
+    return (band_rounding(dataset, band),)
+
+
+def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None, alpha: int):
+    """Return the function `read` of a Raster. alpha: number of a band that is 0 where samples are missing; 0: none."""
     from rasterio.windows import Window
 
     def read(first: int, count: int) -> np.ndarray:
@@ -200,6 +217,7 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None)
         try:
             rows = dataset.read(band, window=window)
             mask = dataset.read_masks(band, window=window) if masked else None
+            mask = dataset.read(alpha, window=window) if alpha else mask
         except Exception as reason:
             raise TerrainError(
                 f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)}): "
@@ -263,7 +281,7 @@ def _check_blocks(path: Path, dataset) -> None:
             f"{shown(path)} has {dataset.count} bands, expected 1 to {MAX_BANDS}: write the one of heights alone."
         )
     rows, columns = dataset.block_shapes[0]
-    size = rows * columns * max(np.dtype(kind).itemsize for kind in dataset.dtypes)
+    size = rows * columns * max(16 if "complex" in kind else np.dtype(kind).itemsize for kind in dataset.dtypes)
     if dataset.count > 1 and dataset.interleaving == Interleaving.pixel:
         size *= dataset.count
     if size > LARGEST_BLOCK:

@@ -14,11 +14,13 @@ from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.lands import LANDS
 from ..plain_numbers import keep_plain_numbers
+from .header_files import HEADER_SUFFIXES
+from .rounding import SourceRounding
 
 ISLAND = "island"
-RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin", ".bil")
+RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin")
 # Of files that can say where on Earth they are.
-PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt")
+PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt", *HEADER_SUFFIXES)
 EXR_SUFFIX = ".exr"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
@@ -90,7 +92,8 @@ class Raster:
     """An opened source: `read(first, count)` gives `count` rows from row `first` on, NaN where a sample is missing.
 
     `block_rows`: rows that are best read together. A height is the value * scale + offset metres, before the settings'
-    own scale and offset. `georeference` is None where the file does not say how large and where it is.
+    own scale and offset. `roundings`: of the files that hold the samples, before scale and offset; without any, that of
+    the type `stored`. `georeference` is None where the file does not say how large and where it is.
     `projected_from`: the coordinate system that it was reprojected from, if it was. `sources`: other files that it is
     made of.
     """
@@ -105,9 +108,13 @@ class Raster:
     scale: float = 1.0
     offset: float = 0.0
     projected_from: str = ""
+    roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()
     close: Callable[[], None] = lambda: None
+
+    def __post_init__(self):
+        self.roundings = self.roundings or (SourceRounding(self.stored),)
 
 
 def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:

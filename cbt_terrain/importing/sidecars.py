@@ -14,7 +14,22 @@ from xml.parsers import expat
 from ..errors import TerrainError, shown
 
 AUX = ".aux.xml"
-SUFFIXES = (".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX, ".hdr", ".ovr", ".msk")
+SUFFIXES = (
+    ".prj",
+    ".tfw",
+    ".tifw",
+    ".tiffw",
+    ".pgw",
+    ".pngw",
+    ".wld",
+    ".tab",
+    AUX,
+    ".hdr",
+    ".stx",
+    ".clr",
+    ".ovr",
+    ".msk",
+)
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 # A code or WKT: what else GDAL takes for a coordinate system may name a file.
 _SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)

@@ -13,7 +13,11 @@ from ..field.lands import LANDS
 from ..run.named_file import blocks_reader
 from .exr_source import open_exr
 from .gdal_source import DRIVERS, open_raster
+from .header_files import headless_warning, is_plain_raw
 from .raster import EXR_SUFFIX, RAW_SUFFIXES, ImportSettings, Raster, blank
+
+ORDER_ROWS = 256  # that are looked at for the order of bytes
+SMOOTHER = 4.0  # times: then the other order is likelier
 
 
 def open_source(settings: ImportSettings) -> Raster:
@@ -25,7 +29,7 @@ def open_source(settings: ImportSettings) -> Raster:
     check_file(path)
     suffix = path.suffix.lower()
     try:
-        if suffix in RAW_SUFFIXES:
+        if suffix in RAW_SUFFIXES or is_plain_raw(path):
             return _open_raw(path, settings)
         if suffix == ".npy":
             return _open_npy(path, settings)
@@ -36,7 +40,10 @@ def open_source(settings: ImportSettings) -> Raster:
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
     known = ", ".join((*DRIVERS, EXR_SUFFIX, ".npy", *RAW_SUFFIXES))
-    raise TerrainError(f"{path} is of no known kind of height map: expected one of {known}.")
+    raise TerrainError(
+        f"{path} is of no known kind of height map: expected one of {known}; unpack an archive, and convert other "
+        "kinds to GeoTIFF (gdal_translate)."
+    )
 
 
 def check_file(path: Path, kind: str = "height map") -> None:
@@ -95,10 +102,36 @@ def _open_raw(path: Path, settings: ImportSettings) -> Raster:
         asked = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
         raise TerrainError(
             f"{path} has {size} bytes, but {asked}: give its size and type as they are (on the command line "
-            "--raw-size WxH and --raw-type)."
+            f"--raw-size WxH and --raw-type){_header_hint(path)}."
         )
     values = np.memmap(path, kind, "r", shape=(height, width))
-    return _from_array(values, settings, "RAW")
+    raster = _from_array(values, settings, "RAW")
+    if is_plain_raw(path):
+        raster.warnings.append(headless_warning(path))
+    raster.warnings += _byte_order_warnings(values)
+    return raster
+
+
+def _header_hint(path: Path) -> str:
+    """Return what else helps a file whose header is missing."""
+    return f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if is_plain_raw(path) else ""
+
+
+def _byte_order_warnings(values: np.ndarray) -> list[str]:
+    """Return a warning about samples that are far smoother with their bytes in the other order."""
+    if values.dtype.kind not in "iu" or values.itemsize != 2 or values.shape[1] < 2:
+        return []
+    rows = np.asarray(values[:: -(-len(values) // ORDER_ROWS)])
+    given, other = (
+        np.abs(np.diff(r.astype(np.int64), axis=1)).mean() for r in (rows, rows.view(rows.dtype.newbyteorder()))
+    )
+    if given <= SMOOTHER * other:
+        return []
+    order = "big-endian" if values.dtype.newbyteorder("=") == values.dtype else "little-endian"
+    return [
+        f"Neighbouring samples differ by {given:,.0f} in the mean, and by {other:,.0f} if the file is {order}: if the "
+        "ground is rough where it should be smooth, change the byte order (--big-endian)."
+    ]
 
 
 def _open_npy(path: Path, settings: ImportSettings) -> Raster:

@@ -21,6 +21,7 @@ MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
 MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
 MAX_NESTED = 3  # VRTs inside of VRTs
 LARGEST_NUMBER = 2.0**31  # of pixels, in a window
+FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
 
 _SOURCE = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRect"}
 _COMPLEX = _SOURCE | {"ScaleOffset", "ScaleRatio", "NODATA", "LUT", "UseMaskBand"}
@@ -64,7 +65,8 @@ TEXTS = {
     **dict.fromkeys(("Offset", "Scale", "ScaleOffset", "ScaleRatio", "coordinateEpoch", *_POINT, *_RECTANGLE), _NUMBER),
     **dict.fromkeys(("NoDataValue", "NODATA"), rf"(?i:{_NUMBER}|[-+]?nan|[-+]?inf)"),
     **dict.fromkeys(("HideNoDataValue", "relativeToVRT", "shared"), "[01]"),
-    **dict.fromkeys(("UnitType", "ColorInterp", "name", "Id", "Info"), _NAME),
+    **dict.fromkeys(("ColorInterp", "name", "Id", "Info"), _NAME),
+    "UnitType": r"[\w :/²°.'\"′″()-]{0,64}",
     **dict.fromkeys(("resampling", "dataType", "DataType"), r"\w{1,16}"),
     **dict.fromkeys(("rasterXSize", "rasterYSize", "RasterXSize", "RasterYSize", "band"), _COUNT),
     **dict.fromkeys(("blockXSize", "blockYSize", "BlockXSize", "BlockYSize"), _COUNT),
@@ -111,9 +113,17 @@ def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic
             if source.suffix.lower() == ".vrt":
                 name.text = f"/vsimem/{mosaic.folder}/{_add(source, suffixes, (*outer, real), mosaic)}.vrt"
             name.attrib["relativeToVRT"] = "0"
+        for element in (*tree.iter("NoDataValue"), *tree.iter("NODATA")):
+            element.text = _within_float32(element.text)
         mosaic.numbers[real] = len(mosaic.texts)
         mosaic.texts.append(ElementTree.tostring(tree, encoding="unicode"))
     return mosaic.numbers[real]
+
+
+def _within_float32(text: str) -> str:
+    """Return a no-data value; the largest float32 for one that was rounded up from it, which GDAL holds for none."""
+    value = float(text)
+    return repr(math.copysign(FLOAT32_MAX, value)) if FLOAT32_MAX < abs(value) < 1.0001 * FLOAT32_MAX else text
 
 
 def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:

@@ -3,10 +3,12 @@
 
 import math
 from contextlib import suppress
+from pathlib import Path
 
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.header_files import is_plain_raw
 from ...cbt_terrain.importing.import_process import ImportJob, import_source
 from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
 from ...cbt_terrain.run import warmup
@@ -67,7 +69,8 @@ def settings_of(obj) -> ImportSettings:
 
 
 def is_raw(path: str) -> bool:
-    return path.lower().endswith(RAW_SUFFIXES)
+    """Return whether a file holds samples alone, so that the panel must say what they are."""
+    return path.lower().endswith(RAW_SUFFIXES) or is_plain_raw(Path(bpy.path.abspath(path)))
 
 
 def placed(path: str) -> bool:

@@ -72,14 +72,12 @@ def test_a_digest_follows_the_settings_the_file_and_what_belongs_to_it(tmp_path)
         source_digest(ImportSettings(source=str(tmp_path / "c.tif")))
 
 
-def test_what_may_be_undeclared_no_data_is_said(tmp_path):
+def test_undeclared_no_data_warns(tmp_path):
     heights = np.arange(81, dtype=np.float32).reshape(9, 9)
     heights[4, 4] = -9999.0
     np.save(tmp_path / "a.npy", heights)
-    settings = {"source": str(tmp_path / "a.npy"), "height_scale": 0.1, "height_offset": 7.0}
-    assert (
-        "is -9999, which often means no data" in run_import(ImportSettings(**settings), tmp_path / "a")["warnings"][0]
-    )
+    settings = {"source": str(tmp_path / "a.npy"), "height_scale": 0.1, "height_offset": 7.0, "extent": (800.0, 800.0)}
+    assert "hold -9999, which stands apart" in run_import(ImportSettings(**settings), tmp_path / "a")["warnings"][0]
     declared = run_import(ImportSettings(**settings, no_data=-9999.0), tmp_path / "b")
     assert declared["warnings"] == [] and declared["filled"] == 1
     heights[4, 4] = -9998.0

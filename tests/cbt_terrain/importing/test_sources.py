@@ -140,7 +140,7 @@ def test_vrt(tmp_path):
 @pytest.mark.parametrize("kind", ["float32", "float16", "uint32"])
 def test_exr(tmp_path, kind):
     heights = heights_16_bit().astype(kind)
-    field, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights))
+    field, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights), extent=(6400.0, 3200.0))
     assert np.array_equal(field.heights(), heights[::-1].astype(np.float32))
     assert bool(report["warnings"]) == (kind == "float16")
 
@@ -225,7 +225,7 @@ def test_colour_and_8_bit_pictures_are_warned_about(tmp_path):
     picture = np.arange(64, dtype=np.uint8).reshape(1, 8, 8)
     with rasterio.open(tmp_path / "a.png", "w", driver="PNG", width=8, height=8, count=3, dtype="uint8") as file:
         file.write(np.repeat(picture, 3, axis=0))
-    warnings = imported(tmp_path, tmp_path / "a.png")[1]["warnings"]
+    warnings = imported(tmp_path, tmp_path / "a.png", extent=(700.0, 700.0))[1]["warnings"]
     assert len(warnings) == 2 and "3 channels" in warnings[0] and "256 steps" in warnings[1]
 
 

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Warnings about a band that holds no heights as it is, and what a file that GDAL refuses may be."""
+
+from pathlib import Path
+
+# First bytes of files, and their kinds.
+CONTENTS = (
+    (b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"), (b"II*\0", "TIFF"), (b"MM\0*", "TIFF"), (b"II+\0", "BigTIFF"),
+    (b"MM\0+", "BigTIFF"), (b"\x76\x2f\x31\x01", "OpenEXR"), (b"PK\x03\x04", "ZIP"), (b"\x1f\x8b", "gzip"),
+    (b"\x89HDF", "HDF5"), (b"CDF", "netCDF"), (b"\x93NUMPY", "NumPy"), (b"<VRTDataset", "VRT"),
+    (b"\0\0\0\x0cjP", "JPEG 2000"), (b"%PDF", "PDF"), (b"<!DOCTYPE", "HTML"), (b"<html", "HTML"), (b"BM", "BMP"),
+    (b"GIF8", "GIF"), (b"RIFF", "WebP"), (b"8BPS", "Photoshop"), (b"DDS ", "DDS"),
+)  # fmt: skip
+BOM = b"\xef\xbb\xbf"
+OWN_KINDS = {"GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",)}
+
+
+def band_notes(dataset, band: int, driver: str) -> list[str]:
+    """Return warnings about one band of a rasterio dataset. driver: GDAL's name of the format."""
+    from rasterio.enums import ColorInterp
+
+    notes, is_picture = [], driver == "PNG"
+    others = [n for n, kind in enumerate(dataset.colorinterp, 1) if n != band and kind != ColorInterp.alpha]
+    if others and band == 1 or (is_picture and dataset.count > 1):
+        what = f"The PNG has {dataset.count} channels" if is_picture else f"The file has {dataset.count} bands"
+        notes.append(f"{what}; band {band} is taken as the height. If another one is, give its number (--band).")
+    if len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):
+        notes[-1] += (
+            " Heights that are packed into colours (Terrarium, Terrain-RGB) are not read: unpack them into a GeoTIFF."
+        )
+    if dataset.colorinterp[band - 1] == ColorInterp.palette:
+        notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
+    if dataset.dtypes[band - 1] in ("uint8", "int8"):
+        notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
+    return notes
+
+
+def float_alpha(dataset, band: int) -> int:
+    """Return the number of an alpha band that GDAL makes no mask of, because it holds other numbers than those of 8 and
+    16 bits; 0 if there is none."""
+    from rasterio.enums import ColorInterp
+
+    for n, (kind, stored) in enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1):
+        if kind == ColorInterp.alpha and n != band and stored not in ("uint8", "uint16"):
+            return n
+    return 0
+
+
+def content_hint(path: Path, driver: str) -> str:
+    """Return what is expected of a file that cannot be read, with what it seems to be."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError:
+        head = b""
+    kind = next((name for start, name in CONTENTS if head.startswith(start)), "")
+    if kind and kind not in OWN_KINDS.get(driver, ()):
+        return f"a file of that kind, and by its content it is {kind}: give it that suffix, or convert it to GeoTIFF"
+    if head.startswith(BOM):
+        return "a text without a byte order mark, which this one begins with: save it as plain text (UTF-8 without BOM)"
+    if driver == "SRTMHGT":
+        return (
+            "a name like N36W085.hgt and as many samples as GDAL knows of such files (1201 x 1201 or 3601 x 3601 of 2 "
+            "bytes)"
+        )
+    return "a whole file of that kind"

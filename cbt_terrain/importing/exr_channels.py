@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Channel of an OpenEXR file that holds the height: the one that is named, or the one with the likeliest name."""
+
+import re
+from dataclasses import dataclass
+
+HEIGHT = re.compile(
+    r"height|elevation|displace|terrain|altitude|relief|(?<![a-z])(dem|dtm|dsm|elev|disp|alt|h|hgt|bump)(?![a-z])"
+)
+DEPTH = re.compile(r"depth")
+VECTOR = re.compile(r"normal|vector|position|motion|velocity|tangent|(?<![a-z])(uv|n|p|st)(?![a-z])")
+OTHER = re.compile(r"mask|alpha|crypto|matte|variance|noise|sample|(?<![a-z])(a|id|index)(?![a-z])")
+COMPONENTS = ("z", "y", "v", "r", "red", "x")  # in this order within a layer; others come first
+
+
+@dataclass(frozen=True)
+class ExrChannel:
+    """One channel of one part. part: its number; part_name: "" in files of one part."""
+
+    part: int
+    part_name: str
+    name: str
+    sampling: tuple[int, int] = (1, 1)
+
+    @property
+    def layer(self) -> str:
+        return self.name.rpartition(".")[0]
+
+    @property
+    def component(self) -> str:
+        return self.name.rpartition(".")[2].casefold()
+
+    @property
+    def full_name(self) -> str:
+        """Return PART.CHANNEL, or the channel's name where that begins with the part's or there is but one part."""
+        if not self.part_name or self.name.startswith(self.part_name + "."):
+            return self.name
+        return f"{self.part_name}.{self.name}"
+
+
+def named(channels: list[ExrChannel], name: str) -> ExrChannel | None:
+    """Return the channel that a user names by CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART, in any case of its
+    letters where it has no other meaning; None if there is none."""
+    for fold in (str, str.casefold):
+        for names in (
+            lambda channel: (channel.name, channel.full_name, f"{channel.part_name}.{channel.name}"),
+            lambda channel: (channel.layer, channel.part_name),
+        ):
+            found = [channel for channel in channels if fold(name) in map(fold, names(channel))]
+            if found:
+                return likeliest(found, channels)
+    return None
+
+
+def likeliest(choice: list[ExrChannel], channels: list[ExrChannel]) -> ExrChannel:
+    """Return the channel of `choice` that most likely holds heights, by its name. channels: all of the file."""
+    return min(choice, key=lambda channel: _rank(channel, channels))
+
+
+def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, int]:
+    """Return a key that is smaller for a likelier height."""
+    text, component = channel.full_name.casefold(), channel.component
+    beside = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
+    is_vector = {"x", "y", "z"} <= beside or VECTOR.search(text) is not None
+    if OTHER.search(text):
+        rank = 6
+    elif HEIGHT.search(text):
+        rank = 0
+    elif DEPTH.search(text):
+        rank = 1
+    elif is_vector or component in ("g", "b", "green", "blue", "u", "ry", "by"):
+        rank = 5
+    else:
+        rank = {"z": 1, "y": 2, "v": 2, "r": 3, "red": 3}.get(component, 4)
+    order = COMPONENTS.index(component) + 1 if component in COMPONENTS else 0
+    return (
+        rank,
+        len(COMPONENTS) + 1 if component in ("g", "b", "green", "blue", "u") else order,
+        channels.index(channel),
+    )

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Warnings about values that are probably no heights: undeclared no-data, and heights in another unit than metres."""
+
+import math
+
+import numpy as np
+
+# Numbers that files use for missing samples: ends of 16-bit types, also read with the wrong sign; nines; eights.
+MARKS = {-32768.0, -32767.0, 32767.0, 32768.0, 65535.0, 65504.0, 55537.0, -8888.0, -88888.0}
+MARKS |= {sign * (10.0**digits - 1.0) for digits in range(3, 11) for sign in (-1.0, 1.0)}
+HUGE = 1e5  # no ground on Earth, in any unit of length that is used for heights
+# How far a mark must be from all other values, as a part of their range; what is closer is a height like others.
+APART, ZERO_APART = 0.1, 0.2
+STEEP = 5.0  # times the extent; a relief beyond that is hardly in the extent's unit
+MAX_MARKS, MAX_WARNINGS = 8, 3
+
+
+class ValueCheck:
+    """Search of a raster's stored values, block by block, for marks of missing samples at both ends of their range."""
+
+    def __init__(self, stored: np.dtype):
+        limits = np.iinfo(stored) if stored.kind in "iu" and stored.itemsize > 1 else None
+        self._ends = {float(limits.max), float(limits.min or limits.max)} if limits else set()
+        self.marks: dict[float, int] = {}  # how often each occurs
+        self.low, self.high = math.inf, -math.inf  # of all other values
+
+    def add(self, rows: np.ndarray) -> None:
+        """Look at a block of values; NaN and infinities do not count."""
+        values = rows[np.isfinite(rows)] if rows.dtype.kind == "f" else rows.ravel()
+        for end in (np.min, np.max):
+            while values.size and self._is_mark(value := float(end(values))):
+                others = values[values != end(values)]
+                self.marks[value] = self.marks.get(value, 0) + values.size - others.size
+                values = others
+        if values.size:
+            self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
+
+    def _is_mark(self, value: float) -> bool:
+        if value == 0.0 or value in MARKS or value in self._ends or value in self.marks:
+            return True
+        return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but not few
+
+    def warnings(self) -> list[str]:
+        """Return a warning for each mark that stands apart from all other values."""
+        spread = self.high - self.low
+        if not spread >= 0.0:  # there are no others
+            return []
+        found = []
+        for value, count in self.marks.items():
+            gap = max(self.low - value, value - self.high)
+            if gap < (APART if value else ZERO_APART) * spread or (value == 0.0 and spread == 0.0) or gap <= 0.0:
+                continue
+            found.append(
+                f"{count:,} of the samples hold {value:.9g}, which stands apart from all others ({self.low:.6g} to "
+                f"{self.high:.6g}) and often means no data: if it does, import again and give it as the no-data value "
+                f"(--no-data {value:.9g})."
+            )
+        return found[:MAX_WARNINGS]
+
+
+def relief_warning(lowest: float, highest: float, extent: tuple[float, float], is_sized: bool) -> list[str]:
+    """Return a warning, if any, about heights (metres) that are too large for the extent (metres).
+
+    is_sized: whether the file or the user gives the extent; else a sample is taken as 1 m.
+    """
+    times = (highest - lowest) / max(extent)
+    if times <= STEEP:
+        return []
+    unit = "the metres in one of the file's units as the height scale (--height-scale)"
+    if is_sized:
+        ways = f"If heights are not in metres, give {unit}; if that length is wrong, give the extent (--extent)."
+    else:
+        ways = f"The file names no size, so a sample is 1 m: give the extent in metres (--extent), or {unit}."
+    return [f"The relief, {highest - lowest:.6g} m, is {times:,.0f} times the longer side, {max(extent):.6g} m. {ways}"]

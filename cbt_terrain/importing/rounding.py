@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rounding of stored samples: how far the number that a file holds may be from the one that was rounded."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# Significant bits of the floats that GDAL calls float32, by the bits that a TIFF stores of each.
+HALF_BITS, FLOAT32_BITS = 11, 24
+TIFF_FLOAT_BITS = {"16": HALF_BITS, "24": 17}
+LOSSY = ("JPEG", "YCbCr JPEG", "JXL", "WEBP")
+
+
+@dataclass(frozen=True)
+class SourceRounding:
+    """Rounding of the values of one file.
+
+    stored: name of their type. bits: significant bits of a float, 0 for all of its type. error: what a lossy method of
+    compression adds, in the values' unit. scale, offset: a height field's value is value * scale + offset. before:
+    rounding of other values, from which these ones were made. is_cut: whether digits may have been cut off instead of
+    rounded, so that a value is off by a whole step. lossy: the method of compression, if its error is not known.
+    """
+
+    stored: str
+    bits: int = 0
+    error: float = 0.0
+    scale: float = 1.0
+    offset: float = 0.0
+    before: "SourceRounding | None" = None
+    is_cut: bool = False
+    lossy: str = ""
+
+    @property
+    def significant(self) -> int:
+        """Return the significant bits of a float; 0 for whole numbers."""
+        kind = np.dtype(self.stored)
+        return 0 if kind.kind != "f" else self.bits or np.finfo(kind).nmant + 1
+
+    def half_step(self, largest: float) -> float:
+        """Return the largest error of a value, in units after scale. largest: magnitude, after scale."""
+        kind, scale = np.dtype(self.stored), abs(self.scale)
+        if scale == 0.0:
+            return 0.0
+        value = (largest + abs(self.offset)) / scale
+        error = self.error + (self.before.half_step(value) if self.before else 0.0)
+        if kind.kind != "f":
+            return scale * (0.5 + error)
+        limits = np.finfo(kind)
+        value = min(value, float(limits.max))
+        lowest = int(limits.minexp) + 1  # below, floats are as far apart as there
+        exponent = max(math.frexp(value)[1], lowest) if value else lowest
+        return scale * (math.ldexp(1.0 if self.is_cut else 0.5, exponent - self.significant) + error)
+
+    def scaled(self, scale: float, offset: float) -> "SourceRounding":
+        """Return the rounding of this one's values times `scale` plus `offset`."""
+        return replace(self, scale=self.scale * scale, offset=self.offset * scale + offset)
+
+
+def half_step(roundings: tuple[SourceRounding, ...], largest: float) -> float:
+    """Return the largest half step of several files' values."""
+    return max(rounding.half_step(largest) for rounding in roundings)
+
+
+def band_rounding(dataset, band: int) -> SourceRounding:
+    """Return the rounding of a band of a rasterio dataset of one file."""
+    of_file, of_band = dataset.tags(ns="IMAGE_STRUCTURE"), dataset.tags(band, ns="IMAGE_STRUCTURE")
+    stored = dataset.dtypes[band - 1]
+    bits = TIFF_FLOAT_BITS.get(of_band.get("NBITS", ""), 0) if stored == "float32" else 0
+    try:
+        error = float(of_file.get("MAX_Z_ERROR", 0.0))
+    except ValueError:
+        error = 0.0
+    method = of_file.get("COMPRESSION", "")
+    is_lossy = method in LOSSY and of_file.get("COMPRESSION_REVERSIBILITY", "LOSSY") != "LOSSLESS"
+    error = error if error > 0.0 and math.isfinite(error) else 0.0
+    return SourceRounding(stored, bits, error, is_cut=bits > 0, lossy=method if is_lossy else "")  # GDAL cuts them off
+
+
+def rounding_warnings(roundings: tuple[SourceRounding, ...], largest: float, half: float) -> list[str]:
+    """Return warnings about samples of less than 32 bits and about unknown errors.
+
+    largest: the largest height in metres. half: metres by which it may be off.
+    """
+    short = [rounding for rounding in roundings if 0 < rounding.significant < FLOAT32_BITS]
+    warnings = []
+    if short:
+        coarsest = min(short, key=lambda rounding: rounding.significant)
+        size = 16 if coarsest.significant == HALF_BITS else 24
+        step = half if coarsest.is_cut else 2.0 * half
+        warnings.append(f"The file stores {size}-bit floats: heights near {largest:.6g} m have steps of {step:.6g} m.")
+    return warnings + [
+        f"The file's samples were compressed with loss ({method}), by an error that the file does not hold: bounds are "
+        "against the samples as they are now. Take a lossless file if there is one."
+        for method in dict.fromkeys(rounding.lossy for rounding in roundings if rounding.lossy)
+    ]

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Units of length: the names that GDAL, EPSG and PROJ give them, and those in a coordinate system."""
+
+import re
+
+from ..errors import shown
+
+METRES = {
+    "metre": 1.0, "meter": 1.0, "m": 1.0, "mtr": 1.0,
+    **dict.fromkeys(("germanlegalmetre", "germanlegalmeter", "metergermanlegal", "legalmetre"), 1.0000135965),
+    "km": 1e3, "hm": 1e2, "dam": 10.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6,
+    "micron": 1e-6, "nauticalmile": 1852.0, "nmi": 1852.0, "kmi": 1852.0, "'": 0.3048, "′": 0.3048, '"': 0.0254,
+    "″": 0.0254, "''": 0.0254, "indianchain": 66 * 0.30479841,
+}  # fmt: skip
+PREFIXES = {"kilo": 1e3, "hecto": 1e2, "deca": 10.0, "deka": 10.0, "deci": 0.1, "centi": 0.01, "milli": 1e-3}
+PREFIXES |= {"micro": 1e-6}
+METRES |= {prefix + name: size for prefix, size in PREFIXES.items() for name in ("metre", "meter")}
+# Metres of a foot, by what is left of a unit's name without the word of FEET.
+FOOT = {
+    **dict.fromkeys(("", "i", "int", "imperial", "statute"), 0.3048),
+    **dict.fromkeys(("ussurvey", "us", "survey", "surveyus", "ussurv", "uss", "usstatute"), 1200.0 / 3937.0),
+    **dict.fromkeys(("clarkes", "clarke", "cla"), 0.3047972654),
+    **dict.fromkeys(("goldcoast", "gc"), 0.3047997101815088),
+    "indian": 12.0 / 39.370142,
+    **dict.fromkeys(("indian1937", "ind"), 0.30479841),  # PROJ's ind-ft is that of 1937
+    "indian1962": 0.3047996,
+    "indian1975": 0.3047995,
+    "british1865": 0.9144025 / 3.0,
+    "british1936": 0.3048007491,
+    **dict.fromkeys(("britishsears1922", "britishsears"), 12.0 / 39.370147),
+    "britishsears1922truncated": 0.914398 / 3.0,
+    "britishbenoit1895a": 0.9143992 / 3.0,
+    "britishbenoit1895b": 12.0 / 39.370113,
+}
+FOOT |= {name.removeprefix("british"): size for name, size in FOOT.items() if name.startswith("british")}
+FEET = {
+    **dict.fromkeys(("foot", "feet", "ft"), 1.0),
+    **dict.fromkeys(("yard", "yd"), 3.0),
+    **dict.fromkeys(("chain", "ch"), 66.0),
+    **dict.fromkeys(("link", "li", "lk"), 0.66),
+    **dict.fromkeys(("inch", "inche", "in"), 1.0 / 12.0),
+    **dict.fromkeys(("mile", "mi"), 5280.0),
+    **dict.fromkeys(("fathom", "fath", "ftm"), 6.0),
+}
+# Parts by which two units differ, from where on they are not the same (a US foot is 2e-6 longer than the other).
+SAME_UNIT = 1e-7
+_AXIS = r'AXIS\["[^"]*",\s*(?:{})\s*(?:,\s*ORDER\[\d+\])?\s*,\s*LENGTHUNIT\["([^"]*)",\s*([-+\d.eE]+)'
+_VERTICAL = re.compile(_AXIS.format("(up|down)"))
+_PLANE = re.compile(_AXIS.format("(north|south|east|west|northEast|northWest|southEast|southWest|unspecified)"))
+
+
+def metres_of(name: str) -> float | None:
+    """Return the metres in a unit of length, or None if its name is not known."""
+    name = name.strip().casefold()
+    if name in METRES:
+        return METRES[name]
+    name = re.sub(r"international|intl|[\W_]", "", name)
+    for text in (name, name.removesuffix("s")):
+        if text in METRES:
+            return METRES[text]
+        for word, feet in FEET.items():
+            before, found, after = text.partition(word)
+            if found and before + after in FOOT:
+                return feet * FOOT[before + after]
+    return None
+
+
+def plane_metres(crs) -> float:
+    """Return the metres in the unit of a coordinate system that is not in degrees (a rasterio CRS)."""
+    return _plane_unit(crs)[1]
+
+
+def _plane_unit(crs) -> tuple[str, float]:
+    """Return the name and the metres of that unit; PROJ knows it of projected systems only."""
+    if crs.is_projected:
+        return crs.linear_units_factor
+    found = _PLANE.search(_wkt(crs))
+    return (found[2], float(found[3])) if found else ("metre", 1.0)
+
+
+def height_unit(band_unit: str, crs) -> tuple[float, list[str]]:
+    """Return the metres in a unit of the values of a band, and warnings.
+
+    band_unit: the unit that the file gives the band, "" if none. crs: a rasterio CRS or None; its vertical axis counts
+    where the band has no unit or an unknown one.
+    """
+    vertical = _VERTICAL.search(_wkt(crs)) if crs is not None else None
+    known, warnings = metres_of(band_unit) if band_unit else None, []
+    metres, name = (float(vertical[3]), vertical[2]) if vertical else (1.0, "metre")
+    if known is not None:
+        if vertical and abs(known / metres - 1.0) > SAME_UNIT:
+            warnings.append(
+                f"The heights are in {shown(band_unit)} by the band's unit and in {shown(name)} by the coordinate "
+                f"system; {shown(band_unit)} was taken. If that is wrong, give a height scale of {metres / known:.10g} "
+                "(--height-scale)."
+            )
+        metres, name = known, band_unit
+    elif band_unit:
+        warnings.append(
+            f"The file gives its heights in {shown(band_unit)!r}, which is no known unit of length; they were read as "
+            f"{shown(name)}. If they are not, give the metres in a unit as the height scale (--height-scale)."
+        )
+    elif vertical is None and crs is not None and not crs.is_geographic:
+        plane, size = _plane_unit(crs)
+        if abs(size - 1.0) > SAME_UNIT:
+            warnings.append(
+                f"The coordinate system is in {shown(plane)} and the file does not name the unit of its heights; they "
+                f"were read as metres. If they are in {shown(plane)}, give a height scale of {size:.10g} "
+                "(--height-scale)."
+            )
+    if abs(metres - 1.0) > SAME_UNIT:
+        warnings.append(f"Heights are in {shown(name)} in the file; they were converted to metres.")
+    if vertical and vertical[1] == "down":
+        warnings.append(
+            "The coordinate system counts its vertical axis downwards, so the values are depths: give a height scale "
+            "of -1 (--height-scale) to have the ground the right way up."
+        )
+    return metres, warnings
+
+
+def _wkt(crs) -> str:
+    """Return the WKT 2 of a rasterio CRS, which names each axis with its unit; "" if there is none."""
+    from rasterio.errors import CRSError
+
+    try:
+        return crs.to_wkt(version="WKT2_2019")
+    except CRSError:
+        return ""

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rounding of a mosaic's samples: that of its sources, by the scale at which a VRT takes each."""
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from .rounding import SourceRounding
+from .vrt_source import Mosaic
+
+SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
+
+
+def mosaic_roundings(
+    mosaic: Mosaic, band: int, stored: str, rounding_of: Callable[[Path, int], SourceRounding | None]
+) -> tuple[SourceRounding, ...]:
+    """Return the different roundings of the sources of one band of a mosaic.
+
+    stored: type of the band's values. rounding_of(path, band): of a source that is no VRT; None if it is unknown.
+    """
+    found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
+    is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
+    return tuple(
+        rounding if exact else SourceRounding(stored, before=rounding, lossy=rounding.lossy)
+        for rounding, exact in zip(found, is_exact, strict=True)
+    )
+
+
+def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[SourceRounding, None]:
+    """Return those of band `band` of text `number`, in order and once."""
+    found: dict[SourceRounding, None] = {}
+    bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
+    element = next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
+    numbers = {f"/vsimem/{mosaic.folder}/{n}.vrt": n for n in range(len(mosaic.texts))}
+    seen = set()
+    for source in element if element is not None else ():
+        if source.tag not in SOURCES:
+            continue
+        name, source_band = source.findtext("SourceFilename", ""), source.findtext("SourceBand", "1")
+        scaling = _scaling(source)
+        if not source_band.isdigit() or (name, source_band, scaling) in seen:
+            continue
+        seen.add((name, source_band, scaling))
+        if name in numbers:
+            inner = _roundings(mosaic, numbers[name], int(source_band), rounding_of)
+        else:
+            inner = [rounding_of(Path(name), int(source_band))]
+        found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
+    return found
+
+
+def _scaling(source: ElementTree.Element) -> tuple[float, float]:
+    """Return a scale and an offset that a source's values have at most: of a table, its steepest part."""
+    pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
+    if not pairs:
+        return float(source.findtext("ScaleRatio", "1")), float(source.findtext("ScaleOffset", "0"))
+    slopes = [abs((y2 - y1) / (x2 - x1)) for (x1, y1), (x2, y2) in zip(pairs, pairs[1:], strict=False) if x2 != x1]
+    slope = max(slopes, default=0.0)
+    return slope, slope * max(abs(x) for x, _ in pairs)

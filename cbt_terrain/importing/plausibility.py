@@ -50,9 +50,10 @@ class ValueCheck:
             gap = max(self.low - value, value - self.high)
             if gap < (APART if value else ZERO_APART) * spread or (value == 0.0 and spread == 0.0) or gap <= 0.0:
                 continue
+            samples = f"{count:,} samples hold" if count > 1 else "1 sample holds"
             found.append(
-                f"{count:,} of the samples hold {value:.9g}, which stands apart from all others ({self.low:.6g} to "
-                f"{self.high:.6g}) and often means no data: if it does, import again and give it as the no-data value "
+                f"{samples} {value:.9g}, which stands apart from all others ({self.low:.6g} to {self.high:.6g}) and "
+                "often means no data: if it does, import again and give it as the no-data value "
                 f"(--no-data {value:.9g})."
             )
         return found[:MAX_WARNINGS]

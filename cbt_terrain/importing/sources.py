@@ -94,6 +94,11 @@ def _open_land(settings: ImportSettings) -> Raster:
 
 
 def _open_raw(path: Path, settings: ImportSettings) -> Raster:
+    if settings.project:
+        raise TerrainError(
+            f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected: put its "
+            "header there, or import it as it is."
+        )
     kind = np.dtype(settings.raw_dtype).newbyteorder("<" if settings.raw_little_endian else ">")
     size = path.stat().st_size
     samples, rest = divmod(size, kind.itemsize)

@@ -67,15 +67,8 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         extent_m=extent,
         step_m=tuple(length / max(count - 1, 1) for length, count in zip(extent, raster, strict=True)),
         heights_m=(content["min_height"], content["max_height"]),
-        warnings=_texts(report, "warnings"),
+        warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
     )
-
-
-def _texts(report: dict, name: str) -> tuple[str, ...]:
-    """Return texts of a report, which nothing has checked."""
-    value = report.get(name)
-    texts = value[:MAX_WARNINGS] if isinstance(value, list) else []
-    return tuple(shown(text, LONGEST_WARNING) for text in texts if isinstance(text, str))
 
 
 def _pair(report: dict, name: str) -> tuple | None:

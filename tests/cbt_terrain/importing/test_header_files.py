@@ -73,6 +73,8 @@ def test_without_a_header_samples_are_raw_with_a_warning(tmp_path):
     assert np.array_equal(field.heights(), heights[::-1]) and "no header a.hdr beside" in report["warnings"][0]
     with pytest.raises(TerrainError, match="--raw-type.*, or put its header a.hdr beside it"):
         imported(tmp_path, tmp_path / "a.bil")
+    with pytest.raises(TerrainError, match="no header beside it, so no coordinate system, and cannot be reprojected"):
+        imported(tmp_path, tmp_path / "a.bil", raw_size=(40, 30), project="utm")
     os.rename(tmp_path / "a.bil", tmp_path / "a.dem")
     with pytest.raises(TerrainError, match="a.dem has no header a.hdr beside it"):
         imported(tmp_path, tmp_path / "a.dem")

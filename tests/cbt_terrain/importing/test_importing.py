@@ -77,7 +77,10 @@ def test_undeclared_no_data_warns(tmp_path):
     heights[4, 4] = -9999.0
     np.save(tmp_path / "a.npy", heights)
     settings = {"source": str(tmp_path / "a.npy"), "height_scale": 0.1, "height_offset": 7.0, "extent": (800.0, 800.0)}
-    assert "hold -9999, which stands apart" in run_import(ImportSettings(**settings), tmp_path / "a")["warnings"][0]
+    assert (
+        "1 sample holds -9999, which stands apart"
+        in run_import(ImportSettings(**settings), tmp_path / "a")["warnings"][0]
+    )
     declared = run_import(ImportSettings(**settings, no_data=-9999.0), tmp_path / "b")
     assert declared["warnings"] == [] and declared["filled"] == 1
     heights[4, 4] = -9998.0

@@ -27,7 +27,7 @@ def test_marks_that_stand_apart_warn(mark, kind):
     values[:3, 5:9] = mark
     (warning,) = warnings_of(values)
     value = float(np.array(mark).astype(kind))
-    assert warning.startswith(f"12 of the samples hold {value:.9g}, which stands apart from all others (")
+    assert warning.startswith(f"12 samples hold {value:.9g}, which stands apart from all others (")
     assert f"(--no-data {value:.9g})" in warning
 
 

@@ -5,6 +5,8 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -12,8 +14,9 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.operators.importing import import_terrain
 from adaptive_terrain.operators.request.imported import Imported, changed_settings, imported_of, lines_of, tag_object
-from adaptive_terrain.operators.ui.height_map_panel import is_stale
+from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel, is_stale
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +58,28 @@ def test_the_panel_shows_what_was_imported(terrain):
         ("Spacing", "25 x 25 m"),
     ]
     assert len(lines_of(None)) == 6, "as many lines before an import"
+
+
+def test_the_panel_shows_the_warnings_of_an_import(terrain):
+    file = Path(terrain.adaptive_terrain.store) / "store.json"
+    content = json.loads(file.read_text())
+    assert imported_of(terrain.adaptive_terrain).warnings == ()
+    content["report"]["warnings"] = ["Heights are in\nfeet.", "x" * 9_000, *["more"] * 50]
+    content["sum"] = stores._sum_of(content)
+    file.write_text(json.dumps(content))
+    warnings = imported_of(terrain.adaptive_terrain).warnings
+    assert warnings[0] == "Heights are in feet." and max(map(len, warnings)) < 600 and len(warnings) < 10
+    context, column = SimpleNamespace(object=terrain), Mock()
+    ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), context)
+    labels = [call.kwargs.get("text") for call in column.box().label.mock_calls]
+    assert "Heights are in feet." in labels
+
+
+def test_raw_settings_are_for_files_without_a_header(tmp_path):
+    (tmp_path / "a.bil").touch()
+    assert import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.is_raw("a.r16")
+    (tmp_path / "a.hdr").touch()
+    assert not import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.placed(str(tmp_path / "a.bil"))
 
 
 def test_the_object_has_the_properties_of_blendergis(scene, add_terrain, utm, tmp_path):

@@ -96,6 +96,19 @@ def test_the_vertical_axis_of_a_system_counts(tmp_path):
         assert len(report["warnings"]) == 1 and "US survey foot" in report["warnings"][0]
 
 
+@pytest.mark.parametrize(("unit", "metres"), [("'", FT), ("&quot;", 0.0254), ("ft (US)", US), ("°", None)])
+def test_units_of_a_mosaics_band(tmp_path, unit, metres):
+    write_raster(tmp_path / "a.tif", hills())
+    (tmp_path / "a.vrt").write_text(
+        f'<VRTDataset rasterXSize="40" rasterYSize="30"><VRTRasterBand dataType="Float32" band="1"><UnitType>{unit}'
+        '</UnitType><SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename></SimpleSource>'
+        "</VRTRasterBand></VRTDataset>"
+    )
+    field, report = imported(tmp_path, tmp_path / "a.vrt", extent=(3900.0, 2900.0))
+    assert np.allclose(field.heights(), hills()[::-1] * (metres or 1.0), rtol=1e-6)
+    assert ("no known unit" in report["warnings"][0]) == (metres is None)
+
+
 def test_a_bands_unit_wins_over_its_system_and_warns(tmp_path):
     field, report = imported_in(tmp_path, "ft", "EPSG:26918+5703")
     assert np.allclose(field.heights(), hills()[::-1] * FT, rtol=1e-6)

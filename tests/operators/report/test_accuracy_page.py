@@ -144,7 +144,7 @@ def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
     assert {"a < b", "x", "y", "1,000", "10"} <= {text.text for text in plot.iter(f"{SVG}text")}
 
 
-def test_a_time_curve_of_runs_that_disagree_is_left_out_with_its_reason():
+def test_a_time_curve_of_runs_that_disagree_is_left_out():
     rows = [row for row in known_rows() if row.setting.plain]
     field = from_array(np.zeros((5, 5), np.float32))
     torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]

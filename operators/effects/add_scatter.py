@@ -6,6 +6,7 @@ import math
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ..properties.scene_paths import absolute_path
 from ..request.scatters import scatters_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
@@ -44,7 +45,7 @@ class AddScatter(bpy.types.Operator):
         try:
             if not settings.store:
                 raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
-            west, south, east, north = session.open_field(bpy.path.abspath(settings.store)).lattice.rectangle()
+            west, south, east, north = session.open_field(absolute_path(settings.store)).lattice.rectangle()
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

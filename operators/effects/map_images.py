@@ -18,6 +18,7 @@ from ...cbt_terrain.maps.tiling import MARGIN
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..mesh.writer import UV_LAYER
 from ..properties.map_properties import map_folder
+from ..properties.scene_paths import absolute_path
 from ..scene.session import all_terrains, open_field
 from ..scene.shaped_land import store_of
 
@@ -73,7 +74,7 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
 def reload(folder: Path, files: set[str]) -> None:
     """Have Blender read images of a folder again of which files (`files`, as its index names them) are new."""
     for image in bpy.data.images:
-        path = Path(bpy.path.abspath(image.filepath)) if image.filepath else None
+        path = Path(absolute_path(image.filepath)) if image.filepath else None
         if path is not None and path.parent == folder and path.name in files:
             image.reload()
 
@@ -97,7 +98,7 @@ def tile_metres(obj) -> float:
 
 
 def _loaded(path: Path) -> bpy.types.Image | None:
-    return next((i for i in bpy.data.images if i.filepath and Path(bpy.path.abspath(i.filepath)) == path), None)
+    return next((i for i in bpy.data.images if i.filepath and Path(absolute_path(i.filepath)) == path), None)
 
 
 def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:

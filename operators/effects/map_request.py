@@ -12,6 +12,7 @@ from ...cbt_terrain.effects.effect import PICTURE
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
 from ..properties.map_properties import CHOSEN, FRAME, SHOT, map_folder
+from ..properties.scene_paths import absolute_path
 from ..request.request import RENDER, Overrides, gather
 from ..scene.shot import frames_of, look_through
 from . import map_images
@@ -47,7 +48,7 @@ def read_as_images(obj) -> set[str]:
         for node in tree.nodes:
             inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
             waiting += [inner] if inner is not None else []
-            path = Path(bpy.path.abspath(image.filepath)) if image is not None and image.filepath else None
+            path = Path(absolute_path(image.filepath)) if image is not None and image.filepath else None
             found |= {path.name.partition(".")[0]} if path is not None and path.parent == folder else set()
     return found & set(EFFECTS)
 

@@ -69,12 +69,18 @@ def check_version(found):
     print(f"Adaptive Terrain {one_line(found)}, Blender {bpy.app.version_string}", flush=True)
 
 
+def absolute(path):
+    """Return a path of the file as this system reads it: Blender on Windows saves backslashes."""
+    found = bpy.path.abspath(path)
+    return found if os.path.lexists(found) else bpy.path.abspath(path.replace("\\", "/"))
+
+
 def check_file():
     for scene in bpy.data.scenes:
         scene.adaptive_terrain.stop_stale_renders = True
     for obj in bpy.context.scene.objects:
         if obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None:
-            store = bpy.path.abspath(obj.adaptive_terrain.store)
+            store = absolute(obj.adaptive_terrain.store)
             if not os.path.isfile(os.path.join(store, "store.json")):
                 fail(f"the store of {obj.name} is missing: {store}")
 

@@ -8,6 +8,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ..output.formats import parse_frames
 from ..properties.properties import PATH_OPTIONS
+from ..properties.scene_paths import absolute_path
 from ..scene import session
 from .submit import INSTALLED, NOTE, submit
 
@@ -70,7 +71,7 @@ class SubmitToFarm(bpy.types.Operator):
             said = submit(
                 context.scene,
                 session.terrains_of(context.scene),
-                Path(bpy.path.abspath(self.folder)),
+                Path(absolute_path(self.folder)),
                 frames=self._frames(),
                 chunk=self.chunk,
                 formats=() if self.render else ("npz",),

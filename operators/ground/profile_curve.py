@@ -10,6 +10,7 @@ from mathutils import Vector
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
+from ..properties.scene_paths import absolute_path
 from ..text import profile_plot
 from ..text.numbers import length_text
 from . import world_ground
@@ -69,7 +70,7 @@ class ProfileCurve(bpy.types.Operator):
 
     def _write(self, name: str, found) -> list[str]:
         """Of several splines each in files of their own number."""
-        base = Path(bpy.path.abspath(self.filepath))
+        base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
         if not base.name:
             raise TerrainError(f"The file {self.filepath!r} has no name; expected one, such as //profile.csv.")

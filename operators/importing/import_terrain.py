@@ -13,6 +13,7 @@ from ...cbt_terrain.importing.import_process import ImportJob, import_source
 from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
 from ...cbt_terrain.run import warmup
 from ..properties.properties import land_of
+from ..properties.scene_paths import absolute_path
 from ..request import imported
 from ..scene import session
 from ..scene.polls import on_terrain
@@ -55,7 +56,7 @@ def settings_of(obj) -> ImportSettings:
             "raw_little_endian": settings.raw_little_endian,
         }
     return ImportSettings(
-        source=bpy.path.abspath(settings.source_path),
+        source=absolute_path(settings.source_path),
         extent=extent,
         no_data=settings.no_data if settings.use_no_data else None,
         holes=settings.holes,
@@ -70,7 +71,7 @@ def settings_of(obj) -> ImportSettings:
 
 def is_raw(path: str) -> bool:
     """Return whether a file holds samples alone, so that the panel must say what they are."""
-    return path.lower().endswith(RAW_SUFFIXES) or is_plain_raw(Path(bpy.path.abspath(path)))
+    return path.lower().endswith(RAW_SUFFIXES) or is_plain_raw(Path(absolute_path(path)))
 
 
 def placed(path: str) -> bool:
@@ -82,7 +83,7 @@ def import_now(obj) -> tuple[dict, str]:
     """Import and wait for the end; returns the report and the store, which is not the terrain's yet."""
     settings = settings_of(obj)
     folder = store_folder(obj, settings)
-    return import_source(settings, bpy.path.abspath(folder)), folder
+    return import_source(settings, absolute_path(folder)), folder
 
 
 def summary(report: dict) -> str:
@@ -122,7 +123,7 @@ class _Import:
         try:
             settings = settings_of(obj)
             self.folder = store_folder(obj, settings)
-            _jobs[self.uid] = ImportJob(settings, bpy.path.abspath(self.folder))
+            _jobs[self.uid] = ImportJob(settings, absolute_path(self.folder))
         except TerrainError as error:
             return self._failed(obj, str(error))
         _progress[self.uid] = 0.0, "Starting"

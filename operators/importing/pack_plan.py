@@ -16,6 +16,7 @@ from ...cbt_terrain.field.moving import copy_entry
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.run.owned_files import MAPS, open_folder
 from ..properties.map_properties import map_folder
+from ..properties.scene_paths import absolute_path
 from ..request import land_request, land_tiles
 from ..request.land_folders import bytes_in
 from ..request.land_folders import folder_beside as land_beside
@@ -37,7 +38,7 @@ class PackPlan:
 
     def copies(self) -> list[Callable[[OnProgress], None]]:
         """List the functions that make the copies."""
-        found = [partial(copy_store, source, bpy.path.abspath(target)) for source, (target, _) in self.stores.items()]
+        found = [partial(copy_store, source, absolute_path(target)) for source, (target, _) in self.stores.items()]
         found += [partial(_copy_land, source, target) for source, target in self.lands.items()]
         return found + [partial(_copy_maps, source, target) for source, target in self.maps.items()]
 
@@ -75,14 +76,14 @@ def plan(objects: list) -> PackPlan:
     """Plan the copies for terrains whose stores are elsewhere. Raises TerrainError."""
     planned = PackPlan()
     for obj in objects:
-        folder = Path(bpy.path.abspath(obj.adaptive_terrain.store)).resolve()
+        folder = Path(absolute_path(obj.adaptive_terrain.store)).resolve()
         content = stores.read_json(folder)
         if str(folder) not in planned.stores:
             taken = {target for target, _ in planned.stores.values()}
             planned.stores[str(folder)] = _target(obj, folder, content, taken), []
         target, uids = planned.stores[str(folder)]
         uids.append(obj.session_uid)
-        if Path(bpy.path.abspath(target)).resolve() != folder:
+        if Path(absolute_path(target)).resolve() != folder:
             planned.lands |= _lands_of(obj, target)
             planned.maps |= _maps_of(obj, target)
     return planned
@@ -95,7 +96,7 @@ def _lands_of(obj, target: str) -> dict[str, str]:
         land = land_request.land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     except TerrainError:
         return {}  # a stack that cannot be applied has no land
-    beside, found = land_beside(bpy.path.abspath(target)), {}
+    beside, found = land_beside(absolute_path(target)), {}
     for folder in (land.folder, land.of_views_alone.folder) if land is not None else ():
         with suppress(TerrainError):  # what is missing or damaged is shaped again
             stores.open_store(folder)
@@ -108,7 +109,7 @@ def _maps_of(obj, target: str) -> dict[str, str]:
     maps, folder = obj.adaptive_terrain.maps, map_folder(obj).resolve()
     if maps.folder or not maps.mark or not folder.is_dir():
         return {}
-    store = Path(bpy.path.abspath(target))
+    store = Path(absolute_path(target))
     return {str(folder): str(store.with_name(store.name + MAPS) / folder.name)}
 
 
@@ -125,10 +126,10 @@ def _free_folder(wanted: str, content: dict, taken: set[str]) -> str:
     while True:
         folder = wanted if number == 1 else f"{wanted}_{number}"
         try:
-            there = stores.read_json(Path(bpy.path.abspath(folder)))
+            there = stores.read_json(Path(absolute_path(folder)))
             same = (there["key"], there["data"]) == (content["key"], content["data"])
         except TerrainError:
-            same = not Path(bpy.path.abspath(folder), stores.JSON_NAME).exists()
+            same = not Path(absolute_path(folder), stores.JSON_NAME).exists()
         if same and folder not in taken:
             return folder
         number += 1

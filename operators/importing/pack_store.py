@@ -16,6 +16,7 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import PackingCancelled
+from ..properties.scene_paths import absolute_path
 from ..scene import land_jobs, session
 from ..viewport import live
 from .pack_plan import OnProgress, find_strays, plan, room_text
@@ -140,7 +141,7 @@ class PackStore(bpy.types.Operator):
     def _show_copied_maps(self) -> None:
         """Let images of maps name the copies."""
         for image in bpy.data.images:
-            path = Path(bpy.path.abspath(image.filepath)).resolve()
+            path = Path(absolute_path(image.filepath)).resolve()
             if image.filepath and image.library is None and str(path.parent) in self.planned.maps:
                 image.filepath = bpy.path.relpath(str(Path(self.planned.maps[str(path.parent)]) / path.name))
 

@@ -12,6 +12,7 @@ import bpy
 
 from ...cbt_terrain.importing.build_store import source_digest
 from ...cbt_terrain.importing.raster import ImportSettings
+from ..properties.scene_paths import absolute_path
 from ..request.imported import imported_of
 
 RELATIVE = "//"
@@ -40,7 +41,7 @@ def old_folders() -> list[Path]:
 
 def is_shared(store: str) -> bool:
     """Return whether a store is in the data folder or in an earlier version's folder, where other files use it too."""
-    folder = Path(bpy.path.abspath(store)).resolve()
+    folder = Path(absolute_path(store)).resolve()
     return any(folder.is_relative_to(other.resolve()) for other in [data_folder(), *old_folders()])
 
 
@@ -48,7 +49,7 @@ def lies_beside(settings) -> bool:
     """Return whether a terrain's store has a path relative to the .blend file and is in its folder."""
     if not bpy.data.filepath or not settings.store.startswith(RELATIVE):
         return False
-    folder = Path(bpy.path.abspath(settings.store)).resolve()
+    folder = Path(absolute_path(settings.store)).resolve()
     return folder.is_relative_to(Path(bpy.data.filepath).resolve().parent)
 
 

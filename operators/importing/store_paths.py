@@ -7,6 +7,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...cbt_terrain.field.moving import find_moved
+from ..properties.scene_paths import absolute_path
 from ..scene import session
 from .store_location import RELATIVE, data_folder, deleted_folder
 
@@ -26,7 +27,7 @@ def on_save_pre(path, _unused=None) -> None:
         settings = obj.adaptive_terrain
         if settings.store.startswith(RELATIVE):
             _paths_before[obj.session_uid] = settings.store
-            folder = bpy.path.abspath(settings.store)
+            folder = absolute_path(settings.store)
             try:
                 settings.store = bpy.path.relpath(folder, start=str(Path(path).parent))
             except ValueError:  # another drive
@@ -65,7 +66,7 @@ def on_append(imported, _unused=None) -> None:
         ):
             continue
         settings = item.id.adaptive_terrain
-        folder = bpy.path.abspath(settings.store, library=item.source_library)
+        folder = absolute_path(settings.store, library=item.source_library)
         if settings.store.startswith(RELATIVE) and Path(folder).is_dir():
             try:
                 settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
@@ -90,7 +91,7 @@ def find_moved_stores(objects=None) -> None:
     found = []
     for obj in session.all_terrains() if objects is None else objects:
         settings = obj.adaptive_terrain
-        before = bpy.path.abspath(settings.store)
+        before = absolute_path(settings.store)
         if settings.store and (folder := _moved(before)):
             settings.store = folder
             found.append(f"that of {obj.name} in {folder}")
@@ -103,7 +104,7 @@ def find_moved_stores(objects=None) -> None:
 
 def _find_moved_images() -> None:
     for image in bpy.data.images:
-        path = Path(bpy.path.abspath(image.filepath))
+        path = Path(absolute_path(image.filepath))
         if image.library is None and image.filepath and (folder := _moved(str(path.parent))):
             image.filepath = str(Path(folder) / path.name)
 

@@ -10,6 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field import store_folder
 from ...cbt_terrain.run.owned_files import check_folder
+from ..properties.scene_paths import absolute_path
 from ..request.land_folders import bytes_in, folder_beside, remove, shaped_stores
 from ..request.land_request import is_in_use
 from ..scene import land_jobs, session
@@ -100,7 +101,7 @@ class ClearLandCache(bpy.types.Operator):
         return {"FINISHED"}
 
     def _store(self, context) -> str:
-        return bpy.path.abspath(context.object.adaptive_terrain.store)
+        return absolute_path(context.object.adaptive_terrain.store)
 
 
 register, unregister = bpy.utils.register_classes_factory((ClearLandCache,))

@@ -11,6 +11,7 @@ from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land.export import check_export, export_raster
 from ..importing.store_location import baked_folder
 from ..land import shape_land
+from ..properties.scene_paths import absolute_path
 from ..request import imported, land_request
 from ..request.land_request import land_of
 from ..scene import session
@@ -59,7 +60,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
         land_request.whole_raster_of("", land, session.open_field)
         settings = obj.adaptive_terrain
         folder = free_folder(baked_folder(obj))
-        copy_store(land.folder, bpy.path.abspath(folder))
+        copy_store(land.folder, absolute_path(folder))
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
         land_request.release(obj.session_uid)
@@ -72,7 +73,7 @@ class BakeLand(_LandOperator, bpy.types.Operator):
 def free_folder(wanted: str) -> str:
     """Return `wanted`, or with a number the first that is free; a path may begin with the .blend file's folder."""
     number, folder = 1, wanted
-    while Path(bpy.path.abspath(folder)).exists():
+    while Path(absolute_path(folder)).exists():
         number += 1
         folder = f"{wanted}_{number}"
     return folder
@@ -90,7 +91,7 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default="*.tif;*.tiff;*.exr", options={"HIDDEN"})
 
     def _carry_out(self, obj, depsgraph):
-        store = bpy.path.abspath(obj.adaptive_terrain.store)
+        store = absolute_path(obj.adaptive_terrain.store)
         if not store:
             raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
         check_export(self.filepath)

@@ -13,6 +13,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run.partial_files import written_beside
+from ..properties.scene_paths import absolute_path
 from .exporting import check_target, make_folder, named_failures
 
 FOLDER_PROPERTIES = ("directory", "base_path")  # of a File Output node: from Blender 5.0 on, and before
@@ -81,7 +82,7 @@ def output_folders(scene) -> list[Path]:
     """List the folders that File Output nodes write to, as far as they are the same for all frames."""
     found = []
     for node in output_nodes(scene):
-        path = os.path.abspath(bpy.path.abspath(node_folder(node)))
+        path = os.path.abspath(absolute_path(node_folder(node)))
         is_file = hasattr(node, "base_path") and node.format.file_format == "OPEN_EXR_MULTILAYER"
         parts = Path(os.path.dirname(path) if is_file else path).parts
         found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))

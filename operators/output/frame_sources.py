@@ -24,6 +24,7 @@ from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
+from ..properties.scene_paths import absolute_path
 from ..scene.pauses import paused
 from ..text.console import quiet
 from .summaries import content_digest
@@ -127,7 +128,6 @@ class SceneFrames:
     ):
         content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
         self.scene, self.objects = open_scene(blend)
-        import bpy
 
         from ..request.request import Overrides
         from ..request.scatters import scatters_of
@@ -147,9 +147,9 @@ class SceneFrames:
                 raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
         asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **asdict(self.overrides)}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
-        fields = {name: field_identity(open_store(bpy.path.abspath(path))) for name, path in stores.items() if path}
+        fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
         self.settings = {"scene": content, "height_fields": fields, **asked}
-        self.files = [Path(blend), *(Path(bpy.path.abspath(path)) for path in stores.values() if path)]
+        self.files = [Path(blend), *(Path(absolute_path(path)) for path in stores.values() if path)]
 
     def inputs(self, frame: int) -> list[Path]:
         """List the files, and the folders of stores, that a frame is made of."""

@@ -18,6 +18,7 @@ from ..importing.import_terrain import summary as import_summary
 from ..land.shape_land import wanted_land
 from ..properties.land_properties import SEEN
 from ..properties.map_properties import SHOT
+from ..properties.scene_paths import absolute_path
 from ..request.land_request import land_of, whole_raster_of
 from ..scene import session
 from ..scene.shot import look_through
@@ -30,7 +31,7 @@ def store_of(obj) -> Path:
     """The folder that a terrain's settings name; raises TerrainError where they name none."""
     if not obj.adaptive_terrain.store:
         raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
-    return Path(bpy.path.abspath(obj.adaptive_terrain.store))
+    return Path(absolute_path(obj.adaptive_terrain.store))
 
 
 def is_missing(store: Path) -> bool:

@@ -13,6 +13,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ..demand.trees import animated_paths
+from ..properties.scene_paths import absolute_path
 
 TILE_MARKS = {"<UDIM>": "[0-9]" * 4, "<UVTILE>": "u[0-9]*_v[0-9]*"}
 MAX_CACHE_FILES = 100_000
@@ -81,7 +82,7 @@ def _numbered_files(frames: Sequence[int]) -> dict[str, list[str]]:
 
 
 def _path_of(block) -> str:
-    return os.path.normpath(bpy.path.abspath(block.filepath, library=block.library)) if block.filepath else ""
+    return os.path.normpath(absolute_path(block.filepath, library=block.library)) if block.filepath else ""
 
 
 def _image_files(image, frames: Sequence[int]) -> list[str]:
@@ -196,4 +197,4 @@ def _point_folder(cache, block) -> str:
 
 
 def _absolute(path: str, block) -> str:
-    return bpy.path.abspath(path, library=block.library if block else None) if path else ""
+    return absolute_path(path, library=block.library if block else None) if path else ""

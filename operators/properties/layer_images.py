@@ -16,6 +16,7 @@ from ...cbt_terrain.effects.splat_rules import Painted
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.importing.png_file import png_damage
 from ...cbt_terrain.run.named_file import blocks_reader, open_regular
+from .scene_paths import absolute_path
 
 T = TypeVar("T")
 # By the names of images and what is made of them: what they were made from, and that.
@@ -57,7 +58,7 @@ def check_image_files(image, whose: str) -> None:
     """Raise TerrainError where Blender would wait for the pixels of an image: its file is a pipe or a device."""
     if image.source == "GENERATED" or image.packed_file is not None:
         return
-    path = Path(bpy.path.abspath(image.filepath_raw, library=image.library))
+    path = Path(absolute_path(image.filepath_raw, library=image.library))
     waiting = next(filter(blocks_reader, [path, *numbered_files(path, image.source)]), None)
     if waiting is not None:
         raise TerrainError(
@@ -78,7 +79,7 @@ def _check_whole(image, whose: str) -> None:
     """Blender shows what it can read of a PNG that was cut off, and black for the rest."""
     if image.is_dirty or image.source != "FILE":
         return  # painted: the file has nothing to say
-    path = Path(bpy.path.abspath(image.filepath_raw, library=image.library))
+    path = Path(absolute_path(image.filepath_raw, library=image.library))
     try:
         packed = image.packed_file
         with open_regular(path, links=True) if packed is None else io.BytesIO(packed.data) as file:

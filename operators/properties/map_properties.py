@@ -9,6 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.maps.coding import EXR, PNG
 from ...cbt_terrain.run.owned_files import MAPS
+from .scene_paths import absolute_path
 
 FRAME, SHOT, WHOLE = "FRAME", "SHOT", "WHOLE"
 READ, CHOSEN = "READ", "CHOSEN"
@@ -19,9 +20,9 @@ PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.ver
 def map_folder(obj) -> Path:
     """Return where the maps of a terrain are kept: in the folder that its settings name, or in one beside its store."""
     settings = obj.adaptive_terrain
-    store = Path(bpy.path.abspath(settings.store))
+    store = Path(absolute_path(settings.store))
     folder = settings.maps.folder
-    above = Path(bpy.path.abspath(folder)) if folder else store.with_name(store.name + MAPS)
+    above = Path(absolute_path(folder)) if folder else store.with_name(store.name + MAPS)
     return above / bpy.path.clean_name(settings.maps.mark)
 
 

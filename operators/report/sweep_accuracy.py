@@ -11,6 +11,7 @@ from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
 from ..output.frame_sources import file_name
+from ..properties.scene_paths import absolute_path
 from ..request.request import RENDER, gather
 from ..scene import session
 from ..scene.pauses import paused
@@ -34,7 +35,7 @@ def report_folder(obj) -> Path:
             f"Reports go into {folder!r}, beside the .blend file, which is not saved yet; save the file, or choose "
             "another folder."
         )
-    path = Path(os.path.expanduser(bpy.path.abspath(folder)))
+    path = Path(os.path.expanduser(absolute_path(folder)))
     if not path.is_absolute():
         raise TerrainError(f"Reports go into {folder!r}, which is not a whole path; choose a folder, or {BESIDE!r}.")
     return path / file_name(obj)

@@ -6,13 +6,12 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-import bpy
-
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.raster import ImportSettings
+from ..properties.scene_paths import absolute_path
 from ..text.numbers import length_text
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
@@ -41,7 +40,7 @@ def imported_of(settings) -> Imported | None:
     """What the store of a terrain's settings holds; None where there is none, or it cannot be read."""
     if not settings.store:
         return None
-    folder = Path(bpy.path.abspath(settings.store))
+    folder = Path(absolute_path(settings.store))
     try:
         return _read(str(folder), (folder / stores.JSON_NAME).stat().st_mtime_ns)
     except (OSError, ValueError):

@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
@@ -29,6 +28,7 @@ from ...cbt_terrain.land.stack import Stack, land_name
 from ...cbt_terrain.run import launch, owned_files
 from ...cbt_terrain.run.owned_files import NotOursError
 from ..properties.land_properties import SEEN
+from ..properties.scene_paths import absolute_path
 from ..text.console import print_line
 from . import land_masks, land_stack, land_tiles
 from .land_folders import (
@@ -109,7 +109,7 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
-    source = bpy.path.abspath(settings.store)
+    source = absolute_path(settings.store)
     folder = folder_beside(source)
     owned_files.check_folder(folder, MASKS, store_folder.TILES)
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)

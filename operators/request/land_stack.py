@@ -12,6 +12,7 @@ from ...cbt_terrain.land.stack import Entry, Stack
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..properties.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
+from ..properties.scene_paths import absolute_path
 from . import land_masks
 from .imported import imported_of
 from .land_entries import add_entry
@@ -110,7 +111,7 @@ def preset_of(land) -> Stack:
             raise TerrainError(unknown(entry.effect))
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:
-            image = bpy.path.abspath(entry.mask.image.filepath)
+            image = absolute_path(entry.mask.image.filepath)
             if not Path(image).is_file():
                 raise TerrainError(
                     f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, is in no file of its own, and a "

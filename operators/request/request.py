@@ -23,6 +23,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ..mesh.cleanup import Cleanup, plan_triangles
 from ..properties.land_properties import SEEN
 from ..properties.properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
+from ..properties.scene_paths import absolute_path
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
 from .evaluated import found_in
@@ -136,7 +137,7 @@ def gather(
     if criterion.needs_view:
         with _named(obj):
             views = _views(settings, depsgraph, mode, camera, resolution)
-    store, land = bpy.path.abspath(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
     if land is not None:
         if views and mode == RENDER and settings.land.where == SEEN:
             scale = settings.vertical_scale, settings.vertical_offset

@@ -5,14 +5,13 @@ import functools
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import bpy
-
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.land.level_plan import MOST_WHOLE
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land_effects.land_effect import LandLayer
 from ..properties.land_properties import EVERYWHERE
+from ..properties.scene_paths import absolute_path
 from ..request import land_request
 from ..request.imported import imported_of
 from ..text.numbers import length_text, plain
@@ -60,7 +59,7 @@ class State:
 
 def store_of(obj) -> str:
     """The folder of the heights that a terrain's mesh shows, or of its source where it shows a preview or nothing."""
-    source = bpy.path.abspath(obj.adaptive_terrain.store)
+    source = absolute_path(obj.adaptive_terrain.store)
     request = session.record_of(obj).status.request
     shown = _shown(request) if request is not None else ""
     return shown if Path(shown).parent == land_request.folder_beside(source) else source

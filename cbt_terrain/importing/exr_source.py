@@ -37,7 +37,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)}): get the file again.") from reason
     channel = _choose(path, channels, settings.channel)
     width, height = sizes[channel.part]
-    pixels = sum(sizes[c.part][0] * sizes[c.part][1] for c in channels)
+    pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
     if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
         raise TerrainError(
             f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {4e-9 * pixels:.1f} GB: "

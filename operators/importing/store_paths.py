@@ -9,6 +9,7 @@ from bpy.app.handlers import persistent
 from ...cbt_terrain.field.moving import find_moved
 from ..properties.scene_paths import absolute_path
 from ..scene import session
+from ..text.console import print_line
 from .store_location import RELATIVE, data_folder, deleted_folder
 
 FOUND = "found"  # a topic
@@ -123,7 +124,7 @@ def _would_be_deleted(path: str) -> bool:
 
 def tell(topic: str, notice: str) -> None:
     """Print a message, and show it on the panel."""
-    print(f"Adaptive Terrain: {notice}")
+    print_line(f"Adaptive Terrain: {notice}")
     notices[topic] = notice
 
 

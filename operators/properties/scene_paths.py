@@ -4,8 +4,6 @@
 import os
 import re
 
-import bpy
-
 _DRIVE = re.compile(r"^[A-Za-z]:[\\/]")
 
 
@@ -16,6 +14,8 @@ def absolute_path(text: str, library=None) -> str:
     counts as a separator unless a file of exactly that name exists. A path with a drive letter names a place on another
     machine, and is returned as it is.
     """
+    import bpy  # an export of .npz imports this module without Blender
+
     path = bpy.path.abspath(text, library=library)
     if os.sep == "\\" or "\\" not in path or _DRIVE.match(text) or os.path.lexists(path):
         return path

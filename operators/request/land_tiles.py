@@ -45,7 +45,7 @@ def _file(folder: str) -> Path:
 def known(folder: str) -> Tiles:
     """What the store in `folder` was asked for; [] where that is not known, or damaged."""
     try:
-        digest, text = read_regular(_file(folder), MAX_BYTES).decode("utf-8").split("\n", 1)
+        digest, text = read_regular(_file(folder), MAX_BYTES, links=False).decode("utf-8").split("\n", 1)
         levels = json.loads(text) if digest == _digest(text) else []
     except (OSError, ValueError):
         return []

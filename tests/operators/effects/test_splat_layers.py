@@ -72,14 +72,15 @@ def test_settings_become_rules(layers, terrain):
     )
     snow.mask = "Rock"
     grass, stone, white = layers_of(terrain.adaptive_terrain)
-    assert grass == rules.Layer("Grass", (), 1.0, True, 200.0, pytest.approx(0.8), 0)
+    assert grass == rules.Layer("Grass", (), 1.0, True, 200.0, grass.ragged, 0) and grass.ragged == pytest.approx(0.8)
     assert (stone.strength, stone.on_top, stone.noise_size, stone.ragged, stone.seed) == (0.5, False, 64.0, 0.25, 9)
     relief, slope = stone.rules
     assert relief == rules.Rule("relief", 0.25, 0.75, 0.125)
-    assert slope == rules.Rule("slope", pytest.approx(0.6), math.inf, pytest.approx(0.2)), "the end of a range is open"
+    assert (slope.low, slope.edge) == pytest.approx((0.6, 0.2))
+    assert slope == rules.Rule("slope", slope.low, math.inf, slope.edge), "the end of a range is open"
     height, aspect, mask = white.rules
     assert height == rules.Rule("height", 250.0, math.inf, 50.0)
-    assert aspect == rules.Rule("aspect", pytest.approx(0.5), math.inf, 0.5, direction=0.5)
+    assert aspect == rules.Rule("aspect", aspect.low, math.inf, 0.5, direction=0.5) and aspect.low == pytest.approx(0.5)
     assert mask == rules.covering(1)
 
 

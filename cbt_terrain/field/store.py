@@ -321,7 +321,7 @@ class Draft:
         part.write_text(self._checked_text(content), encoding="utf-8")
         check_version(self.path, part)
         previous = named_folder(self.path)
-        with open_folder(self.path) as store, store.open(self.folder.name) as arrays:
+        with open_folder(self.path) as store, store.open_inner(self.folder.name) as arrays:
             store.replace(JSON_NAME, arrays, JSON_NAME)
         self.published = True
         partial_files.end_work(self.folder, self._lock)

@@ -3,6 +3,8 @@
 
 from pathlib import Path
 
+from ..run.named_file import open_regular
+
 # First bytes of files, and their kinds.
 CONTENTS = (
     (b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"), (b"II*\0", "TIFF"), (b"MM\0*", "TIFF"), (b"II+\0", "BigTIFF"),
@@ -49,7 +51,7 @@ def float_alpha(dataset, band: int) -> int:
 def content_hint(path: Path, driver: str) -> str:
     """Return what is expected of a file that cannot be read, with what it seems to be."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path, links=True) as file:
             head = file.read(16)
     except OSError:
         head = b""

@@ -5,12 +5,11 @@ import re
 from pathlib import Path
 
 from ..errors import TerrainError, shown
+from ..run.named_file import open_regular
 
 HEADER_DRIVER = "EHdr"
 RAW_WITHOUT_HEADER = (".bil", ".bip", ".bsq", ".flt")
 HEADER_SUFFIXES = (*RAW_WITHOUT_HEADER, ".dem")  # a .dem without one is most often a text of the USGS
-# Files beside the samples that GDAL's driver opens.
-BESIDE = (".hdr", ".prj", ".stx", ".clr")
 MAX_HEADER_BYTES = 1 << 20
 
 
@@ -37,18 +36,14 @@ def headless_warning(path: Path) -> str:
 
 
 def check_header(path: Path) -> None:
-    """Refuse a header that GDAL does not read and what lies beside a file without being a file. Raises TerrainError."""
-    for suffix in BESIDE:
-        beside = path.with_suffix(suffix)
-        if beside.exists() and not beside.is_file():
-            raise TerrainError(f"{shown(beside)} is not a regular file: expected what belongs to {shown(path.name)}.")
+    """Refuse a missing header, and one that GDAL does not read. Raises TerrainError."""
     header = header_of(path)
     if header is None:
         raise TerrainError(
             f"{shown(path)} has no header {shown(path.with_suffix('.hdr').name)} beside it: put it there, or convert "
             "another kind of file to GeoTIFF (gdal_translate)."
         )
-    with header.open("rb") as file:
+    with open_regular(header, links=True) as file:
         if file.read(4) == b"ENVI":
             raise TerrainError(
                 f"{shown(path)} has a header of ENVI's kind, expected one of ESRI's: write it as a GeoTIFF "
@@ -58,7 +53,7 @@ def check_header(path: Path) -> None:
 
 def check_length(path: Path, dataset) -> None:
     """Refuse a file that is shorter than its header says, since GDAL reads zeros there. Raises TerrainError."""
-    with header_of(path).open("rb") as file:
+    with open_regular(header_of(path), links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)
     bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 0)) or 8 * _item_size(dataset)

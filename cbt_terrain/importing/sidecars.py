@@ -12,23 +12,12 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ..errors import TerrainError, shown
+from ..run.named_file import open_regular
 
 AUX = ".aux.xml"
 SUFFIXES = (
-    ".prj",
-    ".tfw",
-    ".tifw",
-    ".tiffw",
-    ".pgw",
-    ".pngw",
-    ".wld",
-    ".tab",
-    AUX,
-    ".hdr",
-    ".stx",
-    ".clr",
-    ".ovr",
-    ".msk",
+    *(".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX),
+    *(".hdr", ".stx", ".clr", ".ovr", ".msk"),
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 # A code or WKT: what else GDAL takes for a coordinate system may name a file.
@@ -36,21 +25,13 @@ _SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)
 
 
 def sidecars(path: Path) -> list[Path]:
-    """Return the files beside a raster that may belong to it, whatever the case of their suffix.
-
-    Raises TerrainError for one that is no regular file, because GDAL would wait for what it holds.
-    """
+    """Return the files beside a raster that may belong to it, whatever the case of their suffix."""
     stem, name = path.stem.lower(), path.name.lower()
     wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
     try:
         found = [path.with_name(other) for other in sorted(os.listdir(path.parent)) if other.lower() in wanted]
     except OSError:  # a folder that may be entered but not listed
         found = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
-    for file in found:
-        if not file.is_file() and not file.is_dir() and file.exists():
-            raise TerrainError(
-                f"{shown(file)}, which belongs to {shown(path)} by its name, is not a regular file: remove it."
-            )
     return [file for file in found if file.is_file()]
 
 
@@ -120,7 +101,7 @@ def named_crs(path: Path, notes: list[str]):
 def _content(file: Path) -> bytes:
     """Return what a sidecar holds. Raises TerrainError for one that is too large or cannot be read."""
     try:
-        with file.open("rb") as opened:
+        with open_regular(file, links=True) as opened:
             content = opened.read(MAX_BYTES + 1)
     except OSError as reason:
         cause = reason.strerror or reason

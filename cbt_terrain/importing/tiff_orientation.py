@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 from ..field.georeference import Georeference
+from ..run.named_file import open_regular
 
 ORIENTATION, SHORT = 274, 3
 MAX_TAGS = 4096  # of a file's first directory that are looked at
@@ -13,7 +14,7 @@ MAX_TAGS = 4096  # of a file's first directory that are looked at
 
 def orientation_of(path: Path) -> int:
     """Return the orientation of a TIFF's first picture, 1 to 8; 1 where the file does not tell."""
-    with path.open("rb") as file:
+    with open_regular(path, links=True) as file:
         head = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2])
         if order is None or len(head) < 16:

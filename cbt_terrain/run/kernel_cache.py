@@ -17,10 +17,12 @@ import warp as wp
 
 from ...kernels import has_temporary_cache, use_temporary_cache
 from ..errors import TerrainError, shown
+from .named_file import read_regular
 
 CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
 ROOM_BYTES = 4 << 20  # the largest module takes 0.7 MB: its source and its object
 CHECKSUM = ".checksum"
+MAX_OBJECT_BYTES = 1 << 28
 
 
 def load(name: str) -> None:
@@ -116,7 +118,7 @@ def _publish(built: Path, file: Path) -> None:
 def _is_whole(file: Path) -> bool:
     """Return whether an object and its description are those that were compiled."""
     try:
-        return file.with_suffix(CHECKSUM).read_text() == _checksum(file)
+        return read_regular(file.with_suffix(CHECKSUM), 100).decode("ascii") == _checksum(file)
     except (OSError, ValueError):
         return False
 
@@ -124,4 +126,5 @@ def _is_whole(file: Path) -> bool:
 def _checksum(file: Path) -> str:
     """Return the checksum of an object and of the description that Warp reads with it. Raises OSError."""
     description = file.with_name(f"{file.parent.name}.meta")
-    return hashlib.blake2b(file.read_bytes() + description.read_bytes(), digest_size=16).hexdigest()
+    content = read_regular(file, MAX_OBJECT_BYTES) + read_regular(description, MAX_OBJECT_BYTES)
+    return hashlib.blake2b(content, digest_size=16).hexdigest()

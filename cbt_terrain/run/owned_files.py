@@ -75,7 +75,7 @@ class OpenFolder(NamedTuple):
             os.close(listing)
 
     @contextmanager
-    def open(self, name: str, make: bool = False) -> Iterator["OpenFolder"]:
+    def open_inner(self, name: str, make: bool = False) -> Iterator["OpenFolder"]:
         """Open a real folder in this one. Raises as `open_folder`."""
         inner = _open_below(self, name, make)
         try:
@@ -253,7 +253,7 @@ def remove_tree(
     path = Path(path)
     try:
         with open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
-            with above.open(path.name) as folder:
+            with above.open_inner(path.name) as folder:
                 names = folder.entries()
                 for name in names if may_remove else ():
                     _check_removable(folder, name, may_remove)
@@ -284,7 +284,7 @@ def _remove_entry(folder: OpenFolder, name: str) -> None:
         if not stat.S_ISDIR(found.st_mode) or is_link(found):
             os.unlink(**folder.at(name))
             return
-        with folder.open(name) as inner:
+        with folder.open_inner(name) as inner:
             for entry in inner.entries():
                 _remove_entry(inner, entry)
         os.rmdir(**folder.at(name))

@@ -153,7 +153,7 @@ def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int
         except FileExistsError:
             if not may_exist:
                 raise
-        with above.open(folder.name) as inner:
+        with above.open_inner(folder.name) as inner:
             return os.open(**inner.at(LOCK), flags=os.O_RDWR | os.O_CREAT | NO_LINK, mode=0o600)
 
 

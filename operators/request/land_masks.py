@@ -59,7 +59,7 @@ def read(file: str) -> np.ndarray:
     """Read a mask that `_written` wrote, float32 [rows, columns], row 0 north. Raises TerrainError."""
     try:
         with open_regular(Path(file)) as handle:
-            found = np.load(handle, allow_pickle=False)
+            found = np.lib.format.read_array(handle, allow_pickle=False)
         if found.ndim != 2 or found.dtype != np.float32 or not np.isfinite(found).all():
             raise ValueError("expected finite float32 in rows and columns")
     except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as reason:

@@ -52,7 +52,8 @@ def fly(field, flights, threads: int) -> None:
 
 def main() -> None:
     faulthandler.enable()
-    buffers.np = SimpleNamespace(empty=guarded)
+    like = {"empty": guarded, "empty_like": lambda array: guarded(array.shape, array.dtype)}
+    buffers.np = SimpleNamespace(**vars(np) | like)
     launch.SLICE_ITEMS = 2
     for shape in ((65, 65), (33, 97)):  # one square; three, and a spare one
         field = rough(*shape, relief=20.0)

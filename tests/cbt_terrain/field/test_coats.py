@@ -241,7 +241,7 @@ def test_the_measurement_sees_what_numpy_sees():
 
 
 def test_what_cannot_be_is_refused_in_a_sentence():
-    with pytest.raises(TerrainError, match="The detail's tile is 0; expected 0.001 .. 1e\\+06 metres"):
+    with pytest.raises(TerrainError, match="The detail's tile is 0.0; expected 0.001 .. 1e\\+06 metres"):
         Tiled(0.1, 0, IMAGES["smooth"])
     with pytest.raises(TerrainError, match="image has 4,196,352 pixels; expected 4,194,304 at most"):
         Tiled(0.1, 1.0, Painted(np.zeros((2049, 2048), np.float32)))

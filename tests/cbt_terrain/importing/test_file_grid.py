@@ -205,11 +205,16 @@ def test_control_points_of_a_straight_grid_are_used(tmp_path, name, places):
     assert sorted(report["step_m"]) == pytest.approx([10.0, 20.0])
 
 
+def without_relief(warnings):
+    """Return the warnings less the one about heights that are large for a raster of 1 m a sample."""
+    return [warning for warning in warnings if not warning.startswith("The relief, ")]
+
+
 @pytest.mark.parametrize("places, off", [(CORNERS, 5.0), (CORNERS[:1], 0.0), (((0, 0), (1, 1), (2, 2)), 0.0)])
 def test_other_control_points_are_warned_about(tmp_path, places, off):
     source = control_points(tmp_path, ALIGNED["north up"], places, off)
     field, report = imported(tmp_path, source)
-    [warning] = report["warnings"]
+    [warning] = without_relief(report["warnings"])
     assert "ground control point" in warning and "--extent" in warning and "gdalwarp -tps" in warning
     assert report["step_m"] == [1.0, 1.0] and report["crs"] == "" and slopes_sign(field) == (1, 1)
     assert imported(tmp_path, source, extent=(60.0, 80.0))[1]["warnings"] == []
@@ -230,7 +235,7 @@ def test_a_system_without_a_geotransform_has_no_size(tmp_path):
     with rasterio.open(tmp_path / "a.tif", "w", **shape, crs=UTM) as file:
         file.write(sampled_plane(ALIGNED["north up"]), 1)
     field, report = imported(tmp_path, tmp_path / "a.tif")
-    [warning] = report["warnings"]
+    [warning] = without_relief(report["warnings"])
     assert "EPSG:32632, but not the position of its samples" in warning and "--extent" in warning
     assert report["crs"] == "" and slopes_sign(field) == (1, 1) and placing_in(field, tmp_path) == Placing()
     assert imported(tmp_path, tmp_path / "a.tif", extent=(60.0, 80.0))[1]["warnings"] == []
@@ -249,7 +254,7 @@ def test_rational_polynomials_are_warned_about(tmp_path):
         polynomials[name] = " ".join(["1", *["0"] * 19])
     with rasterio.open(source, "r+") as file:
         file.update_tags(ns="RPC", **polynomials)
-    [warning] = imported(tmp_path, source)[1]["warnings"]
+    [warning] = without_relief(imported(tmp_path, source)[1]["warnings"])
     assert "rational polynomials" in warning and "gdalwarp -rpc" in warning
 
 

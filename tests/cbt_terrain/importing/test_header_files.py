@@ -93,7 +93,7 @@ def test_files_that_differ_from_their_header_are_refused(tmp_path):
 def test_what_lies_beside_must_be_files(tmp_path):
     source = write_header_file(tmp_path / "a.bil", hills().astype(np.int16))
     os.mkfifo(tmp_path / "a.clr")
-    with pytest.raises(TerrainError, match="a.clr is not a regular file"):
+    with pytest.raises(TerrainError, match="a.clr, beside a.bil, is a pipe, a socket or a device"):
         imported(tmp_path, source)
 
 

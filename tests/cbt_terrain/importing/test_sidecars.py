@@ -96,7 +96,8 @@ def test_a_harmful_aux_file_is_not_read_but_warned_about(tmp_path, name):
     content, problem = HARMFUL[name]
     source = bare(tmp_path, "a.tif")
     (tmp_path / "a.tif.aux.xml").write_text(content)
-    [warning] = imported(tmp_path, source)[1]["warnings"]
+    warnings = imported(tmp_path, source)[1]["warnings"]
+    [warning] = [warning for warning in warnings if not warning.startswith("The relief, ")]
     assert problem in warning and "a.tif.aux.xml is not read" in warning and warning.endswith("is missing.")
 
 
@@ -146,5 +147,5 @@ def test_sidecars_are_found_in_any_case_and_count(tmp_path):
 def test_a_pipe_beside_a_raster_is_refused_at_once(tmp_path, name):
     source = bare(tmp_path, "a.tif")
     os.mkfifo(tmp_path / name)
-    with pytest.raises(TerrainError, match=f"{name}, which belongs to .* is not a regular file: remove it"):
+    with pytest.raises(TerrainError, match=f"{name}, beside a.tif, is a pipe, a socket or a device"):
         open_source(ImportSettings(str(source)))

@@ -66,13 +66,13 @@ def test_what_is_no_tree_of_the_field_is_refused_and_the_last_mesh_stays():
         assert arrays(terrain.update(Criterion(error_px=2.0), VIEWS[:1]).surface) == before
 
 
-@pytest.mark.parametrize("damage", [{"meshlet": 1.0}, {"meshlet": "1"}, {"meshlet": None}, {"vertical_scale": "x"}])
+@pytest.mark.parametrize("damage", [{"meshlet": 1.5}, {"meshlet": "1"}, {"meshlet": None}, {"vertical_scale": "x"}])
 def test_damaged_arguments_of_an_exported_tree_are_refused(damage):
     """They come from the JSON of a file."""
     terrain = Terrain(rough(17, 17), 1)
     terrain.update(Criterion(error_px=2.0), VIEWS[:1])
     tree, arguments = terrain.saved()
-    with pytest.raises(TerrainError, match="expected a whole number and two numbers"):
+    with pytest.raises(TerrainError, match="expected a (whole )?number"):
         terrain.restore(tree, **arguments | damage)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.importing.sidecars import sidecars
 from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_request import read_as_images
@@ -104,7 +105,7 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[P
                     f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}; import it "
                     "again, or choose where they are."
                 )
-            height_maps.append(source.resolve())
+            height_maps += [path.resolve() for path in (source, *sidecars(source))]
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []

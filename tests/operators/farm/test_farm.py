@@ -120,6 +120,7 @@ def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, caps
         image.save()
     image.source, image.filepath, image.use_fake_user = "TILED", str(tmp_path / "rock.<UDIM>.png"), True
     bpy.data.objects["Hills"].adaptive_terrain.land.entries.add()
+    (shot.parent / "dunes.prj").write_text("")
     bpy.ops.wm.save_mainfile()
     out = tmp_path / "out"
     frames = "--frames", "3,9,1-2", "--chunk", "3", "--format", "npz,glb"
@@ -129,7 +130,7 @@ def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, caps
     template, values, assets = read(out)
     folder = shot.parent
     assert set(assets["inputs"]["filenames"]) >= {
-        *(str(folder / name) for name in ("shot.blend", "dunes.npy")),
+        *(str(folder / name) for name in ("shot.blend", "dunes.npy", "dunes.prj")),
         *(str(tmp_path / f"rock.{number}.png") for number in (1001, 1002)),
     }
     assert assets["inputs"]["directories"] == [str(folder / "hills")]

@@ -18,11 +18,11 @@ SUICIDE = """
 import os, signal, sys
 from adaptive_terrain.operators.cli.command_line import main
 replace, calls, (when, at) = os.replace, [0], sys.argv[1:3]
-def counted(*arguments):
+def counted(*arguments, **folders):
     calls[0] += 1
     if when == "before" and calls[0] == int(at):
         os.kill(os.getpid(), signal.SIGKILL)
-    replace(*arguments)
+    replace(*arguments, **folders)
     if when == "after" and calls[0] == int(at):
         os.kill(os.getpid(), signal.SIGKILL)
 os.replace = counted

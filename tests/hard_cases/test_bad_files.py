@@ -254,7 +254,7 @@ def test_case_20_a_full_disk(tmp_path, monkeypatch):
             imported(tmp_path, "island", size=257)
         assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
 
-    def full(*_args):
+    def full(*_args, **_folders):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:

@@ -135,7 +135,7 @@ def without_times(value):
     """JSON without what differs from run to run; sizes of .blend files do."""
     if not isinstance(value, dict):
         return [without_times(v) for v in value] if isinstance(value, list) else value
-    drop = ("ms", "elapsed_ms", "seconds", "data", "sum")  # the last is of all entries, those times too
+    drop = ("ms", "elapsed_ms", "seconds", "data", "sum", "checksum")  # the last two are of all entries, times too
     return {k: without_times(v) for k, v in value.items() if k not in drop and not k.endswith(".blend")}
 
 

@@ -12,7 +12,6 @@ import io
 import json
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
@@ -27,7 +26,7 @@ from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.run import buffers, launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.cli.command_line import main as command_line
-from guarded_flights import guarded
+from guarded_flights import guarded_numpy
 from invariants import assert_invariants
 from mutants import mutate
 
@@ -127,7 +126,7 @@ def export(store: Path, out: Path, path: Path) -> str:
 
 def main(folder: Path, seed: int, count: int) -> None:
     faulthandler.enable()
-    buffers.np = SimpleNamespace(empty=guarded)
+    buffers.np = guarded_numpy()
     launch.SLICE_ITEMS = 200  # so that small meshes are welded in slices, too
     stores, outcomes = whole_stores(folder), collections.Counter()
     flight, mutant, exported = folder / "flight.json", folder / f"mutant{seed}", folder / f"out{seed}"

@@ -41,6 +41,13 @@ def guarded(shape, dtype) -> np.ndarray:
     return array.view(dtype).reshape(shape)
 
 
+def guarded_numpy() -> SimpleNamespace:
+    """Return numpy with guarded arrays where it makes new ones."""
+    return SimpleNamespace(
+        **vars(np) | {"empty": guarded, "empty_like": lambda array: guarded(array.shape, array.dtype)}
+    )
+
+
 def fly(field, flights, threads: int) -> None:
     """One update after the other: each mesh is the one that a new terrain with one thread makes."""
     terrain = Terrain(field, threads)
@@ -52,8 +59,7 @@ def fly(field, flights, threads: int) -> None:
 
 def main() -> None:
     faulthandler.enable()
-    like = {"empty": guarded, "empty_like": lambda array: guarded(array.shape, array.dtype)}
-    buffers.np = SimpleNamespace(**vars(np) | like)
+    buffers.np = guarded_numpy()
     launch.SLICE_ITEMS = 2
     for shape in ((65, 65), (33, 97)):  # one square; three, and a spare one
         field = rough(*shape, relief=20.0)

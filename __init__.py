@@ -9,7 +9,7 @@ so that the engine runs, tests and benchmarks without Blender. Most programs nee
 They are imported when they are first used, so that Blender starts as fast as without them. `examples/` uses each.
 """
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 # Name -> the module that it is from.
 _FRONT_DOOR = {

@@ -95,7 +95,7 @@ class Terrain:
         self.field = field
         self.threads = launch.checked_threads(threads)
         self._whole = whole
-        self._lock = SharedLock()
+        self._lock, self._is_busy = SharedLock(), False
         self._begin()
 
     def _begin(self) -> None:
@@ -116,8 +116,17 @@ class Terrain:
         with self._lock:
             if self._lock.broken:
                 self._begin()
-                self._lock.broken = False
-            yield
+                self._lock.broken = self._is_busy = False
+            if self._is_busy:
+                raise TerrainError(
+                    "The terrain is being updated on this thread, where a signal or a callback interrupted it; "
+                    "expected one call after the other: call it later."
+                )
+            self._is_busy = True
+            try:
+                yield
+            finally:
+                self._is_busy = False
 
     def __repr__(self) -> str:
         lattice = self.field.lattice

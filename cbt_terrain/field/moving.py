@@ -17,7 +17,17 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from ..run import partial_files
-from ..run.owned_files import LAND, MAPS, open_folder, remove_empty, remove_file, remove_tree
+from ..run.owned_files import (
+    LAND,
+    MAPS,
+    check_folder,
+    check_no_link,
+    is_real_folder,
+    open_folder,
+    remove_empty,
+    remove_file,
+    remove_tree,
+)
 from . import store_folder
 
 BESIDE = LAND, MAPS
@@ -44,7 +54,7 @@ def move_stores(old: Path, new: Path) -> MovedStores:
         try:
             with open_folder(new, make=True, may_be_link=True):  # the user may have put it on another disk
                 _move_with_folders(old / name, new, moved)
-        except (OSError, TerrainError) as reason:
+        except (OSError, TerrainError, RecursionError) as reason:
             moved.failures.append(f"{old / name}: {getattr(reason, 'strerror', None) or reason}")
     _remove_if_empty(old)
     return moved
@@ -79,8 +89,11 @@ def _move_to(source: Path, target: Path) -> bool:
 
 def _merge(source: Path, target: Path) -> None:
     """Move a folder of shaped land or maps into one that may exist. Of entries with the same name the one in the target
-    stays in use: names stand for content there."""
+    stays in use: names stand for content there. Raises NotOursError where one of both is a link."""
+    for folder in (source, target):
+        check_no_link(folder, "start Blender again")
     if not _move_to(source, target):
+        check_folder(target)
         for name in sorted(os.listdir(source)):
             _move_to(source / name, target / name)
         _remove_if_empty(source)
@@ -114,6 +127,7 @@ def find_moved(path: str, new: Path) -> str:
 def move_entry(source: Path, target: Path) -> None:
     """Move a file or a folder to a path that is free, of another file system too. Raises OSError or
     TerrainError; nothing is lost."""
+    check_no_link(source, "start Blender again")
     if os.lstat(source).st_dev == os.stat(target.parent).st_dev:
         os.rename(source, target)
         return
@@ -126,8 +140,6 @@ def copy_entry(source: Path, target: Path) -> None:
     TerrainError."""
     with partial_files.private_folder(target.parent) as private:
         copy = private / target.name
-        if source.is_symlink():
-            raise OSError("it is a link, expected a file or a folder")
         shutil.copytree(source, copy, True, copy_function=_copy_file) if source.is_dir() else _copy_file(source, copy)
         if not are_equal(source, copy):
             raise OSError(f"its copy in {target.parent} differs")
@@ -158,7 +170,7 @@ def _remove(entry: Path) -> None:
     hidden = entry.with_name(f"{partial_files.PREFIX}{partial_files.new_token()}")
     os.rename(entry, hidden)
     with suppress(OSError, TerrainError):
-        remove_tree(hidden) if hidden.is_dir() else remove_file(hidden)
+        remove_tree(hidden) if is_real_folder(hidden) else remove_file(hidden)
 
 
 def _remove_if_empty(folder: Path) -> None:

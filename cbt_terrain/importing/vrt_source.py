@@ -16,6 +16,7 @@ from xml.parsers import expat
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
+from ..run.owned_files import real_path
 
 MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
 MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
@@ -97,7 +98,7 @@ def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
 
 def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
     """Read one VRT and those inside it into `mosaic`; returns its number. outer: those that it is in."""
-    real = path.resolve()
+    real = real_path(path)
     if real in outer:
         raise TerrainError(f"{shown(path)} is a VRT that contains itself: expected sources that hold samples.")
     if len(outer) > MAX_NESTED:

@@ -33,6 +33,7 @@ from typing import NamedTuple
 from ..errors import TerrainError, shown
 
 LAND = "_land"  # ends the name of the folder beside a store that holds its shaped land
+MAX_DEPTH = 64  # folders inside each other; the program makes three
 MAPS = "_maps"  # ends the name of the folder beside a store that holds its baked maps
 _DERIVED = re.compile(r"tiles|masks|data-[0-9a-f]{32}|\.partial-[0-9a-f]{32}|[0-9a-f]{16}(_views)?")
 _BY_DESCRIPTOR = {os.open, os.mkdir, os.unlink, os.rmdir, os.stat, os.rename} <= os.supports_dir_fd
@@ -160,6 +161,11 @@ def is_link(found: os.stat_result) -> bool:
     return stat.S_ISLNK(found.st_mode) or bool(getattr(found, "st_file_attributes", 0) & _REPARSE_POINT)
 
 
+def real_path(path: str | os.PathLike) -> Path:
+    """Return an absolute path without links. Links that lead to themselves stay, where `Path.resolve` would raise."""
+    return Path(os.path.realpath(path))
+
+
 def is_real_folder(path: str | os.PathLike) -> bool:
     """Return whether a path is a folder and no link."""
     try:
@@ -277,8 +283,13 @@ def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, b
         )
 
 
-def _remove_entry(folder: OpenFolder, name: str) -> None:
+def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
     """Remove an entry; of a link, the link alone. What another process removes meanwhile is no error."""
+    if depth > MAX_DEPTH:
+        raise NotOursError(
+            f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep; expected only files that Adaptive "
+            "Terrain made: move it away and try again."
+        )
     with suppress(FileNotFoundError):
         found = os.stat(**folder.at(name), follow_symlinks=False)
         if not stat.S_ISDIR(found.st_mode) or is_link(found):
@@ -286,7 +297,7 @@ def _remove_entry(folder: OpenFolder, name: str) -> None:
             return
         with folder.open_inner(name) as inner:
             for entry in inner.entries():
-                _remove_entry(inner, entry)
+                _remove_entry(inner, entry, depth + 1)
         os.rmdir(**folder.at(name))
 
 

@@ -12,7 +12,7 @@ from ...cbt_terrain.field.store import JSON_NAME as STORE_JSON
 from ...cbt_terrain.importing import sidecars
 from ...cbt_terrain.importing.raster import EXR_SUFFIX, PLACED_SUFFIXES, RAW_SUFFIXES
 from ...cbt_terrain.maps.folder import JSON_NAME as MAPS_JSON
-from ...cbt_terrain.run.owned_files import LAND
+from ...cbt_terrain.run.owned_files import LAND, real_path
 
 HEIGHT_MAP_SUFFIXES = {*PLACED_SUFFIXES, *RAW_SUFFIXES, EXR_SUFFIX, ".npy"}
 HEIGHT_MAP_SUFFIXES |= {Path(f"name{suffix}").suffix for suffix in sidecars.SUFFIXES}
@@ -27,12 +27,12 @@ def check_outside(
     Images, height maps, stores, shaped land and baked maps may be there. Raises TerrainError for anything else, unless
     all is `allowed`. A file counts by its own suffix, not by the suffix of a link to it.
     """
-    home = home.resolve()
-    known = [folder.resolve() for folder in folders if _is_terrain_folder(folder)]
+    home = real_path(home)
+    known = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
     links = [link for folder in known for link in _links_in(folder)]
-    paths = dict.fromkeys(path.resolve() for path in (*files, *folders, *links))
+    paths = dict.fromkeys(real_path(path) for path in (*files, *folders, *links))
     outside = [path for path in paths if not path.is_relative_to(home)]
-    height_maps = {path.resolve() for path in height_maps}
+    height_maps = {real_path(path) for path in height_maps}
     refused = [
         path
         for path in outside

@@ -10,7 +10,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.importing.sidecars import sidecars
-from ...cbt_terrain.run.owned_files import check_folder
+from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_request import read_as_images
 from ..importing.import_terrain import settings_of
@@ -50,13 +50,13 @@ def submit(
     """
     from ... import __version__
 
-    blend, out = Path(bpy.data.filepath).resolve(), Path(out).resolve()
+    blend, out = real_path(bpy.data.filepath), real_path(out)
     frames = frames or frames_of(scene)
-    files = list(dict.fromkeys(path.resolve() for path in scene_files(frames) if path.is_file()))
+    files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if path.is_file()))
     height_maps, folders, made, notes = [], [], [], []
     for obj in objects:
         _add_terrain(obj, height_maps, folders, made)
-        if not store_of(obj).resolve().is_relative_to(blend.parent):
+        if not real_path(store_of(obj)).is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
         notes.append(f"{len(outside):,} from outside the scene's folder go with the job: {named_some(outside)}")
@@ -105,7 +105,7 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[P
                     f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}; import it "
                     "again, or choose where they are."
                 )
-            height_maps += [path.resolve() for path in (source, *sidecars(source))]
+            height_maps += [real_path(path) for path in (source, *sidecars(source))]
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
@@ -133,7 +133,7 @@ def _zip_path(extension: str, out: Path) -> Path:
     if extension != INSTALLED:
         if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # a pipe would be waited for
             raise TerrainError(f"{extension} is no zip; expected the extension's, or {INSTALLED!r}.")
-        return Path(extension).resolve()
+        return real_path(extension)
     if not (PACKAGE / "wheels").is_dir():
         raise TerrainError(
             "This extension is not installed from a zip, so there is none to go with the job: name one "

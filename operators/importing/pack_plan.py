@@ -14,7 +14,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.moving import copy_entry
 from ...cbt_terrain.field.packing import copy_store
-from ...cbt_terrain.run.owned_files import MAPS, open_folder
+from ...cbt_terrain.run.owned_files import MAPS, open_folder, real_path
 from ..properties.map_properties import map_folder
 from ..properties.scene_paths import absolute_path
 from ..request import land_request, land_tiles
@@ -76,14 +76,14 @@ def plan(objects: list) -> PackPlan:
     """Plan the copies for terrains whose stores are elsewhere. Raises TerrainError."""
     planned = PackPlan()
     for obj in objects:
-        folder = Path(absolute_path(obj.adaptive_terrain.store)).resolve()
+        folder = real_path(absolute_path(obj.adaptive_terrain.store))
         content = stores.read_json(folder)
         if str(folder) not in planned.stores:
             taken = {target for target, _ in planned.stores.values()}
             planned.stores[str(folder)] = _target(obj, folder, content, taken), []
         target, uids = planned.stores[str(folder)]
         uids.append(obj.session_uid)
-        if Path(absolute_path(target)).resolve() != folder:
+        if real_path(absolute_path(target)) != folder:
             planned.lands |= _lands_of(obj, target)
             planned.maps |= _maps_of(obj, target)
     return planned
@@ -106,7 +106,7 @@ def _lands_of(obj, target: str) -> dict[str, str]:
 
 def _maps_of(obj, target: str) -> dict[str, str]:
     """Return the folder of a terrain's maps if it is beside its store, with the new one beside the store `target`."""
-    maps, folder = obj.adaptive_terrain.maps, map_folder(obj).resolve()
+    maps, folder = obj.adaptive_terrain.maps, real_path(map_folder(obj))
     if maps.folder or not maps.mark or not folder.is_dir():
         return {}
     store = Path(absolute_path(target))
@@ -115,7 +115,7 @@ def _maps_of(obj, target: str) -> dict[str, str]:
 
 def _target(obj, folder: Path, content: dict, taken: set[str]) -> str:
     """Return the new path of the store in `folder`: a relative path of the same folder if it is beside the file."""
-    if folder.is_relative_to(Path(bpy.data.filepath).resolve().parent):
+    if folder.is_relative_to(real_path(bpy.data.filepath).parent):
         return bpy.path.relpath(str(folder))
     return _free_folder(folder_beside(obj, source_name(obj)), content, taken)
 

@@ -16,6 +16,7 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import PackingCancelled
+from ...cbt_terrain.run.owned_files import real_path
 from ..properties.scene_paths import absolute_path
 from ..scene import land_jobs, session
 from ..viewport import live
@@ -141,7 +142,7 @@ class PackStore(bpy.types.Operator):
     def _show_copied_maps(self) -> None:
         """Let images of maps name the copies."""
         for image in bpy.data.images:
-            path = Path(absolute_path(image.filepath)).resolve()
+            path = real_path(absolute_path(image.filepath))
             if image.filepath and image.library is None and str(path.parent) in self.planned.maps:
                 image.filepath = bpy.path.relpath(str(Path(self.planned.maps[str(path.parent)]) / path.name))
 

@@ -12,6 +12,7 @@ import bpy
 
 from ...cbt_terrain.importing.build_store import source_digest
 from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ..properties.scene_paths import absolute_path
 from ..request.imported import imported_of
 
@@ -41,16 +42,16 @@ def old_folders() -> list[Path]:
 
 def is_shared(store: str) -> bool:
     """Return whether a store is in the data folder or in an earlier version's folder, where other files use it too."""
-    folder = Path(absolute_path(store)).resolve()
-    return any(folder.is_relative_to(other.resolve()) for other in [data_folder(), *old_folders()])
+    folder = real_path(absolute_path(store))
+    return any(folder.is_relative_to(real_path(other)) for other in [data_folder(), *old_folders()])
 
 
 def lies_beside(settings) -> bool:
     """Return whether a terrain's store has a path relative to the .blend file and is in its folder."""
     if not bpy.data.filepath or not settings.store.startswith(RELATIVE):
         return False
-    folder = Path(absolute_path(settings.store)).resolve()
-    return folder.is_relative_to(Path(bpy.data.filepath).resolve().parent)
+    folder = real_path(absolute_path(settings.store))
+    return folder.is_relative_to(real_path(bpy.data.filepath).parent)
 
 
 def can_write_beside() -> bool:
@@ -63,7 +64,8 @@ def can_write_beside() -> bool:
 
 
 def folder_beside(obj, source: str) -> str:
-    """Return the path of a store of `source` beside the saved file."""
+    """Return the path of a store of `source` beside the saved file. Raises NotOursError where `terrain` is a link."""
+    check_folder(Path(bpy.data.filepath).parent / "terrain")
     return f"{RELATIVE}terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
-from ...cbt_terrain.run.owned_files import remove_file
+from ...cbt_terrain.run.owned_files import real_path, remove_file
 from ...cbt_terrain.run.partial_files import (
     final_names,
     is_device,
@@ -274,7 +274,7 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     """
     import bpy
 
-    path = path.resolve()
+    path = real_path(path)
     for piece in pieces:
         _need_count(piece, path, len(piece.obj.data.polygons))
     with named_failures(path), _written_by_blender(path, written_among) as partial, quiet():
@@ -292,7 +292,7 @@ def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
         need_no_shear(piece.obj)
     with named_failures(path), _written_by_blender(path) as partial:
         with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
-            export_selected(str(partial.resolve()), form)
+            export_selected(str(real_path(partial)), form)
         _need_all_written(partial)
         try:
             found = count_triangles(partial)

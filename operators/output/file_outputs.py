@@ -28,6 +28,8 @@ def redirected_outputs(scene, folder: Path) -> Iterator[None]:
     number out of the names while it renders one frame; here they get it, as in a render of all frames.
     """
     nodes = output_nodes(scene)
+    for node in nodes:
+        _need_names_below(node)
     before = [node_folder(node) for node in nodes]
     names = [(node, _names_of(node)) for node in nodes if hasattr(node, "file_name")]
     try:
@@ -109,6 +111,21 @@ def _need_kept(node, wanted, kept) -> None:
         raise TerrainError(
             f"The path or a name of the File Output node {shown(node.name)!r} is too long for Blender with the frame's "
             f"own folder and number; it kept {shown(kept, 100)}: shorten it, or choose another --out."
+        )
+
+
+def _need_names_below(node) -> None:
+    """Raise TerrainError for a name of a file that leads out of the node's folder: nothing would find that file."""
+    if hasattr(node, "base_path"):  # before Blender 5.0
+        names = [slot.path for slot in node.file_slots]
+    else:
+        name, items = _names_of(node)
+        names = [name, *items]
+    wrong = next((name for name in names if ".." in name.replace("\\", "/").split("/")), None)
+    if wrong is not None:
+        raise TerrainError(
+            f"The File Output node {shown(node.name)!r} has the name {shown(wrong)!r}, which leads out of its folder; "
+            "expected a name below it: put the folder into the node's path."
         )
 
 

@@ -22,6 +22,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.named_file import blocks_reader
+from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
 from ..properties.scene_paths import absolute_path
@@ -280,7 +281,7 @@ def open_scene(blend: Path) -> tuple:
         raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(Path(blend).resolve()), load_ui=False)
+            bpy.ops.wm.open_mainfile(filepath=str(real_path(blend)), load_ui=False)
     except RuntimeError as error:
         raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
     check_named_files(blend)

@@ -8,7 +8,6 @@ Nothing here holds a reference to Blender data, which undo and loading invalidat
 import dataclasses
 import threading
 import time
-from pathlib import Path
 
 import bpy
 
@@ -23,6 +22,7 @@ from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
 from ...cbt_terrain.run import launch, warmup
+from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.terrain import Terrain
 from ..demand import kept
 from ..mesh import freed_memory
@@ -257,7 +257,7 @@ def open_field(store: str):
     changed = changed_ns(store)
     if not changed:
         raise TerrainError(f"There is no terrain store at {store!r}: choose its folder under Store, or import again.")
-    key = str(Path(store).resolve()), changed
+    key = str(real_path(store)), changed
     if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:
             del _fields[old]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
@@ -187,3 +188,20 @@ def test_forked_processes_go_on_after_an_update(script):
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, timeout=120)
     assert result.returncode == 0, result.stderr
+
+
+def test_a_call_inside_an_update_is_refused(monkeypatch):
+    """As from a signal handler, on the same thread; the terrain works on afterwards."""
+    terrain = Terrain(hills(), 1)
+    build = terrain._builder.build
+
+    def build_and_call(*arguments):
+        with pytest.raises(TerrainError, match="is being updated on this thread"):
+            terrain.update(FINE, VIEWS[1:2])
+        return build(*arguments)
+
+    monkeypatch.setattr(terrain._builder, "build", build_and_call)
+    found = terrain.update(FINE, VIEWS[:1]).surface
+    monkeypatch.undo()
+    assert digest(found) == digest(Terrain(hills(), 1).update(FINE, VIEWS[:1]).surface)
+    assert terrain.update(FINE, VIEWS[1:2]).changed

@@ -177,3 +177,32 @@ def test_a_path_of_any_old_folder_leads_to_the_new_one(new, path):
 def test_other_paths_lead_nowhere(new, path):
     make(new / "sea", 1)
     assert find_moved(path, new) == ""
+
+
+@pytest.mark.parametrize("linked", ["source", "target", "orphan", "store"])
+def test_links_are_not_followed(old, new, tmp_path, linked):
+    """They stay where they are, their targets keep all files, and other stores are moved."""
+    precious = tmp_path / "precious"
+    (precious / "thesis").mkdir(parents=True)
+    (precious / "mine.txt").write_text("mine")
+    if linked == "source":
+        make(new / "hills_land" / "0123456789abcdef", 2)
+        (old / "hills_land").rename(tmp_path / "away")
+        (old / "hills_land").symlink_to(precious)
+    elif linked == "target":
+        new.mkdir(parents=True)
+        (new / "hills_land").symlink_to(precious)
+    else:
+        (old / ("lost_land" if linked == "orphan" else "linked")).symlink_to(precious)
+    moved = move_stores(old, new)
+    assert sorted(os.listdir(precious)) == ["mine.txt", "thesis"] and (precious / "mine.txt").read_text() == "mine"
+    assert any("is a link" in failure for failure in moved.failures) and "sea" in moved.stores
+    assert open_store(new / "sea").key
+
+
+def test_deep_folders_are_no_traceback(old, new):
+    for top in (old / "hills_maps", new / "hills_maps"):
+        deep = top / "/".join(["a"] * 900)
+        deep.mkdir(parents=True)
+    (new / "hills_maps" / "b").write_text("")
+    assert "sea" in move_stores(old, new).stores

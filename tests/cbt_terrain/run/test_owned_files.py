@@ -211,3 +211,16 @@ def test_a_junction_is_refused(tmp_path, monkeypatch):
         owned_files.remove_tree(tmp_path / "tiles")
     monkeypatch.undo()
     assert content(tmp_path) == {"tiles/a.npy": "mine"}
+
+
+def test_folders_that_are_too_deep_are_refused(tmp_path):
+    (tmp_path / "top" / "/".join(["a"] * 200)).mkdir(parents=True)
+    with pytest.raises(owned_files.NotOursError, match="more than 64 folders deep"):
+        owned_files.remove_tree(tmp_path / "top")
+    assert (tmp_path / "top").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows lets only some users make symbolic links")
+def test_a_link_to_itself_has_a_real_path(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    assert owned_files.real_path(tmp_path / "loop").name == "loop"

@@ -332,6 +332,18 @@ def test_a_path_that_blender_cuts_short_is_refused(shot, tmp_path, capsys):
     assert [path for path in outputs_in(tmp_path / "out") if path.suffix != ".json"] == []
 
 
+def test_a_name_that_leaves_its_folder_is_refused(shot, tmp_path, capsys):
+    node = add_output(bpy.context.scene, "//layers/")
+    if hasattr(node, "directory"):
+        node.file_name = "../escaped_"
+    else:
+        node.file_slots[0].path = "../escaped_"
+    bpy.ops.wm.save_mainfile()
+    assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "1") == 1
+    assert "which leads out of its folder" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("escaped_*"))
+
+
 def test_a_frame_that_is_not_rendered_leaves_no_other_files(shot, tmp_path, capsys):
     hills = bpy.data.objects["Hills"]
     for frame, scale in ((1, 1.0), (2, 0.0)):

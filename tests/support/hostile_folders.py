@@ -52,10 +52,13 @@ def main(folder: str, first: str, count: str) -> None:
             (precious / name).write_text("mine")
         kind = ("land", "scene", "summary", "file")[seed % 4]
         done, arguments, prepare = MUTATIONS[kind](work, scene, rng)
-        before = _contents(work, kind)
+        writable = {work / "out", work / "gift" / "st_land"}
+        if not os.path.lexists(work / "gift" / "st"):
+            writable.add(work / "gift" / "st")  # a verb may import the store again
+        before = _contents(work, kind, writable)
         status, text, seconds = _in_fork(lambda a=arguments, p=prepare: _run(p, a))
         fault = _fault(status, text, seconds)
-        if fault is None and _contents(work, kind) != before:
+        if fault is None and _contents(work, kind, writable) != before:
             fault = "changed files that are not its own"
         if fault is not None:
             sys.exit(f"mutant {seed} ({kind}: {done}; {' '.join(arguments)}): {fault}\n{text[-3000:]}")
@@ -147,11 +150,11 @@ def _scene(work: Path, scene: str, rng: random.Random):
         import bpy
 
         bpy.ops.wm.open_mainfile(filepath=f"{work}/{scene}")
-        obj = bpy.data.objects["T"]
+        obj, camera = bpy.data.objects["T"], bpy.data.objects["C"]
         settings = obj.adaptive_terrain
         for _ in range(rng.choice((1, 2, 4))):
             holder = rng.choice([settings, settings.viewport, settings.render, settings.maps, settings.land.entries[0]])
-            holder = rng.choice([holder, holder, obj, bpy.data.objects["C"], bpy.context.scene.render])
+            holder = rng.choice([holder, holder, obj, camera, bpy.context.scene.render])
             names = [p.identifier for p in holder.bl_rna.properties if not p.is_readonly and p.type in SETTABLE]
             name = rng.choice(names)
             kind = holder.bl_rna.properties[name].type
@@ -263,12 +266,12 @@ def _damage_text(file: Path, rng: random.Random) -> str:
     return f"{file.name} {how}"
 
 
-def _contents(work: Path, kind: str) -> dict:
+def _contents(work: Path, kind: str, writable: set[Path]) -> dict:
     """Return names, kinds, links, bytes and times of all that no verb may change."""
     found = {}
     for folder, folders, files in os.walk(work):
         at = Path(folder)
-        if at in (work / "out", work / "gift" / "st_land"):
+        if at in writable:
             folders.clear()
             if not at.is_symlink():
                 guests = [p for p in at.rglob("guest.txt")]
@@ -276,7 +279,7 @@ def _contents(work: Path, kind: str) -> dict:
                 continue
         for name in (*folders, *files):
             path = at / name
-            if path in (work / "out", work / "gift" / "st_land") and not path.is_symlink():
+            if path in writable and not path.is_symlink():
                 continue  # the verb may make them
             if at == work / "gift" and kind == "scene" and name not in ("heights.npy", "pipe"):
                 continue  # the settings may name new folders there

@@ -68,6 +68,17 @@ def vertical(scale: float, offset: float) -> tuple[float, float]:
 
 def vectors(values, width: int, name: str) -> np.ndarray:
     """Return float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
+    found = rows(values, width, name)
+    finite = np.isfinite(found)
+    if not finite.all():
+        at = int(np.argmin(finite.all(axis=1)))
+        wrong = ", ".join(f"{value:g}" for value in found[at])
+        raise TerrainError(f"Number {at} of the {name} is ({wrong}); expected finite metres: correct or leave it out.")
+    return found
+
+
+def rows(values, width: int, name: str) -> np.ndarray:
+    """Return float64 [n, width], contiguous; numbers need not be finite. Raises TerrainError for another shape."""
     try:
         values = list(values) if isinstance(values, Iterator) else values
         found = np.ascontiguousarray(values, np.float64)
@@ -77,9 +88,4 @@ def vectors(values, width: int, name: str) -> np.ndarray:
         found = found.reshape(-1, width)
     if found.ndim != 2 or found.shape[1] != width:
         raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] metres.")
-    finite = np.isfinite(found)
-    if not finite.all():
-        at = int(np.argmin(finite.all(axis=1)))
-        wrong = ", ".join(f"{value:g}" for value in found[at])
-        raise TerrainError(f"Number {at} of the {name} is ({wrong}); expected finite metres: correct or leave it out.")
     return found

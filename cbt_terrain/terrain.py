@@ -20,7 +20,7 @@ from .mesh.builder import SurfaceBuilder, TornMesh
 from .mesh.pieces import Pieces, middles
 from .mesh.rising import Rising
 from .mesh.surface import Surface
-from .plain_numbers import plain_number, vertical
+from .plain_numbers import plain_number, rows, vertical
 from .refine.contract import (
     MARGIN,
     Outcome,
@@ -241,7 +241,7 @@ class Terrain:
         places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where triangles
         were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
         """
-        places = np.asarray(places, np.float64).reshape(-1, 2)
+        places = rows(places, 2, "places")
         with self._alone():
             self._need_update()
             surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -74,9 +74,14 @@ def _build(
     """Build the height field of a raster in the arrays of a draft; returns it and what was found in its values."""
     steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
     heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
-    check = ValueCheck(np.dtype(raster.stored))
+    check, begin = ValueCheck(np.dtype(raster.stored)), 0.0
+    if raster.original is not None:  # marks of missing samples are mixed with heights where it was resampled
+        begin = 0.1
+        for share, rows in _blocks(raster.original):
+            check.add(rows)
+            on_progress(begin * share, READING)
     missing, source_max = _read_heights(
-        raster, settings, place, heights, check, lambda f: on_progress(0.5 * f, READING)
+        raster, settings, place, heights, check, lambda f: on_progress(begin + (0.5 - begin) * f, READING)
     )
     field = build(
         heights,
@@ -181,6 +186,14 @@ def _keep_steps(field: HeightField, draft: store.Draft, steps: codes.Steps) -> N
     draft.rename("raster", "samples")
 
 
+def _blocks(raster: Raster) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield the rows of a raster in blocks, each with the share of the raster that was read by then."""
+    rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
+    for first in range(0, raster.height, rows_at_once):
+        rows = raster.read(first, min(rows_at_once, raster.height - first))
+        yield (first + len(rows)) / raster.height, rows
+
+
 def _read_heights(
     raster: Raster,
     settings: ImportSettings,
@@ -190,15 +203,13 @@ def _read_heights(
     on_progress,
 ) -> tuple[int, float]:
     """Fill `heights` (row 0 south) from the raster; returns the number of missing ones and the metres by which the
-    source's own rounding may have moved the others. `check` gets all values as the source has them."""
-    rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
+    source's own rounding may have moved the others. `check` gets all values of a raster that was not resampled."""
     scale, offset = _scaling(raster, settings)
-    missing, largest, converted = 0, 0.0, 0.0
+    first, missing, largest, converted = 0, 0, 0.0, 0.0
     in_file_order = place.in_file_order(heights)
-    for first in range(0, raster.height, rows_at_once):
-        count = min(rows_at_once, raster.height - first)
-        rows = raster.read(first, count)
-        check.add(rows)
+    for share, rows in _blocks(raster):
+        if raster.original is None:
+            check.add(rows)
         if scale != 1.0 or offset != 0.0:
             with np.errstate(over="ignore", invalid="ignore"):
                 rows = rows.astype(np.float64) * scale + offset
@@ -212,7 +223,8 @@ def _read_heights(
             if not np.can_cast(exact.dtype, np.float32):
                 converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
         in_file_order[first : first + len(rows)] = rows
-        on_progress((first + count) / raster.height)
+        first += len(rows)
+        on_progress(share)
     source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
     return missing, source_max
 

@@ -109,31 +109,34 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
-    read_from, masked, no_data, projected_from, alpha = dataset, False, None, "", 0
+    flags, no_data = dataset.mask_flag_enums[band - 1], settings.no_data
+    masked = no_data is None and MaskFlags.all_valid not in flags
+    alpha = float_alpha(dataset, band) if no_data is None else 0
+    own = Raster(
+        width=dataset.width,
+        height=dataset.height,
+        read=_reader(path, dataset, band, masked, no_data, alpha),
+        block_rows=dataset.block_shapes[band - 1][0],
+        stored=str(stored),
+        format=driver,
+    )
+    view, projected_from = None, ""
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
         from .reproject import reprojected
 
         projected_from = grid.name if settings.project else "a sheared grid"
-        read_from, grid = reprojected(path, dataset, grid, stored, settings)
+        view, grid = reprojected(path, dataset, grid, stored, settings)
         if not settings.project:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
         if float_alpha(dataset, band):
             notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
-    else:
-        flags = dataset.mask_flag_enums[band - 1]
-        masked, no_data = settings.no_data is None and MaskFlags.all_valid not in flags, settings.no_data
-        alpha = float_alpha(dataset, band) if settings.no_data is None else 0
-    georeference = _georeference(grid, read_from.width, read_from.height, settings)
+    placed = own if view is None else _resampled(path, own, view, band)
+    georeference = _georeference(grid, placed.width, placed.height, settings)
     if georeference is None and driver == "GTiff":
         georeference = oriented(orientation_of(path))
-    return Raster(
-        width=read_from.width,
-        height=read_from.height,
-        read=_reader(path, read_from, band, masked, no_data, alpha),
-        block_rows=read_from.block_shapes[band - 1][0],
-        stored=str(stored),
-        format=driver,
+    return dataclasses.replace(
+        placed,
         georeference=georeference,
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
@@ -141,7 +144,19 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         roundings=roundings_of(dataset, band),
         warnings=notes,
         sources=tuple(sources),
-        close=lambda: [thing.close() for thing in (read_from, dataset, *texts)],
+        close=lambda: [thing.close() for thing in (view or dataset, dataset, *texts)],
+    )
+
+
+def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
+    """Return a raster that is read from a resampled view of another, in which missing samples are NaN."""
+    return dataclasses.replace(
+        original,
+        width=view.width,
+        height=view.height,
+        read=_reader(path, view, band, False, None, 0),
+        block_rows=view.block_shapes[band - 1][0],
+        original=original,
     )
 
 

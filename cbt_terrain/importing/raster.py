@@ -94,8 +94,8 @@ class Raster:
     `block_rows`: rows that are best read together. A height is the value * scale + offset metres, before the settings'
     own scale and offset. `roundings`: of the files that hold the samples, before scale and offset; without any, that of
     the type `stored`. `georeference` is None where the file does not say how large and where it is.
-    `projected_from`: the coordinate system that it was reprojected from, if it was. `sources`: other files that it is
-    made of.
+    `projected_from`: the coordinate system that it was reprojected from, if it was. `original`: the raster it was
+    resampled from, if it was. `sources`: other files that it is made of.
     """
 
     width: int
@@ -108,6 +108,7 @@ class Raster:
     scale: float = 1.0
     offset: float = 0.0
     projected_from: str = ""
+    original: "Raster | None" = None
     roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()

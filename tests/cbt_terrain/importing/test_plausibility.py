@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.importing.plausibility import ValueCheck
+from rasterio.transform import Affine
 from rasters import hills, imported, jacksboro, write_raster
 
 SIZE = {"extent": (3900.0, 2900.0)}
@@ -96,3 +97,21 @@ def test_a_relief_beyond_the_extent_warns(tmp_path):
     assert "If heights are not in metres" in warning and "--height-scale" in warning
     assert imported(tmp_path, source, extent=(39_000.0, 29_000.0))[1]["warnings"] == []
     assert imported(tmp_path, source, height_scale=0.001)[1]["warnings"] == []
+
+
+@pytest.mark.parametrize(("mark", "kind"), [(9999, "f4"), (32767, "i2"), (65535, "u2"), (-32768, "i2"), (0, "i2")])
+@pytest.mark.parametrize("way", ["projected", "sheared"])
+def test_marks_are_sought_before_a_raster_is_resampled(tmp_path, mark, kind, way):
+    values = (hills(100, 80) + 500.0).astype(kind)
+    values[20:30, 30:40] = mark
+    shear = 0.0 if way == "projected" else 3.0
+    place = {"crs": "EPSG:32632", "transform": Affine(10.0, shear, 5e5, 0.0, -10.0, 5e6)}
+    source = write_raster(tmp_path / "a.tif", values, **place)
+    settings = {"project": "EPSG:3035"} if way == "projected" else {}
+    warnings = [text for text in imported(tmp_path, source, **settings)[1]["warnings"] if "no data" in text]
+    assert len(warnings) == 1 and warnings[0].startswith(f"100 samples hold {mark}, ")
+    for no_data in (float(mark), float("nan")):
+        report = imported(tmp_path, source, no_data=no_data, **settings)[1]
+        assert not any("no data" in text for text in report["warnings"])
+    declared = write_raster(tmp_path / "a.tif", values, nodata=mark, **place)
+    assert not any("no data" in text for text in imported(tmp_path, declared, **settings)[1]["warnings"])

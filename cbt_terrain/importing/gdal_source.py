@@ -21,12 +21,13 @@ from .header_files import HEADER_DRIVER, HEADER_SUFFIXES, check_header, check_le
 from .length_scale import length_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
-from .rounding import SourceRounding, band_rounding
-from .sidecars import aux_file, named_crs, read_aux
+from .rounding import band_rounding
+from .sidecars import allow_aux_file, named_crs
 from .tiff_orientation import orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
+from .vrt_units import dataset_scales, mosaic_notes
 
 # What a VRT may name, and what is needed for it.
 MOSAIC_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
@@ -90,9 +91,9 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
-        notes = [] if driver == "VRT" else _allow_aux_file(path)
-        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], [], _own_rounding)
-    dataset, sources, texts, roundings_of = opened
+        notes = [] if driver == "VRT" else allow_aux_file(path)
+        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], None, {}, {})
+    dataset, texts, mosaic, roundings, scales = opened
     band = settings.band
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
@@ -104,6 +105,11 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         grid = grid._replace(crs=named_crs(path, notes))
     in_metres, unit_warnings = height_unit((dataset.units[band - 1] or "").strip(), grid.crs or dataset.crs)
     notes += [*band_notes(dataset, band, driver), *unit_warnings]
+    if mosaic is None:
+        found = (band_rounding(dataset, band),)
+    else:
+        found = mosaic_roundings(mosaic, band, str(stored), lambda *of: roundings.get(of))
+        notes += mosaic_notes(mosaic, band, lambda *of: scales.get(of))
     if grid.problem and settings.extent is None:
         notes.append(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
@@ -141,9 +147,9 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
-        roundings=roundings_of(dataset, band),
+        roundings=found,
         warnings=notes,
-        sources=tuple(sources),
+        sources=tuple(mosaic.sources) if mosaic is not None else (),
         close=lambda: [thing.close() for thing in (view or dataset, dataset, *texts)],
     )
 
@@ -184,19 +190,21 @@ def _check_png(path: Path) -> None:
 
 
 def _open_vrt(path: Path) -> tuple:
-    """Return a dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the files that it names; the texts of
-    VRTs, which GDAL has as long as they are kept; and the function that `_own_rounding` is for other files."""
+    """Return a dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the texts of VRTs, which GDAL has as
+    long as they are kept; the mosaic; and the rounding and the scale of each band of each file, by path and number."""
     import rasterio
     from rasterio.env import setenv
 
-    mosaic, found = read_mosaic(path, set(MOSAIC_DRIVERS)), {}
+    mosaic, roundings, scales = read_mosaic(path, set(MOSAIC_DRIVERS)), {}, {}
     for source in mosaic.sources:
         driver = DRIVERS[source.suffix.lower()]
         if driver == "VRT":
             continue
+        allow_aux_file(source)  # GDAL takes nothing of it into the mosaic
         try:
             with _open_file(source, driver) as opened:
-                found |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}
+                roundings |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}
+                scales |= {(source, n): scale for n, scale in enumerate(dataset_scales(opened), 1)}
         except TerrainError:
             raise
         except Exception as reason:
@@ -204,6 +212,8 @@ def _open_vrt(path: Path) -> tuple:
                 f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({cause(reason)}): expected "
                 "a whole file of that kind."
             ) from reason
+        finally:
+            setenv(GDAL_PAM_ENABLED="NO")
     setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # files beside a source (.msk, .ovr) could be VRTs again
     texts = [
         rasterio.MemoryFile(text.encode(), dirname=mosaic.folder, filename=f"{number}.vrt")
@@ -211,16 +221,7 @@ def _open_vrt(path: Path) -> tuple:
     ]
     dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
     _check_blocks(path, dataset)
-
-    def roundings_of(dataset, band: int) -> tuple[SourceRounding, ...]:
-        return mosaic_roundings(mosaic, band, dataset.dtypes[band - 1], lambda *of: found.get(of))
-
-    return dataset, list(mosaic.sources), texts, roundings_of
-
-
-def _own_rounding(dataset, band: int) -> tuple[SourceRounding, ...]:
-    """Return the roundings of a band of a file that names no others."""
-    return (band_rounding(dataset, band),)
+    return dataset, texts, mosaic, roundings, scales
 
 
 def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None, alpha: int):
@@ -245,21 +246,6 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None,
         return blank(rows, no_data)
 
     return read
-
-
-def _allow_aux_file(path: Path) -> list[str]:
-    """Let GDAL read the .aux.xml beside a raster, if there is one and it is harmless; return a warning if it is not."""
-    from rasterio.env import setenv
-
-    file = aux_file(path)
-    if file is None:
-        return []
-    try:
-        read_aux(file)
-    except TerrainError as reason:
-        return [f"{reason} What it says of the raster is missing."]
-    setenv(GDAL_PAM_ENABLED="YES")
-    return []
 
 
 def _grid_of(dataset, settings: ImportSettings) -> FileGrid:

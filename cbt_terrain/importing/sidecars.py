@@ -76,6 +76,21 @@ def read_aux(file: Path) -> str:
     return system
 
 
+def allow_aux_file(path: Path) -> list[str]:
+    """Let GDAL read the .aux.xml beside a raster, if there is one and it is harmless; return a warning if it is not."""
+    from rasterio.env import setenv
+
+    file = aux_file(path)
+    if file is None:
+        return []
+    try:
+        read_aux(file)
+    except TerrainError as reason:
+        return [f"{reason} What it says of the raster is missing."]
+    setenv(GDAL_PAM_ENABLED="YES")
+    return []
+
+
 def named_crs(path: Path, notes: list[str]):
     """Return the coordinate system in the files beside a raster that names none itself; None if there is none.
 

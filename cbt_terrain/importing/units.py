@@ -78,15 +78,22 @@ def _plane_unit(crs) -> tuple[str, float]:
     return (found[2], float(found[3])) if found else ("metre", 1.0)
 
 
+def vertical_unit(crs) -> tuple[str, float, bool] | None:
+    """Return the name and the metres of the unit of a system's vertical axis, and whether that points down; None if
+    there is none. crs: a rasterio CRS or None."""
+    found = _VERTICAL.search(_wkt(crs)) if crs is not None else None
+    return (found[2], float(found[3]), found[1] == "down") if found else None
+
+
 def height_unit(band_unit: str, crs) -> tuple[float, list[str]]:
     """Return the metres in a unit of the values of a band, and warnings.
 
     band_unit: the unit that the file gives the band, "" if none. crs: a rasterio CRS or None; its vertical axis counts
     where the band has no unit or an unknown one.
     """
-    vertical = _VERTICAL.search(_wkt(crs)) if crs is not None else None
+    vertical = vertical_unit(crs)
     known, warnings = metres_of(band_unit) if band_unit else None, []
-    metres, name = (float(vertical[3]), vertical[2]) if vertical else (1.0, "metre")
+    name, metres, is_depth = vertical or ("metre", 1.0, False)
     if known is not None:
         if vertical and abs(known / metres - 1.0) > SAME_UNIT:
             warnings.append(
@@ -110,7 +117,7 @@ def height_unit(band_unit: str, crs) -> tuple[float, list[str]]:
             )
     if abs(metres - 1.0) > SAME_UNIT:
         warnings.append(f"Heights are in {shown(name)} in the file; they were converted to metres.")
-    if vertical and vertical[1] == "down":
+    if is_depth:
         warnings.append(
             "The coordinate system counts its vertical axis downwards, so the values are depths: give a height scale "
             "of -1 (--height-scale) to have the ground the right way up."

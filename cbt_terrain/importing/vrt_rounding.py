@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rounding of a mosaic's samples: that of its sources, by the scale at which a VRT takes each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,8 +31,25 @@ def mosaic_roundings(
 def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[SourceRounding, None]:
     """Return those of band `band` of text `number`, in order and once."""
     found: dict[SourceRounding, None] = {}
+    for source, source_band, scaling in sources_of(mosaic, number, band):
+        if isinstance(source, int):
+            inner = _roundings(mosaic, source, source_band, rounding_of)
+        else:
+            inner = [rounding_of(source, source_band)]
+        found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
+    return found
+
+
+def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:
+    """Return the element of band `band` of text `number`, if there is one."""
     bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
-    element = next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
+    return next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
+
+
+def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | int, int, tuple[float, float]]]:
+    """Yield the sources of band `band` of text `number`, in order and once: a file or the number of a text, its band,
+    and the scale and the offset by which its values are taken."""
+    element = band_element(mosaic, number, band)
     numbers = {f"/vsimem/{mosaic.folder}/{n}.vrt": n for n in range(len(mosaic.texts))}
     seen = set()
     for source in element if element is not None else ():
@@ -43,12 +60,7 @@ def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[Sour
         if not source_band.isdigit() or (name, source_band, scaling) in seen:
             continue
         seen.add((name, source_band, scaling))
-        if name in numbers:
-            inner = _roundings(mosaic, numbers[name], int(source_band), rounding_of)
-        else:
-            inner = [rounding_of(Path(name), int(source_band))]
-        found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
-    return found
+        yield numbers.get(name, Path(name)), int(source_band), scaling
 
 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:

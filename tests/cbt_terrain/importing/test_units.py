@@ -130,3 +130,75 @@ def test_local_systems_have_their_unit(tmp_path, system, metres):
     assert report["step_m"] == pytest.approx([10 * metres] * 2, rel=1e-12)
     placing = placing_of(tmp_path / "store")
     assert placing.to_terrain(np.array([[1205.0, 1855.0]])) == pytest.approx(np.array([[5.0, 5.0]]) * metres)
+
+
+def tile_of_a_mosaic(tmp_path, how):
+    """Write a tile whose heights are not metres, and a VRT over it that does not pass this on; returns the VRT."""
+    place = {"crs": "EPSG:32632+6360" if how == "vertical axis" else "EPSG:32632"}
+    tile = write_raster(tmp_path / "a.tif", hills(), transform=from_origin(5e5, 5e6, 10, 10), **place)
+    if how == "aux":
+        band = '<PAMRasterBand band="1"><UnitType>ft</UnitType></PAMRasterBand>'
+        (tmp_path / "a.tif.aux.xml").write_text(f"<PAMDataset>{band}</PAMDataset>")
+    elif how != "vertical axis":
+        with rasterio.open(tile, "r+") as file:
+            if how == "unit":
+                file.units = ("ft",)
+            elif how == "metres":
+                file.units = ("metre",)
+            else:
+                file.scales, file.offsets = (0.01,), (250.0,)
+    return mosaic_over(tmp_path / "a.vrt", "a.tif")
+
+
+def mosaic_over(path, name, band="", srs="EPSG:32632"):
+    path.write_text(
+        f'<VRTDataset rasterXSize="40" rasterYSize="30"><SRS>{srs}</SRS><GeoTransform>5e5,10,0,5e6,0,-10'
+        f'</GeoTransform><VRTRasterBand dataType="Float32" band="1">{band}<SimpleSource><SourceFilename '
+        f'relativeToVRT="1">{name}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("how", "parts"),
+    [
+        ("unit", ("heights in ft", "<UnitType>ft</UnitType>", "--height-scale 0.3048.")),
+        ("aux", ("heights in ft", "<UnitType>ft</UnitType>", "--height-scale 0.3048.")),
+        ("vertical axis", ("heights in US survey foot", "--height-scale 0.3048006096.")),
+        ("scale", ("scale of 0.01 and an offset of 250", "--height-scale 0.01 --height-offset 250.")),
+    ],
+)
+def test_a_mosaic_warns_of_what_its_files_alone_tell(tmp_path, how, parts):
+    source = tile_of_a_mosaic(tmp_path, how)
+    [warning] = imported(tmp_path, source)[1]["warnings"]
+    assert all(part in warning for part in parts) and "the VRT does not" in warning
+    outer = mosaic_over(tmp_path / "outer.vrt", "a.vrt")
+    assert imported(tmp_path, outer)[1]["warnings"] == [warning]
+
+
+def test_a_mosaic_that_tells_the_same_does_not_warn(tmp_path):
+    assert imported(tmp_path, tile_of_a_mosaic(tmp_path, "metres"))[1]["warnings"] == []
+    tile_of_a_mosaic(tmp_path, "unit")
+    [warning] = imported(tmp_path, mosaic_over(tmp_path / "b.vrt", "a.tif", "<UnitType>ft</UnitType>"))[1]["warnings"]
+    assert warning == "Heights are in ft in the file; they were converted to metres."
+    wkt = CRS.from_user_input("EPSG:32632+8228").to_wkt()
+    [warning] = imported(tmp_path, mosaic_over(tmp_path / "b.vrt", "a.tif", srs=wkt))[1]["warnings"]
+    assert warning == "Heights are in foot in the file; they were converted to metres."
+    tile_of_a_mosaic(tmp_path, "scale")
+    scaled = mosaic_over(tmp_path / "b.vrt", "a.tif", "<Offset>250</Offset><Scale>0.01</Scale>")
+    field, report = imported(tmp_path, scaled)
+    assert report["warnings"] == [] and field.max_height < 270.0
+
+
+def test_files_of_a_mosaic_in_different_units_warn(tmp_path):
+    source = tile_of_a_mosaic(tmp_path, "unit")
+    write_raster(tmp_path / "b.tif", hills())
+    text = source.read_text()
+    part = text[text.index("<SimpleSource>") : text.index("</VRTRasterBand>")]
+    source.write_text(text.replace(part, part + part.replace("a.tif", "b.tif")))
+    [warning] = imported(tmp_path, source)[1]["warnings"]
+    assert "in different ways (" in warning and "in ft" in warning and "as metres" in warning
+    converted = "<ComplexSource>" + part[14:-15] + "<ScaleRatio>0.3048</ScaleRatio></ComplexSource>"
+    source.write_text(text.replace(part, converted))  # the VRT itself makes them metres
+    field, report = imported(tmp_path, source)
+    assert report["warnings"] == [] and np.allclose(field.heights(), hills()[::-1] * FT, rtol=1e-6)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A warning about units, scales and offsets of a mosaic's files that the VRT itself does not repeat: GDAL passes none
+of them on."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from ..errors import shown
+from .units import SAME_UNIT, metres_of, vertical_unit
+from .vrt_rounding import band_element, sources_of
+from .vrt_source import Mosaic
+
+_DEFAULTS = (("UnitType", ""), ("Scale", "1"), ("Offset", "0"))
+
+
+class HeightScale(NamedTuple):
+    """How a band gives heights: value * scale + offset, in a unit of `metres` (None: unknown); unit "": none named."""
+
+    unit: str = ""
+    metres: float | None = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def over(self, inner: "HeightScale") -> "HeightScale":
+        """Return this one, with what it leaves open taken from that of a source."""
+        unit = self if self.unit else inner
+        scale = self if self.is_scaled else inner
+        return HeightScale(unit.unit, unit.metres, scale.scale, scale.offset)
+
+    @property
+    def is_scaled(self) -> bool:
+        return (self.scale, self.offset) != (1.0, 0.0)
+
+    @property
+    def text(self) -> str:
+        """Return the unit, the scale and the offset as part of a sentence."""
+        scaled = f"with a scale of {self.scale:.10g} and an offset of {self.offset:.10g}" if self.is_scaled else ""
+        return " ".join(filter(None, [f"in {shown(self.unit)}" if self.unit else "", scaled])) or "as metres"
+
+
+def height_scale(band_unit: str, crs, scale: float, offset: float) -> HeightScale:
+    """Return how a band gives heights. band_unit: "" if none; crs: a rasterio CRS, whose vertical axis counts where the
+    band has no unit or an unknown one, or None."""
+    vertical = vertical_unit(crs)
+    known = metres_of(band_unit)
+    if known is None and vertical:
+        return HeightScale(*vertical[:2], scale, offset)
+    return HeightScale(band_unit, known if band_unit else 1.0, scale, offset)
+
+
+def dataset_scales(dataset) -> list[HeightScale]:
+    """Return how each band of a rasterio dataset gives heights."""
+    crs = dataset.crs or dataset.gcps[1]
+    return [
+        height_scale((unit or "").strip(), crs, scale, offset)
+        for unit, scale, offset in zip(dataset.units, dataset.scales, dataset.offsets, strict=True)
+    ]
+
+
+def mosaic_notes(mosaic: Mosaic, band: int, scale_of: Callable[[Path, int], HeightScale | None]) -> list[str]:
+    """Return a warning, if any, about what the files of one band of a mosaic tell of heights, and the VRT does not.
+
+    scale_of(path, band): of a source that is no VRT; None if it is unknown.
+    """
+    number = len(mosaic.texts) - 1
+    own = _own_scale(mosaic, number, band)
+    # What differs in metres differs; a unit's other name does not.
+    found = {(s.metres and f"{s.metres:.7g}", s.scale, s.offset): s for s in _scales(mosaic, number, band, scale_of)}
+    if len(found) > 1:
+        texts = ", ".join(scale.text for scale in list(found.values())[:3])
+        return [
+            f"The files of the mosaic give their heights in different ways ({texts}), and the VRT takes their values "
+            "as they are: convert them to metres first, each file by itself."
+        ]
+    for scale in found.values():
+        has_unit = not own.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
+        has_scale = scale.is_scaled and not own.is_scaled
+        if has_unit or has_scale:
+            return [_note(scale, has_unit, has_scale)]
+    return []
+
+
+def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
+    """Return the warning that a unit, or a scale and an offset, is missing in a VRT."""
+    missing = HeightScale(
+        scale.unit if has_unit else "",
+        scale.metres,
+        scale.scale if has_scale else 1.0,
+        scale.offset if has_scale else 0.0,
+    )
+    elements = ["<UnitType>"] * has_unit + ["<Scale>", "<Offset>"] * has_scale
+    text = f"<UnitType>{shown(scale.unit)}</UnitType>" if not has_scale else " and ".join(elements)
+    start = f"The files of the mosaic give their heights {missing.text}, and the VRT does not: write {text} into it, or"
+    if scale.metres is None:
+        return f"{start} give the metres in one of its values (--height-scale)."
+    factor = (scale.metres if has_unit else 1.0) * missing.scale
+    offset = f" --height-offset {scale.metres * missing.offset:.10g}" if missing.offset else ""
+    return f"{start} give --height-scale {factor:.10g}{offset}."
+
+
+def _own_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
+    """Return what text `number` of a mosaic itself tells of the heights of a band."""
+    element = band_element(mosaic, number, band)
+    if element is None:
+        return HeightScale()
+    unit, scale, offset = (element.findtext(name, default) for name, default in _DEFAULTS)
+    return height_scale(unit.strip(), _crs(mosaic.texts[number]), float(scale), float(offset))
+
+
+def _crs(text: str):
+    """Return the coordinate system of a VRT, None if it names none that PROJ knows."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        return CRS.from_user_input(ElementTree.fromstring(text).findtext("SRS", "").strip() or None)
+    except (CRSError, TypeError):
+        return None
+
+
+def _scales(mosaic: Mosaic, number: int, band: int, scale_of) -> set[HeightScale]:
+    """Return how the sources of band `band` of text `number` give heights, each with what the VRTs around it tell.
+
+    Sources whose values the VRT itself scales are left out: it may have converted them.
+    """
+    own, found = _own_scale(mosaic, number, band), set()
+    for source, source_band, scaling in sources_of(mosaic, number, band):
+        if scaling == (1.0, 0.0):
+            is_vrt = isinstance(source, int)
+            inner = _scales(mosaic, source, source_band, scale_of) if is_vrt else {scale_of(source, source_band)}
+            found |= {own.over(scale) for scale in inner if scale is not None}
+    return found

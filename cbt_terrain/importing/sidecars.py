@@ -36,8 +36,10 @@ def sidecars(path: Path) -> list[Path]:
 
 
 def aux_file(path: Path) -> Path | None:
-    """Return the .aux.xml of a raster, if there is one."""
-    return next((file for file in sidecars(path) if file.name.lower() == path.name.lower() + AUX), None)
+    """Return the .aux.xml of a raster, if there is one: that of exactly its name rather than one in other letters."""
+    named = path.name + AUX
+    found = [file for file in sidecars(path) if file.name.lower() == named.lower()]
+    return min(found, key=lambda file: file.name != named, default=None)
 
 
 def read_aux(file: Path) -> str:
@@ -87,6 +89,11 @@ def allow_aux_file(path: Path) -> list[str]:
         read_aux(file)
     except TerrainError as reason:
         return [f"{reason} What it says of the raster is missing."]
+    if file.name != path.name + AUX:  # GDAL finds no other, and one that it finds was not looked at
+        return [
+            f"{shown(file)} is named otherwise than {shown(path.name)} in upper or lower case, so only its coordinate "
+            f"system is read, not its position, no-data, scale, offset and unit: rename it to {shown(path.name)}{AUX}."
+        ]
     setenv(GDAL_PAM_ENABLED="YES")
     return []
 

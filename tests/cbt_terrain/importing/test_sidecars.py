@@ -149,3 +149,27 @@ def test_a_pipe_beside_a_raster_is_refused_at_once(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(TerrainError, match=f"{name}, beside a.tif, is a pipe, a socket or a device"):
         open_source(ImportSettings(str(source)))
+
+
+@pytest.mark.parametrize(
+    ("raster", "name"), [("up.tif", "up.tif.AUX.XML"), ("cam.tif", "CAM.TIF.aux.xml"), ("Map.PNG", "map.png.aux.xml")]
+)
+def test_an_aux_file_in_other_letters_is_warned_about(tmp_path, raster, name):
+    source = bare(tmp_path, raster)
+    band = '<PAMRasterBand band="1"><UnitType>ft</UnitType></PAMRasterBand>'
+    (tmp_path / name).write_text(f"<PAMDataset>{band}</PAMDataset>")
+    [warning] = [text for text in imported(tmp_path, source)[1]["warnings"] if "named otherwise" in text]
+    assert f"rename it to {raster}.aux.xml" in warning and name in warning
+    (tmp_path / name).rename(tmp_path / f"{raster}.aux.xml")
+    assert "Heights are in ft in the file" in imported(tmp_path, source)[1]["warnings"][0]
+
+
+def test_the_exact_aux_file_wins_over_other_letters(tmp_path):
+    source = bare(tmp_path, "a.tif")
+    (tmp_path / "A.TIF.AUX.XML").write_text("<PAMDataset/>")
+    band = '<PAMRasterBand band="1"><UnitType>ft</UnitType></PAMRasterBand>'
+    aux(source, band)
+    assert "Heights are in ft in the file" in imported(tmp_path, source)[1]["warnings"][0]
+    aux(source, '<Metadata><MDI key="OVERVIEW_FILE">b.tif</MDI></Metadata>' + band)  # GDAL must not see it
+    warnings = imported(tmp_path, source)[1]["warnings"]
+    assert "a.tif.aux.xml is not read" in warnings[0] and not any("Heights are in ft" in text for text in warnings)

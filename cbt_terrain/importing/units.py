@@ -44,6 +44,8 @@ FEET = {
 }
 # Parts by which two units differ, from where on they are not the same (a US foot is 2e-6 longer than the other).
 SAME_UNIT = 1e-7
+MAX_SYMBOL = 3  # letters of a symbol in METRES, which is one word
+_NO_LENGTH = re.compile(r"[/%‰°*^·×÷|]|[\s_.,;-]s$")  # in names of rates, products, angles and shares
 _AXIS = r'AXIS\["[^"]*",\s*(?:{})\s*(?:,\s*ORDER\[\d+\])?\s*,\s*LENGTHUNIT\["([^"]*)",\s*([-+\d.eE]+)'
 _VERTICAL = re.compile(_AXIS.format("(up|down)"))
 _PLANE = re.compile(_AXIS.format("(north|south|east|west|northEast|northWest|southEast|southWest|unspecified)"))
@@ -54,9 +56,12 @@ def metres_of(name: str) -> float | None:
     name = name.strip().casefold()
     if name in METRES:
         return METRES[name]
+    if _NO_LENGTH.search(name):
+        return None
+    is_whole = not re.search(r"[^\W_][\W_]+[^\W_]", name)
     name = re.sub(r"international|intl|[\W_]", "", name)
-    for text in (name, name.removesuffix("s")):
-        if text in METRES:
+    for text in (name, name.removesuffix("s") if len(name) > 2 else name):
+        if text in METRES and (is_whole or len(text) > MAX_SYMBOL):  # "m m" is not mm
             return METRES[text]
         for word, feet in FEET.items():
             before, found, after = text.partition(word)

@@ -35,7 +35,8 @@ def test_all_of_projs_units_are_known_in_any_spelling():
     assert len(units) > 60
     for name, metres in units:
         american = name.replace("metre", "meter").replace("foot", "feet")
-        for text in (name, name.upper(), name.replace(" ", "_"), name.replace(" ", "-"), f" {american}s "):
+        plural = "s" if len(name) > 1 else ""  # "ms" are milliseconds
+        for text in (name, name.upper(), name.replace(" ", "_"), name.replace(" ", "-"), f" {american}{plural} "):
             assert metres_of(text) == pytest.approx(metres, rel=3e-10), text
 
 
@@ -51,6 +52,14 @@ def test_all_of_projs_units_are_known_in_any_spelling():
         (("nautical miles", "nmi"), 1852.0),
         (("Meter_German_Legal",), 1.0000135965),
         (("furlong", "degree", "", "m asl", "unknown", "US"), None),
+        (
+            ("m/s", "ms", "% m", "in/s", "m/m", "m s", "in s", "m^2", "m*m", "m m", "m·m", "ft/s", "ft_s", "°", "m.s"),
+            None,
+        ),
+        (("yds", "Yards", "yd."), 3.0 * FT),
+        (("kms", "[km]"), 1e3),
+        (("fts", "(ft)", "ft."), FT),
+        (("ins",), 0.0254),
     ],
 )
 def test_names_of_gdal_and_esri(names, metres):
